@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,21 +14,38 @@ from visualization_msgs.msg import Marker, MarkerArray
 from push_ident.errors import InputError
 from push_ident.nodes.convert_goal_markers import GoalDrawing, draw_goal, goal_markers_from_msg, goal_markers_to_msg
 from push_ident.physics.overhang import TableEdge
+from push_ident.planning.curved_planner import CurvedPush
 from push_ident.planning.goal import Goal
+from push_ident.planning.goal_ports import GoalProgress, GoalState
 from push_ident.planning.hold import EdgeHold
+from push_ident.planning.path_goal import PathGoal
+from push_ident.planning.path_planner import PathPush, PathStatus
+from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush, PlanStatus
 from push_ident.planning.target import Target
+from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushPlan2D
 
 OUTLINE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.05]])
 GOAL = Goal(np.array([0.2, 0.1, 0.5]), 0.01, np.radians(5.0))
-PLAN = GoalPush(
-    PlanStatus.PUSH, 0.82, PushPlan2D(np.zeros(2), np.array([0.0, -0.01]), np.pi / 2, 0.07, 0.1), end=np.array([0.19, 0.1, 0.5])
-)
+STRAIGHT = PushPlan2D(np.zeros(2), np.array([0.0, -0.01]), np.pi / 2, 0.07, 0.1)
+PLAN = GoalPush(PlanStatus.PUSH, 0.82, STRAIGHT, end=np.array([0.19, 0.1, 0.5]))
+PATH = PathGoal(np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]), 0.05, 0.003, 0.035)
+
+
+TARGET = Target(GOAL)
+
+
+def drawn(plan: GoalPush | None, target: Target = TARGET, **progress: Any) -> GoalDrawing:
+    """What is drawn while the third push is made."""
+    progress = {"target": target, "plan": plan, "state": GoalState.PUSH, "pushes": 2} | progress
+    drawing = draw_goal(GoalProgress(object_id="o1", **progress), OUTLINE)
+    assert drawing is not None
+    return drawing
 
 
 def test_goal_and_push_come_back() -> None:
-    drawing = draw_goal("o1", OUTLINE, Target(GOAL), PLAN, 3)
+    drawing = drawn(PLAN)
     assert drawing.words == "goal: within 10 mm and 5.0°" and drawing.chance == "push 3: 82 % chance of the goal"
     found = goal_markers_from_msg(goal_markers_to_msg(drawing, Time(sec=3)))
     assert isinstance(found, GoalDrawing) and (found.object_id, found.words, found.chance) == ("o1", drawing.words, drawing.chance)
@@ -35,18 +53,50 @@ def test_goal_and_push_come_back() -> None:
     np.testing.assert_allclose(found.tool, [[0.0, -0.01], [0.0, 0.06]], atol=1e-12)
     np.testing.assert_allclose(found.end, drawing.goal - [0.01, 0.0])
     assert found.edge is None
-    waiting = goal_markers_from_msg(goal_markers_to_msg(draw_goal("o1", OUTLINE, Target(GOAL), None, 3), Time()))
+    waiting = goal_markers_from_msg(goal_markers_to_msg(drawn(None), Time()))
     assert waiting is not None and waiting.tool is None and waiting.end is None and waiting.chance == ""
+    assert drawn(PLAN, state=GoalState.LEARN).tool is None, "that push is over"
     assert goal_markers_from_msg(goal_markers_to_msg(None, Time())) is None
+    assert draw_goal(GoalProgress(object_id="o1"), OUTLINE) is None
 
 
 def test_edge_of_a_goal_comes_back_with_what_is_risked() -> None:
     edge = TableEdge.between(np.array([0.25, -0.3]), np.array([0.25, 0.3]))
     target = Target(GOAL, EdgeHold(edge, 0.012), np.array([[0.01, 0.01], [0.09, 0.01]]), np.array([[0.05, 0.01]]))
-    found = goal_markers_from_msg(goal_markers_to_msg(draw_goal("o1", OUTLINE, target, replace(PLAN, risk=0.004), 3), Time()))
+    found = goal_markers_from_msg(goal_markers_to_msg(drawn(replace(PLAN, risk=0.004), target), Time()))
     assert found is not None and found.edge is not None and "over the edge, held by" in found.words
     assert found.chance == "push 3: 82 % chance of the goal, 0.4 % of being held by less than 12 mm"
     np.testing.assert_allclose(found.edge, [[0.25, -0.3], [0.25, 0.3]])
+
+
+def test_path_comes_back_with_the_tool_as_it_is_steered_and_its_corridor() -> None:
+    corridor = Corridor(np.array([[0.0, 0.0], [0.04, 0.0], [0.08, 0.0]]), 0.02)
+    tool = np.array([[0.0, 0.0], [0.04, 0.001], [0.08, 0.003]])
+    curved = CurvedPush(PathStatus.PUSH, 0.02, STRAIGHT, np.arange(3.0), tool, corridor, 0.4, 0.3, 0.08)
+    steered = PathStep(PathStatus.PUSH, 0.02, curved)
+    end = Target(Goal(PATH.poses[-1], PATH.position, PATH.yaw))
+
+    def back(drawing: GoalDrawing) -> GoalDrawing:
+        found = goal_markers_from_msg(goal_markers_to_msg(drawing, Time()))
+        assert found is not None and found.path is not None
+        np.testing.assert_allclose(found.path[[0, -1]], [[0.0, 0.0], [0.1, 0.0]])
+        np.testing.assert_allclose(found.goal, OUTLINE + np.array([0.1, 0.0]))
+        return found
+
+    waiting = back(drawn(None, end, path=PATH))
+    assert waiting.words == "path: 100 mm at 50 mm/s, one tolerance is 3 mm and 2.0°" and waiting.tool is None and waiting.corridor is None
+    planned = back(drawn(None, end, path=PATH, step=steered))
+    assert planned.chance == "push 3: expected to 80 % of the path" and planned.corridor is not None
+    np.testing.assert_allclose(planned.tool, tool)
+    np.testing.assert_allclose(planned.end, OUTLINE + np.array([0.08, 0.0]))
+    np.testing.assert_allclose(np.abs(planned.corridor[:, 1]), 0.02)
+    corrected = back(drawn(None, end, path=PATH, step=steered, tool=tool[1:] + np.array([0.0, 0.002])))
+    np.testing.assert_allclose(corrected.tool, tool[1:] + np.array([0.0, 0.002]))
+    straight = PathStep(PathStatus.PUSH, 0.02, straight=PathPush(PathStatus.PUSH, 0.02, STRAIGHT, 0.05, 0.2))
+    pushed = back(drawn(None, end, path=PATH, step=straight))
+    assert pushed.corridor is None and pushed.chance == "push 3: expected to 50 % of the path"
+    np.testing.assert_allclose(pushed.tool, [[0.0, -0.01], [0.0, 0.06]], atol=1e-12)
+    assert back(drawn(None, end, path=PATH, step=steered, state=GoalState.LEARN)).tool is None, "that push is over"
 
 
 def test_markers_of_another_frame_place_object_or_size_are_refused() -> None:
@@ -55,7 +105,7 @@ def test_markers_of_another_frame_place_object_or_size_are_refused() -> None:
         (lambda marker: setattr(marker.points[0], "x", float("nan")), "Goal marker"),
         (lambda marker: setattr(marker, "ns", "goal/1 2"), "1 2"),
     ):
-        msg = goal_markers_to_msg(draw_goal("o1", OUTLINE, Target(GOAL), PLAN, 1), Time())
+        msg = goal_markers_to_msg(drawn(PLAN), Time())
         change(msg.markers[1])
         with pytest.raises(InputError, match=words):
             goal_markers_from_msg(msg)

@@ -189,6 +189,7 @@ def test_goal_is_reached_by_pushes_of_the_executor(cell: GoalCell) -> None:
 def test_path_is_followed_with_corrections_that_the_executor_takes(cell: GoalCell) -> None:
     first, along = np.array([0.0, 0.02, 0.3]), np.array([np.cos(0.3), np.sin(0.3), 0.0])
     path = PathMsg(poses=[PoseStamped(pose=planar_pose_msg(first + travel * along)) for travel in (0.0, 0.08)])
+    n_shown = len(cell.drawings)
     sent = send(cell, kind=PushToGoal.Goal.KIND_PATH, path=path, position_tolerance=0.004, yaw_tolerance=0.05)
     result = sent.end(150.0)
     assert result.error_code == GoalCode.NONE, result.error_text
@@ -198,6 +199,14 @@ def test_path_is_followed_with_corrections_that_the_executor_takes(cell: GoalCel
     made = [record for record in cell.records if record.error_code == 0]
     assert sum(record.distance for record in made) == pytest.approx(0.08, abs=0.015)
     assert all(record.direction == pytest.approx(0.3, abs=0.1) for record in made)
+    # Shown: the path all the time, and the tool as it is steered.
+    wait_for(lambda: cell.drawings and cell.drawings[-1] is None)
+    shown = [drawing for drawing in cell.drawings[n_shown:] if drawing is not None]
+    ends = [drawing.path[[0, -1]] for drawing in shown if drawing.path is not None]
+    assert len(ends) == len(shown) > 0
+    np.testing.assert_allclose(ends[-1], [first[:2], first[:2] + 0.08 * along[:2]], atol=1e-9)
+    steered = [drawing.tool for drawing in shown if drawing.corridor is not None and drawing.tool is not None]
+    assert len({tool.tobytes() for tool in steered}) > 1, "as planned, then as corrected"
 
 
 EDGE = [Point(x=0.12, y=-0.3), Point(x=0.12, y=0.3)]

@@ -49,7 +49,15 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 CORNERS = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])
 EDGE = np.array([[0.1, -0.3], [0.1, 0.3]])
 GOAL = GoalDrawing(
-    "o1", CORNERS, "goal: within 20 mm and 5.7°", np.array([[0.0, 0.0], [0.05, 0.0]]), CORNERS + 0.02, "push 3: 82 % chance", EDGE
+    "o1",
+    CORNERS,
+    "path: 100 mm",
+    np.array([[0.0, 0.0], [0.05, 0.0], [0.1, 0.01]]),
+    CORNERS + 0.02,
+    "push 3",
+    EDGE,
+    EDGE - 0.1,
+    CORNERS - 0.1,
 )
 
 
@@ -165,7 +173,10 @@ def test_everything_that_is_published_is_in_the_recording(cell: Cell, tmp_path: 
         "/table/objects/o1/next_push/end",
         "/table/objects/goal/outline",
         "/table/objects/goal/edge",
+        "/table/objects/goal/path",
         "/table/objects/goal/push/tool",
+        "/table/objects/goal/push/path",
+        "/table/objects/goal/push/corridor",
         "/table/objects/goal/push/end",
         "/table/objects/goal/words/1",
         "/table/load/o1/cells",

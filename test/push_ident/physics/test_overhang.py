@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog
@@ -9,9 +12,12 @@ from scipy.optimize import linprog
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.physics.batch import BatchModel, BatchPush, rollouts
+from push_ident.physics.effect import OnTable
+from push_ident.physics.effect_values import effect_values
+from push_ident.physics.effects import EFFECTS
 from push_ident.physics.overhang import TableEdge, overhung_loads
 from push_ident.planning.belief import Belief
-from push_ident.types import Float64Array, PusherPath
+from push_ident.types import Float64Array, ObjectModel, PusherPath
 from push_ident_sim.studies.common.random_objects import random_object
 
 MODEL = random_object(np.random.default_rng(4))
@@ -66,6 +72,79 @@ def test_a_push_far_from_the_edge_is_the_same_to_the_last_bit_and_at_the_edge_it
     near = rollouts(MODEL.shape, models, push, step=1 / 240, edge=TableEdge(np.array([0.0, 1.0]), float(CENTRE[1]) + 0.005))
     np.testing.assert_array_equal(far, without)
     assert np.max(np.abs(near - without)) > 1e-3
+
+
+OF_TABLE = [name for name, effect in EFFECTS.items() if isinstance(effect.acts, OnTable)]
+MOVING = np.array([0.05, -0.03, 0.0])
+"""Of the object [m/s, m/s, rad/s]."""
+
+
+def coasted(model: BatchModel, pose: Float64Array, time: float, edge: TableEdge = EDGE) -> Float64Array:
+    """Pose after a single step [s] of an object that nobody pushes."""
+    away = PusherPath(np.array([0.0, time]), np.full((2, 2), 5.0), 0.008)
+    push = BatchPush(away, pose, np.array([time]), MOVING)
+    return rollouts(MODEL.shape, [model], [push], step=time, edge=edge)[0, 0, 0]
+
+
+@pytest.mark.parametrize("name", OF_TABLE)
+def test_effects_far_from_the_edge_act_as_on_an_endless_table(name: str) -> None:
+    effects = effect_values({name: [p.typical + p.nominal for p in EFFECTS[name].parameters]})
+    models = [model._replace(effects=effects) for model in Belief.certain(MODEL).models(0, np.random.default_rng(0))]
+    reach = float(np.min(MODEL.shape.outline[:, 0]))
+    path = PusherPath(np.array([0.0, 1.0]), np.array([[reach - 0.03, 0.015], [reach + 0.06, 0.015]]), 0.008)
+    push = [BatchPush(path, np.zeros(3), np.array([1.0]))]
+    without = rollouts(MODEL.shape, models, push, step=1 / 240)
+    far = rollouts(MODEL.shape, models, push, step=1 / 240, edge=TableEdge(np.array([1.0, 0.0]), 1.0))
+    near = rollouts(MODEL.shape, models, push, step=1 / 240, edge=TableEdge(np.array([0.0, 1.0]), float(CENTRE[1]) + 0.005))
+    np.testing.assert_array_equal(far, without)
+    assert np.max(np.abs(near - without)) > 1e-3
+
+
+def factor_by_place(place: Float64Array, borne: Float64Array) -> Float64Array:
+    """Friction that grows by 2 a metre along x of the table."""
+    return 1.0 + 2.0 * place[:, 0]
+
+
+def factor_of_leading_cells(place: Float64Array, borne: Float64Array) -> Float64Array:
+    """Loads that are led by 4 mm: their sum stays, their centre moves by as much along the motion."""
+    centre = borne @ place / borne.sum()
+    covariance = (borne * (place - centre).T) @ (place - centre) / borne.sum() + MODEL.shape.cells.size**2 / 12 * np.eye(2)
+    lead = 0.004 * MOVING[:2] / np.linalg.norm(MOVING[:2])
+    return 1.0 + (place - centre) @ np.linalg.solve(covariance, lead)
+
+
+@pytest.mark.parametrize(
+    ("effects", "factor"),
+    [({"position_dependent_friction": [2.0, 0.0]}, factor_by_place), ({"push_height": [0.004]}, factor_of_leading_cells)],
+)
+@pytest.mark.parametrize("inside", [0.01, 0.03])
+def test_effects_at_the_edge_change_the_friction_of_the_cells_by_what_they_bear(
+    effects: dict[str, list[float]], factor: Callable[[Float64Array, Float64Array], Float64Array], inside: float
+) -> None:
+    (model,), pose = Belief.certain(MODEL).models(0, np.random.default_rng(0)), at_edge(inside, 0.7)
+    load = overhung_loads(EDGE, CELLS, MASS, pose)
+    assert load is not None
+    place = transform_points(pose, CELLS)
+    share = factor(place, load * MODEL.friction)
+    assert np.all(share[load > 0.0] > 0.0), "each cell still bears a load"
+    changed = model._replace(body=replace(model.body, limit=model.body.limit * np.maximum(share, 0.0)))
+    found = coasted(model._replace(effects=effect_values(effects)), pose, 0.01)
+    np.testing.assert_allclose(found, coasted(changed, pose, 0.01), rtol=0, atol=1e-8)
+    assert np.max(np.abs(found - coasted(model, pose, 0.01))) > 1e-6
+
+
+def test_tilt_slows_an_object_at_the_edge_by_its_weight_whatever_overhangs() -> None:
+    """Friction is mu m g wherever the loads are, and they stay at the centre of mass: m a = -mu m g + tilt m g along the motion."""
+    even = ObjectModel(MODEL.shape, MODEL.mass, np.full(len(MASS), 0.3), 0.2)
+    (model,), direction = Belief.certain(even).models(0, np.random.default_rng(0)), MOVING[:2] / np.linalg.norm(MOVING[:2])
+    time = 0.01
+    for inside in (0.01, 0.03, 0.5):
+        pose = at_edge(inside, 0.7)
+        for tilt in (-0.05, 0.05):
+            found = coasted(model._replace(effects=effect_values({"table_tilt": list(tilt * direction)})), pose, time)
+            expected = np.linalg.norm(MOVING[:2]) * time - 0.5 * 9.81 * (0.3 - tilt) * time**2
+            assert (found - pose)[:2] @ direction == pytest.approx(expected, rel=3e-3)
+            assert abs((found - pose)[2]) < 1e-6
 
 
 def test_an_edge_needs_a_direction_and_models_with_weights() -> None:

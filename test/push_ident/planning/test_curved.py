@@ -115,9 +115,9 @@ def test_improved_push_is_what_the_engine_makes_of_it_and_costs_less() -> None:
 
 
 def follow(
-    world: World, plan: CurvedPush, noise: float, knock: Float64Array | None = None
+    world: World, plan: CurvedPush, noise: float, knock: Float64Array | None = None, late: int = 0
 ) -> tuple[FollowStatus, Float64Array, list[float]]:
-    """Follow the circle in one contact: how it ends, poses at the frames, shape (n, 3), and gaps [m]."""
+    """Follow the circle in one contact: how it ends, poses at the frames, shape (n, 3), and gaps [m]; `late` of three frames are due."""
     assert plan.time is not None and plan.tool is not None and plan.corridor is not None
     rng = np.random.default_rng(2)
     follower = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).follower(KNOWN, CIRCLE, plan.corridor, PERIOD)
@@ -125,7 +125,8 @@ def follow(
     now, poses, gaps = float(plan.time[1]), [], []
     world.lead(plan.time[:2], plan.tool[:2])
     for k in range(400):
-        correction = follower.correct(now, world.pose + noise * np.sqrt(np.diag(FRAME)) * rng.normal(size=3), FRAME)
+        seen = world.pose + noise * np.sqrt(np.diag(FRAME)) * rng.normal(size=3)
+        correction = follower.correct(now, seen, FRAME, lambda k=k: k % 3 < late)
         if correction.status is not FollowStatus.GOING:
             break
         at = np.array([now, now + PERIOD])
@@ -146,6 +147,20 @@ def test_object_is_kept_on_a_circle_in_one_contact_that_is_never_lost() -> None:
     _, error = CIRCLE.error(poses, 0.0, CIRCLE.length)
     assert status is FollowStatus.ARRIVED and max(gaps[3:]) < 1e-3
     assert np.sqrt(np.mean(error[:, 0] ** 2)) < 0.003 and np.sqrt(np.mean(error[:, 1] ** 2)) < np.radians(2.0)
+
+
+def test_corrections_that_are_due_at_once_go_on_from_the_ones_before() -> None:
+    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+    status, poses, gaps = follow(World(MODEL, CIRCLE.poses[0]), plan, noise=1.0, late=2)
+    _, error = CIRCLE.error(poses, 0.0, CIRCLE.length)
+    assert status is FollowStatus.ARRIVED and max(gaps[3:]) < 1e-3
+    assert np.sqrt(np.mean(error[:, 0] ** 2)) < 0.004 and np.sqrt(np.mean(error[:, 1] ** 2)) < np.radians(3.0)
+    # Nothing is improved: the best guess is simulated once.
+    pushes, horizon = CurvedPushes(SETTINGS, CIRCLE), Horizon.of(CIRCLE.speed, 0.08, np.array([-0.2, 0.0]))
+    guesses = 0.1 * np.random.default_rng(0).normal(size=(1, 3, N_SEGMENTS, 2))
+    best, rolled = pushes.improve(known(), horizon, [start_of(plan)], guesses, 3, lambda: True)
+    assert np.any(np.all(best[0] == guesses[0], axis=(1, 2)))
+    assert rolled.cost[0, 0] == np.min(pushes.roll(known(), horizon, [start_of(plan)], guesses).cost)
 
 
 def test_object_that_was_displaced_on_its_way_is_brought_back_by_the_same_contact() -> None:

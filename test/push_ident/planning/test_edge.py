@@ -20,7 +20,7 @@ from push_ident.planning.explore import push_on_table
 from push_ident.planning.goal import CERTAIN, Goal
 from push_ident.planning.goal_code import GoalCode, GoalRefusedError
 from push_ident.planning.hold import RISK, EdgeHold
-from push_ident.planning.library import path_of
+from push_ident.planning.library import BATCH_STEP, path_of
 from push_ident.planning.planner import GoalPlanner, PlanStatus
 from push_ident.pushing.push import PushSettings
 from push_ident_sim.objects import make_object
@@ -98,19 +98,21 @@ def test_numbers_of_the_goal_are_checked() -> None:
             TableEdge.between(*np.array(points))
 
 
-def test_known_object_is_pushed_out_over_the_edge_and_held_on_the_way() -> None:
-    goal, hold = pregrasp(GOAL, KNOWN, START, SETTINGS)
+@pytest.mark.parametrize("known", [KNOWN, Belief.certain(MODEL, {"table_anisotropy": [0.25, 0.15]})], ids=["even", "anisotropic"])
+def test_known_object_is_pushed_out_over_the_edge_as_expected_and_held_on_the_way(known: Belief) -> None:
+    goal, hold = pregrasp(GOAL, known, START, SETTINGS)
     planner, pose = GoalPlanner(MODEL.shape, SETTINGS), START
     for _ in range(8):
-        plan = planner.plan(KNOWN, pose, SURE, goal, hold=hold)
+        plan = planner.plan(known, pose, SURE, goal, hold=hold)
         if plan.plan is None:
             break
         assert plan.risk <= RISK
         path = path_of(plan.plan.tool_at_contact, plan.plan.heading, plan.plan.distance, plan.plan.speed, SETTINGS)
         push = [BatchPush(path, pose, np.linspace(0.0, path.time[-1], 20))]
-        way = rollouts(MODEL.shape, KNOWN.models(0, np.random.default_rng(0)), push, step=1 / 480, edge=EDGE)[0, 0]
+        way = rollouts(MODEL.shape, known.models(0, np.random.default_rng(0)), push, step=BATCH_STEP, edge=EDGE)[0, 0]
         assert float(np.min(hold.margins(CELLS, CENTRE, way))) > 0.8 * hold.margin
         pose = way[-1]
+        np.testing.assert_allclose(pose, plan.end, atol=1e-6)
     assert plan.status is PlanStatus.ARRIVED and goal.relative_error(pose) <= 1.0
     assert float(np.max(EDGE.beyond(transform_points(pose, MODEL.shape.outline)))) > 0.02
 

@@ -52,6 +52,7 @@ class Push:
     first: float
     begun: float
     n_corrections: int = 0
+    tool: Float64Array | None = None
 
     @property
     def done(self) -> float:
@@ -147,6 +148,7 @@ def test_path_is_followed_to_its_end_and_its_error_is_that_of_the_poses_on_the_w
     outcome = follow(cell)
     assert outcome.code is GoalCode.NONE and outcome.progress.done == 1.0 and outcome.progress.pushes == 2
     assert outcome.progress.corrections == 60 and cell.steers == [True, True, True]
+    assert outcome.progress.path is PATH and outcome.progress.step is not None and outcome.progress.step.steered is STEERED
     np.testing.assert_allclose(outcome.progress.rms, [0.002, 0.0], atol=2e-4)
 
 

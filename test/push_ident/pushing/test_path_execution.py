@@ -100,6 +100,22 @@ def test_corrections_that_stop_in_the_middle_of_a_push_end_it_within_their_timeo
     assert bench.cell.q == pytest.approx(PARKED, abs=1e-3) and bench.pushes[0].error is outcome.error
 
 
+def test_tool_backs_off_from_the_object_where_the_push_was_broken_off_and_not_where_its_path_would_have_led(bench: Bench) -> None:
+    """The path turns round: at its end, backing off against the motion would be into the object."""
+    place = np.array([(0.03, 0.0), (0.0, 0.0), (-0.04, 0.0), (-0.04, 0.05), (0.0, 0.05)])
+    tool = TOUCH + place[:, :1] * OUTWARD + place[:, 1:] * ASIDE
+    path = ToolPath(np.array([0.0, 0.3, 0.7, 1.2, 1.6]), tool)
+    held: list[tuple[np.ndarray, np.ndarray]] = []
+    bench.cell.events.append(lambda cell: held.append((cell.box.copy(), cell.tip.copy())) if cell.holds else None)
+    outcome = bench.push(PushRequest(Mode.PATH, "box", path=PathRequest(path, Corridor(tool, 0.07), 0.15)))
+    assert code_of(outcome) == PushCode.CORRECTION and "The arm went home." in str(outcome.error)
+    box, tip = held[16]  # it stands
+    assert (box[:2] - [0.0, 0.02]) @ -OUTWARD > 0.01, "it was pushed"
+    np.testing.assert_allclose(bench.cell.box, box, atol=1e-4)
+    low = [(place - tip)[:2] @ OUTWARD for _, place in held if place[2] < tip[2] + 1e-3]
+    assert max(low) == pytest.approx(SETTINGS.motion.back_off, abs=1e-3) and min(low) > -2e-3
+
+
 def test_cancel_and_force_end_a_corrected_push_as_any_other(bench: Bench) -> None:
     for change, code in (({"is_cancel_requested": True}, PushCode.CANCELED), ({"force": 40.0}, PushCode.FORCE)):
         bench.cell.events.clear()

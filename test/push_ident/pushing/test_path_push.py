@@ -13,7 +13,7 @@ from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.motion import MotionSettings, PathPlan, plan_path_push
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.steering import CorrectionFault, PathRequest, Steering, ToolCorrection
-from push_ident.pushing.tool_path import ToolPath, rounded
+from push_ident.pushing.tool_path import ToolPath, rounded, stopping
 from push_ident.types import Float64Array
 from push_ident_sim.cell.robot import HOME, robot_description
 
@@ -56,6 +56,14 @@ def check_motion(kinematics: ArmKinematics, plan: PathPlan) -> None:
     assert np.all(trajectory.velocity[-1] == 0.0) and plan.duration == pytest.approx(plan.rested)
 
 
+def test_border_of_a_corridor_is_half_its_width_away_also_inside_a_bend_that_is_narrower() -> None:
+    narrow = Corridor(0.25 * BEND, 0.04)
+    for corridor in (CORRIDOR, narrow):
+        line, border = Corridor(corridor.line, 1e-6), corridor.outline()
+        np.testing.assert_allclose(line.excess(border), 0.04, rtol=0.06)
+        assert len(border) > len(corridor.line), "both sides"
+
+
 def test_tool_keeps_to_its_path_and_rounds_its_corners_within_its_acceleration() -> None:
     corner = ToolPath(np.array([0.0, 1.0, 2.0]), np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1]]))
     motion = rounded(corner, 0.0, np.zeros(2), np.zeros(2), 2.0)
@@ -66,8 +74,27 @@ def test_tool_keeps_to_its_path_and_rounds_its_corners_within_its_acceleration()
     assert acceleration.max() < 2.001 and np.all(motion.velocity[-1] == 0.0)
     # From beside the path, in another direction, it comes back.
     late = rounded(corner, 0.5, np.array([0.05, 0.004]), np.array([0.0, 0.1]), 2.0)
-    assert np.linalg.norm(late.position - corner.at(late.time), axis=1)[20] < 1e-3
-    np.testing.assert_allclose(motion.heading, [0.0, 1.0], atol=1e-6)
+    assert np.linalg.norm(late.position - corner.at(late.time), axis=1)[25] < 1e-3
+    np.testing.assert_allclose(motion.heading(), [0.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(motion.heading(0.7), [1.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.1, 0.2, 0.25])
+@pytest.mark.parametrize("acceleration", [0.5, 2.0])
+def test_tool_that_stops_or_comes_late_does_not_swing_back_and_keeps_its_speed(speed: float, acceleration: float) -> None:
+    """What swings back at the end would back off into the object."""
+    moving, rest = np.array([speed, 0.0]), np.zeros(2)
+    stop = rounded(stopping(1.0, rest, moving, acceleration), 1.0, rest, moving, acceleration)
+    assert stop.velocity[:, 0].min() > -0.1 * speed and np.all(np.abs(stop.position[:, 1]) < 1e-9)
+    assert stop.position[-1, 0] == pytest.approx(speed**2 / (2 * 0.8 * acceleration), abs=3e-4)
+    straight = ToolPath(np.array([0.0, 0.3]), np.array([[0.0, 0.01], [0.3 * speed, 0.01]]))
+    late = rounded(straight, 0.0, rest, moving, acceleration, 0.25)
+    assert np.linalg.norm(late.velocity, axis=1).max() < 0.2501 and late.position[:, 1].max() < 0.0102
+    np.testing.assert_allclose(late.position[-1], straight.position[-1], atol=2e-4)
+    for motion in (stop, late):
+        assert np.linalg.norm(np.diff(motion.velocity, axis=0), axis=1).max() < 1.01 * acceleration * 0.01
+    from_rest = rounded(ToolPath(straight.time, straight.position), 0.0, straight.position[0], rest, acceleration, 0.25)
+    assert from_rest.velocity[:, 0].min() > -0.15 * speed, "also after it had to catch up"
 
 
 def test_joints_carry_the_tool_along_the_path_and_are_those_of_every_place_in_its_corridor(
@@ -200,7 +227,7 @@ def test_told_to_stop_the_tool_stops_at_once_and_waits_for_nothing(kinematics: A
     assert changed is not None and changed.stop - plan.departure < 0.81 + 0.3
     check_motion(kinematics, changed)
     way = np.linalg.norm(changed.tool.position[-1] - PATH.at(np.array(0.85)))
-    assert way < SPEED**2 / (2 * MOTION.acceleration) + 1e-3, "no further than braking needs"
+    assert way < SPEED**2 / (2 * 0.8 * changed.acceleration) + 1e-3, "no further than braking needs"
     assert own.look(changed.stop, NOW + 5.0, 60.0) is None
     with pytest.raises(InputError, match="told to stop"):
         own.offer(correction(stamp=NOW))

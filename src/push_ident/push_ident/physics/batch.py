@@ -2,15 +2,17 @@
 
 A planner asks what thousands of pushes do to dozens of models that may be true. Here all of them are simulated with nothing of Python in
 between; the threads share the tasks, since kernels release Python's lock. Poses only, without derivatives. Effects of a model act on its
-motion; with them, tasks are shared within a model. The table may have an edge that the object overhangs; then no effects act but that of a
-surface beside its outline. A push may begin in contact, with the object in motion: what is asked while the tool moves. Who asks the same
-models again and again makes them ready once (`ModelBatch`), and the times of their pushes too (`BatchClock`).
+motion; with them, tasks are shared within a model. The table may have an edge that the object overhangs. A push may begin in contact, with
+the object in motion: what is asked while the tool moves. Who asks the same models again and again makes them ready once (`ModelBatch`), and
+the times of their pushes too (`BatchClock`).
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
+from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -164,7 +166,7 @@ def _roll_range(
             failed_at, _ = rollout(push, numerics, active, None, frames, poses[m, p], force[:n], tape, scratch)
         else:
             edge = Overhang(edges.outward, edges.offset, edges.weight[m])
-            failed_at, _ = rollout(push, numerics, None, edge, frames, poses[m, p], force[:n], tape, None)
+            failed_at, _ = rollout(push, numerics, active, edge, frames, poses[m, p], force[:n], tape, scratch)
         if failed_at >= 0:
             poses[m, p] = np.nan
 
@@ -196,10 +198,10 @@ def rollouts(
         Poses in the table frame, shape (n_models, n_pushes, n_frames, 3); NaN where a simulation failed.
 
     Raises:
-        InputError: nothing to simulate, a body that cannot be simulated, pushes of different pushers or numbers of frames, or effects at an
-            edge.
+        InputError: nothing to simulate, a body that cannot be simulated, pushes of different pushers or numbers of frames, or models
+            without weights at an edge.
     """
-    _check(shape, models, pushes, edge)
+    _check(shape, models, pushes)
     pusher = pushes[0].pusher
     geometry = _Shape(owned(shape.outline), np.zeros((1, 2)) if pusher.polygon is None else owned(pusher.polygon), float(pusher.radius))
     edges = None if edge is None else _edges(edge, models)
@@ -306,7 +308,7 @@ def _roll(ready: _Ready, pushes: _Pushes, n_frames: int, edges: Overhang | None,
     poses = np.empty((n_models, n_pushes, n_frames, 3))
     n_tasks = n_models * n_pushes
     threads = min(n_threads or _n_cores(), -(-n_tasks // _TASKS_A_THREAD))
-    ranges = _ranges(ready, pushes, min(_TASKS_A_CALL, -(-n_tasks // threads)))
+    left = deque(_ranges(ready, pushes, min(_TASKS_A_CALL, -(-n_tasks // threads))))
 
     def roll(own: _Range) -> None:
         scratch, tape = None, new_tape(0)
@@ -317,11 +319,17 @@ def _roll(ready: _Ready, pushes: _Pushes, n_frames: int, edges: Overhang | None,
             scratch, tape, poses,
         )  # fmt: skip
 
-    if threads == 1:
-        for own in ranges:
-            roll(own)
-    else:
-        list(_pool(threads, os.getpid()).map(roll, ranges))
+    def roll_what_is_left() -> None:
+        with contextlib.suppress(IndexError):
+            while True:
+                roll(left.popleft())
+
+    # This thread works too: on a busy machine others may get a core only when nothing is left to be done.
+    others = [_pool(threads - 1, os.getpid()).submit(roll_what_is_left) for _ in range(threads - 1)]
+    roll_what_is_left()
+    for other in others:
+        if not other.cancel():
+            other.result()
     return poses
 
 
@@ -336,14 +344,11 @@ def _pool(n_threads: int, process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(n_threads, thread_name_prefix="rollouts")
 
 
-def _check(shape: ObjectShape, models: Sequence[BatchModel], pushes: Sequence[BatchPush], edge: TableEdge | None) -> None:
+def _check(shape: ObjectShape, models: Sequence[BatchModel], pushes: Sequence[BatchPush]) -> None:
     """Raise InputError for what `rollouts` does not simulate."""
     if not pushes:
         raise InputError("There are no pushes, expected one at least.")
     _check_models(shape, models)
-    for model in models:
-        if edge is not None and len(model.effects) > 0:
-            raise InputError(f"At an edge of the table there is no law for {', '.join(model.effects.names)}; leave the effects out there.")
     by_pusher = {(push.pusher.radius, push.pusher.polygon is None, len(push.time)) for push in pushes}
     if len(by_pusher) > 1:
         raise InputError("The pushes of a batch differ in their pusher or in their number of frames; give them one by one.")

@@ -228,7 +228,8 @@ def rollout(
         push: the push.
         numerics: how.
         effects: effects beside the base model; None compiles to the base model only, at its speed.
-        edge: of the table, where the object may overhang it; then there is no derivative, and there are no effects.
+        edge: of the table, where the object may overhang it; then there is no derivative. Effects change the friction of the loads that
+            the cells on the table bear.
         frames: when to report poses.
         poses: filled with the poses at the frames, shape (n_frames, 3), table frame.
         force: filled with the pusher's force on the object at each step [N], shape (n_steps, 2), table frame.
@@ -261,6 +262,10 @@ def rollout(
     friction, by_yaw, stiffness, stuck = np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4))
     support = SupportImpulse(friction, stiffness, by_yaw, stuck)
     offset, pulled = push.surface, False
+    borne = push.limit
+    if edge is not None:
+        borne, loaded = push.limit.copy(), np.ones(len(push.limit))
+        limit = borne
     no_reaction = np.zeros((0, 0))
     forces: Any = None
     drive: Any = None
@@ -275,8 +280,6 @@ def rollout(
             limit = table.limit
         if effects.shifts:
             sum_limits(effects, arms, push.limit, table.inputs)
-    if edge is not None:
-        limit, loaded = push.limit.copy(), np.ones(len(push.limit))
     radius = push.radius + offset
     n_steps, n_frames = push.pusher.shape[0] - 1, frames.step.shape[0]
     frame = iterations = code = 0
@@ -294,6 +297,13 @@ def rollout(
         n_contacts = find_contacts(pusher.corners, radius, push.outline, _REACH + speed * dt, found, features)
         if offset != 0.0:
             shift_surface(features, n_contacts, offset)
+        if edge is not None:
+            # An object that falls keeps its last loads: whoever asks sees by its pose where its centre of mass is.
+            share_loads(edge, arms, state, cos, sin, loaded)
+            for i in range(borne.shape[0]):
+                borne[i] = loaded[i] * push.limit[i]
+            if effects is not None and effects.shifts:
+                sum_limits(effects, arms, borne, table.inputs)
         if effects is not None:
             fill_inputs(state, push.inertia[0], centre, memory, effects.values, table.inputs)
 
@@ -301,16 +311,11 @@ def rollout(
         demand = 0.0
         if effects is not None and pulled:
             table_action(effects, centre, arms, table)
-            demand = friction_demand(effects, arms, push.limit, table)
+            demand = friction_demand(effects, arms, borne, table)
         event = IDLE if untouched and not coasts and demand < 1.0 else MOVED
         if event == IDLE:
             workspace.rate[:] = 0.0
         if event != IDLE:
-            if edge is not None:
-                # An object that falls keeps its last loads: whoever asks sees by its pose where its centre of mass is.
-                share_loads(edge, arms, state, cos, sin, loaded)
-                for i in range(limit.shape[0]):
-                    limit[i] = loaded[i] * push.limit[i]
             twist[0], twist[1], twist[2] = cos * state[3] + sin * state[4], -sin * state[3] + cos * state[4], state[5]
             contacts = StepContacts(rows, n_contacts, push.mu)
             for k in range(n_contacts):
@@ -325,7 +330,7 @@ def rollout(
                     forces.skew[:], forces.pull[:] = table.result[:2], table.result[2:]
                 if effects.loads:
                     for i in range(limit.shape[0]):
-                        limit[i] = table.factor[i] * push.limit[i]
+                        limit[i] = table.factor[i] * borne[i]
             if numerics.diamond:
                 code, used = pyramid_step(twist, geometry, contacts, code, impulse, workspace, cells)
             else:

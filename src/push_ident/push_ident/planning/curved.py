@@ -12,7 +12,7 @@ are simulated in one batch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -25,7 +25,7 @@ from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
 
-__all__ = ["N_SEGMENTS", "CurvedPushes", "Face", "Horizon", "PushStart", "RolledPushes", "face_of"]
+__all__ = ["N_SEGMENTS", "CurvedPushes", "Face", "Horizon", "PushStart", "RolledPushes", "face_of", "in_time"]
 
 _BREAKS: Final = np.array([0.0, 0.15, 0.45, 1.0])
 """Where segments begin and end, as shares of the horizon [1]: the first is the one that will be made before all is planned anew."""
@@ -200,6 +200,11 @@ class _Prepared:
     """Start, tangent, normal, length and openness of each, with axes for variants and frames."""
 
 
+def in_time() -> bool:
+    """Nobody waits."""
+    return False
+
+
 class CurvedPushes:
     """Simulates and improves pushes of one object along one path.
 
@@ -312,11 +317,23 @@ class CurvedPushes:
         return np.stack([corridor / _LIMIT_SCALE, np.maximum(outside, 0.0) / _LIMIT_SCALE, too_fast], axis=-1)
 
     def improve(
-        self, models: ModelBatch, horizon: Horizon, starts: Sequence[PushStart], first: Float64Array, n_iterations: int
+        self,
+        models: ModelBatch,
+        horizon: Horizon,
+        starts: Sequence[PushStart],
+        first: Float64Array,
+        n_iterations: int,
+        is_late: Callable[[], bool] = in_time,
     ) -> tuple[Float64Array, RolledPushes]:
         """Better unknowns, shape (n_starts, N_SEGMENTS, 2), and what they do (one variant).
 
-        `first`: guesses, shape (n_starts, n_guesses, N_SEGMENTS, 2); of each start the best is improved.
+        Args:
+            models: that they are judged by.
+            horizon: times of the pushes.
+            starts: where they begin.
+            first: guesses, shape (n_starts, n_guesses, N_SEGMENTS, 2); of each start the best is improved.
+            n_iterations: of Gauss-Newton, at most.
+            is_late: asked before each iteration; where it is late, the best so far counts.
         """
         n_starts, own = len(first), self._prepared(horizon, starts)
         number, n_unknowns = np.arange(n_starts), 2 * N_SEGMENTS
@@ -325,6 +342,8 @@ class CurvedPushes:
         best, cost = first[number, chosen], rolled.cost[number, chosen]
         kept = _picked(rolled, number, chosen)
         for _ in range(n_iterations):
+            if is_late():
+                break
             changes = _DIFFERENCE * np.eye(n_unknowns).reshape(n_unknowns, N_SEGMENTS, 2)
             # Towards zero, so that an unknown stays in its range.
             sign = np.where(best > 0, -1.0, 1.0)

@@ -204,6 +204,10 @@ class SteeredUnderWay(PushUnderWay, Protocol):
     def n_corrections(self) -> int:
         """That were sent."""
 
+    @property
+    def tool(self) -> Float64Array | None:
+        """Axis of the tool as it was corrected last [m], shape (n, 2), table frame; None before a correction."""
+
 
 class PathPorts(GoalPorts, Protocol):
     """What pushing along a path needs beside that."""
@@ -246,6 +250,12 @@ class GoalProgress:
     """Expected distance of the centre of mass from the border of its support, as last observed [m]; NaN where not known."""
     error: Float64Array = field(default_factory=lambda: np.full(2, np.nan))
     """Distance [m] and angle [rad] to the goal as last observed, shape (2,)."""
+    path: PathGoal | None = None
+    """That is followed; None without one."""
+    step: PathStep | None = None
+    """Of the latest push along it; None before it, and where it explores."""
+    tool: Float64Array | None = None
+    """Axis of the tool from now on, in a push under way that was corrected [m], shape (n, 2), table frame; None before a correction."""
     done: float = float("nan")
     """Share of the path that is behind [1]; NaN without a path."""
     rms: Float64Array = field(default_factory=lambda: np.full(2, np.nan))

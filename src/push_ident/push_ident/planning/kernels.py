@@ -15,7 +15,7 @@ __all__ = ["compile_planning"]
 
 
 def compile_planning() -> None:
-    """Compile the kernels of batched rollouts: without and with effects, and with an edge; or load them: the first plan need not wait."""
+    """Compile the kernels of batched rollouts, without and with effects, on the table and at its edge, or load them: no plan waits."""
     square = np.array([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
     shape = ObjectShape(CellGrid(np.zeros((1, 2)), 0.02), square)
     body = BodyParameters(0.1, np.zeros(2), 1e-5, np.array([0.3]))
@@ -23,6 +23,6 @@ def compile_planning() -> None:
     pushes = [BatchPush(path, np.zeros(3), np.array([0.1]))]
     # One effect stands for all: they share the kernel.
     for effects in (NO_EFFECTS, effect_values(CAUSES[:1])):
-        rollouts(shape, [BatchModel(body, 0.3, effects=effects)], pushes, step=0.01, n_threads=1)
-    edge = TableEdge(np.array([1.0, 0.0]), 1.0)
-    rollouts(shape, [BatchModel(body, 0.3, weight=np.ones(1))], pushes, step=0.01, n_threads=1, edge=edge)
+        for edge in (None, TableEdge(np.array([1.0, 0.0]), 1.0)):
+            model = BatchModel(body, 0.3, weight=np.ones(1), effects=effects)
+            rollouts(shape, [model], pushes, step=0.01, n_threads=1, edge=edge)

@@ -6,6 +6,7 @@ a stretch of the path ahead, under the models that explain the push so far best;
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
@@ -14,7 +15,7 @@ import numpy as np
 
 from push_ident.geometry.se2 import compose, inverse
 from push_ident.planning.contact_tracking import ContactTracker
-from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart
+from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, in_time
 from push_ident.planning.model_weights import ModelWeights, touching
 from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.corridor import Corridor
@@ -147,8 +148,15 @@ class PathFollower:
         model, radius = self._weights.best(1), self._settings.pusher_radius
         self._tracker = ContactTracker(model, radius, compose(self._away, pose), covariance)
 
-    def correct(self, time: float, pose: Float64Array, covariance: Float64Array) -> Correction:
-        """The motion from a frame on, taken at `time` [s], later than the last one; pose, shape (3,), and covariance, shape (3, 3)."""
+    def correct(self, time: float, pose: Float64Array, covariance: Float64Array, is_late: Callable[[], bool] = in_time) -> Correction:
+        """The motion from a frame on.
+
+        Args:
+            time: of the frame [s], later than the last one.
+            pose: of the object, shape (3,).
+            covariance: of it, shape (3, 3).
+            is_late: whether an answer is due: what was planned before is then improved no further, the next frame goes on from there.
+        """
         tracker = self._tracker
         lead = time + self._period + self._horizon.lead
         settled = self._where(lead)
@@ -165,15 +173,19 @@ class PathFollower:
         asked = self._weights.best(self._n_asked)
         tracker.model = asked.picked([0])
         models, onward = touching(asked, face), self._horizon.later(self._unknowns, elapsed)
-        # Whether to slide is found by the most probable model alone.
-        swung, _ = self._pushes.improve(models.picked([0]), self._horizon, [start, start], guesses_around(onward), _OF_SWINGS)
-        guesses = np.concatenate([onward[None], np.zeros((1, N_SEGMENTS, 2)), swung])
-        best, rolled = self._pushes.improve(models, self._horizon, [start], guesses[None], _ITERATIONS)
+        guesses = np.stack([onward, np.zeros((N_SEGMENTS, 2))])
+        if not is_late():
+            # Whether to slide is found by the most probable model alone.
+            around, first = guesses_around(onward), models.picked([0])
+            swung, _ = self._pushes.improve(first, self._horizon, [start, start], around, _OF_SWINGS, is_late)
+            guesses = np.concatenate([guesses, swung])
+        best, rolled = self._pushes.improve(models, self._horizon, [start], guesses[None], _ITERATIONS, is_late)
         self._unknowns = best[0]
         now = float(np.hypot(error[0] / self._path.position, error[1] / self._path.yaw))
         ahead = float(np.sqrt(np.mean(rolled.error[:, 0, 0] ** 2)))
         hopeless = ahead > max(self._bearable, _NOT_BETTER * now) or tracker.gap > _APART
-        self._bad = self._bad + 1 if hopeless else 0
+        # Of what had no time to get better nothing is concluded.
+        self._bad = (self._bad + (not is_late())) if hopeless else 0
         self._errors = [now] if tracker.was_displaced else [*self._errors, now][-self._n_errors :]
         self._time, self._tool = time + self._period + self._horizon.knots, rolled.tool[0, 0]
         return Correction(self._status(rolled.residual[0, 0, 0, -3:]), self._time, self._tool, self._done, tracker.pose)

@@ -63,7 +63,7 @@ class PathSession(GoalSession):
         self._done, self._far, self._stamp = 0.0, 0.0, -np.inf
         self._sums, self._weight = np.zeros(2), 0.0
         self._steers, self._arrived = True, False
-        self.progress.done = 0.0
+        self.progress.path, self.progress.done = path, 0.0
 
     def _check(self, seen: TrackedObject) -> None:
         self._check_known(seen)
@@ -109,11 +109,17 @@ class PathSession(GoalSession):
         """Make a push, and see where the object is then."""
         contact, before = step.contact, self._done
         assert contact is not None, "the planner proposes a push"
+        self.progress.step, self.progress.tool = step, None
         self._enter(GoalState.PUSH)
         self._stamp, self._far = seen.stamp, self._done
         if step.steered is not None:
             steered = self._path_ports.begin_steered(seen, step, self._path)
-            report = self._carry_out(_Watched(steered, self._look))
+
+            def look() -> None:
+                self._look()
+                self.progress.tool = steered.tool
+
+            report = self._carry_out(_Watched(steered, look))
             self._take_done(steered.done)
             self.progress.corrections += steered.n_corrections
         else:

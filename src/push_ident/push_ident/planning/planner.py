@@ -14,7 +14,7 @@ by the exact derivative, and what is expected of it is taken from more models an
 Effects that were found are part of the models. Where they make a motion depend on the place, the library is made anew where the object
 lies.
 
-At an edge of the table these last simulations know which cells have left it, and leave out effects. A push whose chance p_f to bring the
+At an edge of the table these last simulations know which cells have left it. A push whose chance p_f to bring the
 centre of mass nearer to the border of its support than the margin is more than `EdgeHold.limit` is not proposed, unless the object is no
 less at risk where it lies; below that it costs p_f times `_FALL` pushes. Models under which the object would have fallen where it stands
 are not asked.
@@ -32,7 +32,6 @@ from scipy.spatial import KDTree
 
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush
-from push_ident.physics.effect_values import NO_EFFECTS
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import held_target
 from push_ident.planning.feasible import Surroundings, is_possible
@@ -211,8 +210,6 @@ class GoalPlanner:
     ) -> GoalPush:
         """The candidate after which the fewest pushes are expected, by more models and with the uncertainty of the pose."""
         models = self._displaced_judges(pose, covariance)
-        if hold is not None:
-            models = [model._replace(effects=NO_EFFECTS) for model in models]
         pushes = [(own.picked(number), length) for own, number, length in candidates]
         if hold is None:
             # A few models tell which pushes are worth asking all of them.

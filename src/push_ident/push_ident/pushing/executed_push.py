@@ -40,6 +40,8 @@ class ExecutedPush:
     """Why it failed."""
     pacing: PathPacing | None = None
     """Tells when which part of the plan was reached."""
+    reached: float = 0.0
+    """Time of the plan that the arm had reached when it was looked at last [s]."""
     is_reported: bool = False
     """Whether its record was handed out."""
     rest_before: RestingPose = field(default_factory=RestingPose)

@@ -324,6 +324,7 @@ class _Execution:
 
         def on_look(elapsed: float, time: float, state: ArmState) -> ArmMotion | None:
             nonlocal reported
+            push.reached = elapsed
             self.owner.is_pushing = push.plan.lowered <= elapsed <= push.plan.rested
             push.observe_object(self.ports.objects.get(push.before.object_id, np.inf))
             if self.owner.is_pushing:
@@ -357,7 +358,8 @@ class _Execution:
     def _go_home(self, push: ExecutedPush, on_look: Callable[[], None]) -> None:
         settings, heading = self.settings.motion, push.plan.push.heading
         if isinstance(push.plan, PathPlan):
-            heading = push.plan.tool.heading
+            # Where it was broken off, a path may lead another way than at its end: back off from the object, not into it.
+            heading = push.plan.tool.heading(push.reached - push.plan.departure)
 
         def plan_from(q: np.ndarray) -> ArmMotion:
             return plan_retreat(self.ports.arm.planner, q, heading, settings)

@@ -215,7 +215,8 @@ class PathPlan(ArmPlan):
             PlanningError: LIMIT where a joint would have to accelerate too much.
         """
         k = min(int(np.searchsorted(self.tool.time, begin)), len(self.tool.time) - 1)
-        later = rounded(path, float(self.tool.time[k]), self.tool.position[k], self.tool.velocity[k], self.acceleration)
+        now = float(self.tool.time[k]), self.tool.position[k], self.tool.velocity[k]
+        later = rounded(path, *now, self.acceleration, self.speed)
         tool = ToolMotion(*(np.concatenate([getattr(self.tool, n)[:k], getattr(later, n)]) for n in ("time", "position", "velocity")))
         first = int(np.searchsorted(self.trajectory.time, self.departure + self.tool.time[k] - 1e-6))
         changed = JointTrajectory(later.time - later.time[0], *self.postures.joints(later))
@@ -264,7 +265,7 @@ def plan_path_push(
             f"in this corridor the joints allow the tool {speed:.3f} m/s and {acceleration:.2f} m/s^2, needed are {path.speed:.3f} and "
             f"{_LEAST_ACCELERATION:.2f}; go slower, or give a narrower corridor.",
         )
-    tool = rounded(path, 0.0, path.position[0], np.zeros(2), acceleration)
+    tool = rounded(path, 0.0, path.position[0], np.zeros(2), acceleration, speed)
     pushing = JointTrajectory(tool.time, *postures.joints(tool))
     rest = stand_still(pushing.position[-1], settings.rest)
     lowered = sum(part.duration for part in approach)

@@ -21,7 +21,7 @@ from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.motion import PathPlan
 from push_ident.pushing.pacing import SPLICE
 from push_ident.pushing.push import PushCode, PushSettings
-from push_ident.pushing.tool_path import ToolPath
+from push_ident.pushing.tool_path import ToolPath, stopping
 from push_ident.types import Float64Array
 
 __all__ = ["CorrectionFault", "PathRequest", "Steering", "ToolCorrection"]
@@ -193,9 +193,7 @@ class Steering:
         if not correction.stop:
             return ToolPath(correction.stamp + self._offset + correction.time, correction.position), begin
         k = min(int(np.searchsorted(plan.tool.time, begin)), len(plan.tool.time) - 1)
-        at, velocity = float(plan.tool.time[k]), plan.tool.velocity[k]
-        braking = max(float(np.linalg.norm(velocity)) / plan.acceleration, 0.01)
-        return ToolPath(np.array([at, at + braking]), plan.tool.position[k] + np.outer([0.0, 0.5 * braking], velocity)), begin
+        return stopping(float(plan.tool.time[k]), plan.tool.position[k], plan.tool.velocity[k], plan.acceleration), begin
 
     def _count(self, fault: CorrectionFault, detail: str) -> InputError:
         self.refused[fault] += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,7 +12,7 @@ from push_ident.errors import InputError
 from push_ident.limits import LIMITS
 from push_ident.types import Float64Array
 
-__all__ = ["ToolMotion", "ToolPath", "rounded"]
+__all__ = ["ToolMotion", "ToolPath", "rounded", "stopping"]
 
 _PERIOD: Final = 0.01
 """Between samples of a motion [s], as of joint trajectories."""
@@ -19,6 +20,12 @@ _DENSE: Final = 0.004
 """Between the points of `ToolPath.dense` [m]."""
 _RATE: Final = 40.0
 """With which a motion comes back to its path [1/s]: an error falls to a tenth within 0.1 s, and 0.4 in a sample is far from instable."""
+_SHARE: Final = 0.8
+"""Of the acceleration that a path may need [1]: the rest leads back to it."""
+_THERE, _CATCH_UP = 1e-4, 2.0
+"""Distance from the end at which a motion is there [m], and the longest time to catch up with a path that is over [s]."""
+_BRAKING: Final = 17
+"""Points of a braking tool."""
 _WINDOW: Final = np.linspace(-0.5, 0.5, 9)
 """Of the mean that rounds corners [1]."""
 
@@ -86,19 +93,39 @@ class ToolMotion:
     velocity: Float64Array
     """[m/s], shape (n, 2)."""
 
-    @property
-    def heading(self) -> Float64Array:
-        """Unit vector of the motion before it comes to rest, shape (2,)."""
+    def heading(self, until: float = np.inf) -> Float64Array:
+        """Unit vector of the motion before it comes to rest, or where it was broken off [s], shape (2,)."""
         speed = np.linalg.norm(self.velocity, axis=1)
         moves = np.flatnonzero(speed > 0.2 * max(float(speed.max()), 1e-9))
-        return np.asarray(self.velocity[moves[-1]] / speed[moves[-1]]) if len(moves) else np.array([1.0, 0.0])
+        if len(moves) == 0:
+            return np.array([1.0, 0.0])
+        k = moves[max(int(np.searchsorted(self.time[moves], until, side="right")) - 1, 0)]
+        return np.asarray(self.velocity[k] / speed[k])
 
 
-def rounded(path: ToolPath, begin: float, position: Float64Array, velocity: Float64Array, acceleration: float) -> ToolMotion:
+def stopping(time: float, position: Float64Array, velocity: Float64Array, acceleration: float) -> ToolPath:
+    """The path of a tool that brakes to rest, on a straight line.
+
+    Args:
+        time: when it begins to [s].
+        position: of the tool then [m], shape (2,).
+        velocity: and its velocity [m/s], shape (2,).
+        acceleration: largest [m/s^2].
+    """
+    braking = max(float(np.linalg.norm(velocity)) / (_SHARE * acceleration), _PERIOD)
+    after = np.linspace(0.0, braking, _BRAKING)
+    # As if it had come along that line before: what rounds the path looks back.
+    return ToolPath(time + np.append(-braking, after), position + np.outer(np.append(-braking, after - 0.5 * after**2 / braking), velocity))
+
+
+def rounded(
+    path: ToolPath, begin: float, position: Float64Array, velocity: Float64Array, acceleration: float, speed: float = np.inf
+) -> ToolMotion:
     """A motion that keeps to a path as closely as its acceleration allows, and ends at rest at the end of it.
 
     Corners are rounded by the mean over a window in which the largest speed can be reached. From where the tool is, which may be beside the
-    path when that comes late, a controller with the path's own acceleration leads onto it.
+    path when that comes late, a controller with the path's own acceleration leads onto it, no faster than it can still brake before it. A
+    tool that is behind at the end goes on until it is there.
 
     Args:
         path: to be made.
@@ -106,21 +133,38 @@ def rounded(path: ToolPath, begin: float, position: Float64Array, velocity: Floa
         position: of the tool then [m], shape (2,).
         velocity: and its velocity [m/s], shape (2,).
         acceleration: largest [m/s^2].
+        speed: largest [m/s].
     """
-    window = max(path.speed, float(np.linalg.norm(velocity))) / acceleration
+    window = max(path.speed, float(np.linalg.norm(velocity))) / (_SHARE * acceleration)
     end = max(float(path.time[-1]) + 0.5 * window, begin) + 5.0 / _RATE
     time = np.asarray(begin + _PERIOD * np.arange(int(np.ceil((end - begin) / _PERIOD)) + 1), dtype=np.float64)
     mean = path.at(time[:, None] + window * _WINDOW).mean(axis=1)
     ends = path.at(time[:, None] + window * np.array([-0.5, 0.5]))
     wanted = (ends[:, 1] - ends[:, 0]) / max(window, _PERIOD)
     bend = np.gradient(wanted, _PERIOD, axis=0)
-    p, v = np.empty((len(time), 2)), np.empty((len(time), 2))
-    p[0], v[0] = position, velocity
-    for i in range(len(time) - 1):
-        a = bend[i] + _RATE**2 * (mean[i] - p[i]) + 2.0 * _RATE * (wanted[i] - v[i])
-        size = float(np.hypot(a[0], a[1]))
-        v[i + 1] = v[i] + _PERIOD * a * min(1.0, acceleration / max(size, 1e-12))
+    x, y, vx, vy = (float(number) for number in (*position, *velocity))
+    found, last = [(x, y, vx, vy)], len(time) - 1
+    wanted[-1] = bend[-1] = 0.0
+    for i in range(last + round(_CATCH_UP / _PERIOD)):
+        k = min(i, last)
+        away = (float(mean[k, 0]) - x, float(mean[k, 1]) - y)
+        if i >= last and math.hypot(*away) < _THERE and math.hypot(vx, vy) < acceleration * _PERIOD:
+            break
+        # Critically damped near the path; from further away no faster than what the path leaves of the acceleration can brake again.
+        nearer = min(0.5 * _RATE, math.sqrt(2.0 * (1.0 - _SHARE) * acceleration / max(math.hypot(*away), 1e-12)))
+        ax, ay = (float(bend[k, j]) + 2.0 * _RATE * (float(wanted[k, j]) + nearer * away[j] - v) for j, v in enumerate((vx, vy)))
+        ax, ay = _at_most(ax, ay, acceleration)
+        before = vx, vy
+        vx, vy = _at_most(vx + _PERIOD * ax, vy + _PERIOD * ay, speed)
         # As a cubic between both samples moves.
-        p[i + 1] = p[i] + 0.5 * _PERIOD * (v[i] + v[i + 1])
-    v[-1] = 0.0
-    return ToolMotion(np.asarray(time, dtype=np.float64), p, v)
+        x, y = x + 0.5 * _PERIOD * (before[0] + vx), y + 0.5 * _PERIOD * (before[1] + vy)
+        found.append((x, y, vx, vy))
+    made = np.array(found)
+    made[-1, 2:] = 0.0
+    return ToolMotion(np.asarray(begin + _PERIOD * np.arange(len(made)), dtype=np.float64), made[:, :2], made[:, 2:])
+
+
+def _at_most(x: float, y: float, length: float) -> tuple[float, float]:
+    """A vector, cut off at a length."""
+    share = min(1.0, length / max(math.hypot(x, y), 1e-12))
+    return share * x, share * y

@@ -26,14 +26,26 @@ from push_ident.identification.prediction import predict
 from push_ident.identification.result import prior_posterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
 from push_ident.nodes.convert import position_to_msg, stamp_to_msg, transform_to_msg
+from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_to_msg
 from push_ident.nodes.convert_model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
 from push_ident.physics.scenario import PushScenario
+from push_ident.pushing.corridor import Corridor
 from push_ident.types import PoseTrack, PusherPath, PushRecord
-from push_ident_msgs.msg import HandCommand, HandStatus
-from push_ident_msgs.srv import PredictPush
+from push_ident_msgs.msg import GapReport, HandCommand, HandStatus
+from push_ident_msgs.srv import LoadModel, PredictPush
 from push_ident_sim.cell.robot import HOME, JOINT_NAMES, robot_description
 from push_ident_sim.fuzz.bench import Bench, NodeFailure, granted
-from push_ident_sim.fuzz.traffic import KINDS, OBJECT, RADIUS, depth_messages, length_of, push_messages, shape_messages
+from push_ident_sim.fuzz.traffic import (
+    KINDS,
+    OBJECT,
+    RADIUS,
+    depth_messages,
+    diagnosis_text,
+    length_of,
+    push_messages,
+    shape_messages,
+    table_messages,
+)
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import true_model
 from push_ident_sim.studies.common.seeing import CAMERA_POSE
@@ -44,6 +56,7 @@ _PATIENCE: Final = 15.0
 """For a node to do its work [s], as granted."""
 _RECENT: Final = 4
 """Latest valid messages of each topic that mutations start from."""
+_DIAGNOSIS: Final = "diagnosis.json"
 _LATCHED_TOPICS: Final = frozenset({"/pusher/shape", f"/objects/{OBJECT}/cells", f"/objects/{OBJECT}/outline"})
 
 
@@ -168,6 +181,16 @@ class Identification(Pushes):
 
     own_parameters: ClassVar[dict[str, object]] = {"suggest_candidates": 4, "max_solve_time": 2.0}
 
+    def prepare(self) -> None:
+        """Also the table, and a diagnosis: as a report, and as a file."""
+        super().prepare()
+        for topic, msg in table_messages():
+            self.keep(topic, msg)
+        report = GapReport(object_id=OBJECT, json=diagnosis_text())
+        report.header.stamp = stamp_to_msg(1.0)
+        self.keep("/gap_report", report)
+        (self.bench.folder / _DIAGNOSIS).write_text(diagnosis_text(), encoding="utf-8")
+
     def work(self) -> None:
         """Also predict."""
         super().work()
@@ -181,7 +204,9 @@ class Identification(Pushes):
         if service == "/predict_push":
             pose = position_to_msg(stamp_to_msg(1.0), [0.0, 0.0, 0.0])
             return [PredictPush.Request(object_id=OBJECT, pusher_path=self.path(), object_pose=pose)]
-        if service in ("/save_model", "/load_model", "/load_diagnosis"):
+        if service == "/load_diagnosis":
+            return [LoadModel.Request(object_id=OBJECT, path=path) for path in (_DIAGNOSIS, "")]
+        if service in ("/save_model", "/load_model"):
             kind = self.bench.kind_of(f"push_ident_msgs/srv/{'Save' if 'save' in service else 'Load'}Model")
             return [kind.Request(object_id=OBJECT, path="model.json")]
         return []
@@ -191,6 +216,12 @@ class Diagnosis(Pushes):
     """A push more to diagnose."""
 
     own_parameters: ClassVar[dict[str, object]] = {"outline_from_camera": False}
+
+    def prepare(self) -> None:
+        """Also the table."""
+        super().prepare()
+        for topic, msg in table_messages():
+            self.keep(topic, msg)
 
 
 class Recorder(Pushes):
@@ -231,7 +262,7 @@ class Viewer(Recorder):
         return cls.own_parameters | {"file": str(folder / "scene.rrd")}
 
     def prepare(self) -> None:
-        """What identification publishes besides."""
+        """What identification and goal pushing publish besides."""
         super().prepare()
         shape = true_model(make_object("hammer", 0)).shape
         posterior, stamp = prior_posterior(shape), stamp_to_msg(1.0)
@@ -239,6 +270,10 @@ class Viewer(Recorder):
         moved = prediction_to_msg(predict(posterior, PushScenario(path, np.zeros(3), np.linspace(0, 1, 5))), OBJECT, (1, "fine"))
         score = PushScore(1, "push 1", 1.0, 0.002, 0.003, 2.0, 0.009)
         prefix = f"/objects/{OBJECT}"
+        line = np.array([[-0.05, 0.0], [0.0, 0.01], [0.05, 0.0]])
+        corridor = Corridor(line, 0.03).outline()
+        goal = GoalDrawing(OBJECT, shape.outline, "path", line, shape.outline, "push 1", line[:2], line, corridor)
+        self.keep("/push_to_goal/markers", goal_markers_to_msg(goal, stamp))
         self.keep("/depth/camera_pose", transform_to_msg(stamp, CAMERA_POSE))
         self.keep(f"{prefix}/mass_friction_map", map_to_msg(posterior, OBJECT, stamp, None, 0))
         self.keep(f"{prefix}/prediction", moved)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from trajectory_msgs.msg import JointTrajectory
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
+from push_ident.geometry.table import Table
 from push_ident.nodes.convert import (
     TABLE_FRAME,
     cylinder_to_msg,
@@ -28,6 +30,9 @@ from push_ident.nodes.convert import (
     shape_to_msgs,
     stamp_to_msg,
 )
+from push_ident.nodes.convert_table import EDGE_TOPIC, TABLE_TOPIC, edge_to_msg, table_to_msg
+from push_ident.physics.effects import EFFECTS
+from push_ident.physics.overhang import TableEdge
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.pushing.sampling import sample_push
@@ -37,7 +42,7 @@ from push_ident_sim.cell.robot import HOME, robot_description
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import TruthSettings, path_of_plan, true_model
 
-__all__ = ["OBJECT", "RADIUS", "Arm", "Sent", "depth_messages", "push_messages", "shape_messages"]
+__all__ = ["OBJECT", "RADIUS", "Arm", "Sent", "depth_messages", "diagnosis_text", "push_messages", "shape_messages", "table_messages"]
 
 OBJECT: Final = "o1"
 RADIUS: Final = 0.008
@@ -59,6 +64,24 @@ def shape_messages(stamp: float = 1.0) -> list[Sent]:
         (f"/objects/{OBJECT}/outline", outline),
         ("/pusher/shape", cylinder_to_msg(RADIUS, 0.08)),
     ]
+
+
+def table_messages(stamp: float = 1.0) -> list[Sent]:
+    """Latched topics: a table of two metres around all that is pushed, and one of its edges."""
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    edge = TableEdge.between(corners[1], corners[2])
+    return [
+        (f"/{TABLE_TOPIC}", table_to_msg(Table(corners), stamp_to_msg(stamp))),
+        (f"/{EDGE_TOPIC}", edge_to_msg(edge, stamp_to_msg(stamp))),
+    ]
+
+
+def diagnosis_text() -> str:
+    """JSON of a diagnosis that names a tilt of the table which no push contradicts."""
+    parameters = dict.fromkeys(("x", "y"), 0.002)
+    tilt = {"name": "table_tilt", "parameters": parameters, "std": dict.fromkeys(parameters, 0.01)}
+    probabilities = {name: 0.95 if name == tilt["name"] else 0.0 for name in EFFECTS}
+    return json.dumps({"verdict": "named", "effects": [tilt], "probabilities": probabilities, "gap": {"before_per_push_m": [0.005, 0.006]}})
 
 
 def push_messages(seed: int, start: float) -> list[Sent]:

@@ -39,8 +39,6 @@ from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalReques
 from push_ident.planning.goal_session import GoalSession
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_session import PathSession
-from push_ident.planning.planner import GoalPush
-from push_ident.planning.target import Target
 from push_ident.pushing.push import PushSettings
 from push_ident_msgs.action import PushToGoal
 from push_ident_msgs.msg import PushCorrection
@@ -83,7 +81,8 @@ class _GoalPushing(Component):
         self._state = "ready"
         self._n_goals = self._n_reached = 0
         self._last = ""
-        self._drawn: tuple[Target, GoalPush | None] | None = None
+        self._drawn: tuple[object, ...] | None = None
+        """What the markers that were published last were made of."""
         self._markers = node.create_publisher(MarkerArray, "push_to_goal/markers", _LATCHED)
         self._edge = node.create_publisher(PolygonStamped, EDGE_TOPIC, _LATCHED)
         housekeeping, heavy = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
@@ -201,12 +200,12 @@ class _GoalPushing(Component):
 
     def _draw(self, progress: GoalProgress) -> None:
         """Show the goal and the push under way, where they have changed."""
-        plan, target = progress.plan if progress.state is GoalState.PUSH else None, progress.target
-        if target is None or not progress.object_id or (self._drawn is not None and self._drawn[0] is target and self._drawn[1] is plan):
+        shown = (progress.target, progress.state is GoalState.PUSH, progress.plan, progress.step, progress.tool)
+        is_shown = self._drawn is not None and all(new is old for new, old in zip(shown, self._drawn, strict=True))
+        if progress.target is None or not progress.object_id or is_shown:
             return
-        outline = self._objects.get(progress.object_id, math.inf).shape.outline
-        self._publish_drawing(draw_goal(progress.object_id, outline, target, plan, progress.pushes + 1))
-        self._drawn = (target, plan)
+        self._publish_drawing(draw_goal(progress, self._objects.get(progress.object_id, math.inf).shape.outline))
+        self._drawn = shown
 
     def _publish_drawing(self, drawing: GoalDrawing | None) -> None:
         self._drawn = None

@@ -15,11 +15,15 @@ from push_ident.planning.goal_ports import PushReport
 from push_ident.planning.path_follower import Correction, FollowStatus, PathFollower
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.steering import ToolCorrection
+from push_ident.types import Float64Array
 
 __all__ = ["SteeredPush"]
 
 _POLL: Final = 0.002
 """Between two looks for a pose [s]: a tenth of what a correction takes."""
+_BUDGET: Final = 0.02
+"""After so long nothing begins any more that makes a correction better [s]: with what is under way then, and where others use the cores as
+well, it still comes before the next of 30 frames a second. On free cores all of it takes less."""
 _KEPT: Final = 2000
 """Latest times of corrections that are kept: over a minute."""
 
@@ -56,6 +60,8 @@ class SteeredPush:
         """As `SteeredUnderWay`."""
         self.n_corrections = 0
         """As `SteeredUnderWay`."""
+        self.tool: Float64Array | None = None
+        """As `SteeredUnderWay`."""
         self.seconds: list[float] = []
         """That corrections took, by the wall clock."""
         self.ended = ""
@@ -88,11 +94,12 @@ class SteeredPush:
         if self.ended:
             self._send(ToolCorrection(push_id, seen.stamp, True, np.empty(0), np.empty((0, 2))))
             return
-        correction = self._follower.correct(seen.stamp - start, seen.pose, seen.covariance)
+        due = begun + _BUDGET
+        correction = self._follower.correct(seen.stamp - start, seen.pose, seen.covariance, lambda: time.perf_counter() > due)
         self._send(_message(correction, push_id, seen.stamp))
         self.seconds = [*self.seconds, time.perf_counter() - begun][-_KEPT:]
         self.n_corrections += 1
-        self.done = correction.done
+        self.done, self.tool = correction.done, correction.tool
         if correction.status is not FollowStatus.GOING:
             self.ended = correction.status.value
 

@@ -213,21 +213,27 @@ class RerunScene:
         self._log(f"table/objects/{object_id}/next_push/end", self._lines([outline], top + 3 * _LIFT, _NEXT))
 
     def goal(self, drawing: GoalDrawing | None, top: float) -> None:
-        """The goal that is pursued and the push under way, in place of the push to make next; None removes them."""
+        """The goal or path that is pursued and the push under way, in place of the push to make next; None removes them."""
         rr, name = self._rr, "table/objects/goal"
         self._log(name, rr.Clear(recursive=True))
         if drawing is None:
             return
         height = top + 4 * _LIFT
         self._log(f"{name}/outline", self._lines([drawing.goal], height, _GOAL))
-        if drawing.edge is not None:
-            self._log(f"{name}/edge", self._lines([drawing.edge], height, _EDGE))
+        for part, line, colour in (("edge", drawing.edge, _EDGE), ("path", drawing.path, _GOAL)):
+            if line is not None:
+                self._log(f"{name}/{part}", self._lines([line], height, colour, closed=False))
         labels = [(drawing.goal, drawing.words, _GOAL)]
         if drawing.tool is not None and drawing.end is not None:
-            start, end = ([*point, height] for point in drawing.tool)
+            # Of a tool that is steered the arrow is the end of its path.
+            start, end = ([*point, height] for point in drawing.tool[-2:])
             self._log(
                 f"{name}/push/tool", rr.Arrows3D(origins=[start], vectors=[np.subtract(end, start)], colors=_NEXT, radii=_WIDTH * 1.5)
             )
+            if len(drawing.tool) > 2:
+                self._log(f"{name}/push/path", self._lines([drawing.tool], height, _NEXT, closed=False))
+            if drawing.corridor is not None:
+                self._log(f"{name}/push/corridor", self._lines([drawing.corridor], height, _UNIFORM))
             self._log(f"{name}/push/end", self._lines([drawing.end], height, _NEXT))
             labels.append((drawing.end, drawing.chance, _NEXT))
         for number, (corners, text, colour) in enumerate(labels):
@@ -252,8 +258,10 @@ class RerunScene:
     def _log(self, entity: str, *what: Any, static: bool = False) -> None:
         self._stream.log(entity, *what, static=static)
 
-    def _lines(self, polygons: list[Float64Array], height: float, colour: list[int]) -> Any:
-        strips = [np.column_stack([np.vstack([p, p[:1]]), np.full(len(p) + 1, height)]) for p in polygons]
+    def _lines(self, lines: list[Float64Array], height: float, colour: list[int], *, closed: bool = True) -> Any:
+        """Lines through points, each of shape (n, 2); `closed`: back to the first one."""
+        flat = [np.vstack([line, line[:1]]) if closed else line for line in lines]
+        strips = [np.column_stack([line, np.full(len(line), height)]) for line in flat]
         return self._rr.LineStrips3D(strips, colors=[colour] * len(strips), radii=[_WIDTH] * len(strips))
 
     def _cells(self, cells: CellMap, share: Float64Array, palette: int) -> Any:
@@ -293,7 +301,8 @@ class RerunScene:
                 ),
                 layout.Horizontal(
                     layout.Spatial3DView(
-                        name="Observed (green), predicted (orange), next push (pink), goal (yellow), edge of the table (orange)",
+                        name="Observed (green), predicted (orange), next push (pink), its corridor (grey), goal and path (yellow), "
+                        "edge of the table (orange)",
                         origin="table",
                         contents=[*on_table, "+ table/load/**"],
                         eye_controls=above,
