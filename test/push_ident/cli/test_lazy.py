@@ -30,7 +30,7 @@ def test_list_of_commands_imports_none_of_them() -> None:
 def test_identify_of_poses_imports_nothing_for_images_arms_or_pages() -> None:
     code = (
         "import sys; import push_ident.cli.identify\n"
-        "print(sorted({'cv2', 'jinja2', 'matplotlib', 'open3d', 'pinocchio', 'rclpy', 'torch'} & set(sys.modules)))"
+        "print(sorted({'cv2', 'jinja2', 'matplotlib', 'open3d', 'pinocchio', 'rclpy', 'scipy.stats', 'torch'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
 

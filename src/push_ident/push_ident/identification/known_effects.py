@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from push_ident.errors import InputError
 from push_ident.identification.nuisances import nuisances_of
@@ -149,7 +149,7 @@ def check_agreement(posterior: ModelPosterior, effects: Sequence[KnownEffect]) -
         if fitted is None:
             continue
         distance2 = float(np.sum((fitted.value - effect.value) ** 2 / (fitted.std**2 + effect.std**2)))
-        if distance2 > chi2.ppf(1.0 - _BY_CHANCE, len(effect.value)):
+        if distance2 > chdtri(len(effect.value), _BY_CHANCE):
             raise InputError(
                 f"The pushes of this model show {effect.name} {_sizes(effect.name, fitted.value, fitted.std)}, expected "
                 f"{_sizes(effect.name, effect.value, effect.std)}: it is not of this object and table as they are now; diagnose its latest "

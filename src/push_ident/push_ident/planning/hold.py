@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
@@ -86,7 +86,7 @@ class EdgeHold:
         finite = np.all(np.isfinite(margins), axis=0)
         safe = np.where(finite, margins, 0.0)
         spread = np.maximum(np.std(safe, axis=0), 1e-6)
-        return np.asarray(np.where(finite, norm.cdf((self.margin - np.mean(safe, axis=0)) / spread), 1.0))
+        return np.asarray(np.where(finite, ndtr((self.margin - np.mean(safe, axis=0)) / spread), 1.0))
 
     def chance(self, cells: Float64Array, centres: Float64Array, pose: Float64Array, covariance: Float64Array) -> float:
         """Probability that the object is held by the margin [1].

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.types import Float64Array
@@ -58,4 +58,4 @@ def displacement(before: RestingPose, after: RestingPose) -> tuple[float, float,
     change[2] = wrap_angle(change[2])
     covariance = before.covariance + after.covariance + _EXACT * np.eye(3)
     distance2 = float(change @ np.linalg.solve(covariance, change))
-    return float(np.hypot(change[0], change[1])), abs(float(change[2])), distance2 > chi2.isf(_CHANCE, 3)
+    return float(np.hypot(change[0], change[1])), abs(float(change[2])), distance2 > chdtri(3, _CHANCE)
