@@ -6,6 +6,7 @@ import html
 import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,8 @@ from pathlib import Path
 import pytest
 from yaml import safe_load
 
-from helpers.paths import CONFIG, ROOT
+from helpers.paths import CONFIG, EXAMPLE_BAG, ROOT
+from push_ident.types import PushRecord
 
 ROOT_DOCUMENTS = (
     "README.md",
@@ -131,26 +133,37 @@ def test_records_of_decisions_are_numbered_without_a_gap() -> None:
     assert numbers == list(range(1, len(numbers) + 1))
 
 
-def test_script_of_the_guide_writes_a_bag_that_is_read_as_its_source(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def pushes_of_the_example() -> list[PushRecord]:
     from push_ident.offline.loading import load_pushes
 
-    source = next((ROOT / "bags").glob("*/metadata.yaml")).parent
-    script = ROOT / "docs" / "examples" / "write_a_bag.py"
-    subprocess.run([sys.executable, script, source, tmp_path / "own"], check=True, timeout=300)
-    before, after = load_pushes([source]).records, load_pushes([tmp_path / "own"]).records
+    return load_pushes([EXAMPLE_BAG]).records
+
+
+def run_script(name: str, *arguments: Path) -> None:
+    """Run a script of the documentation as its user does, without the seconds of a start."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [name, *map(str, arguments)])
+        runpy.run_path(str(ROOT / "docs" / "examples" / name), run_name="__main__")
+
+
+def test_script_of_the_guide_writes_a_bag_that_is_read_as_its_source(pushes_of_the_example: list[PushRecord], tmp_path: Path) -> None:
+    from push_ident.offline.loading import load_pushes
+
+    run_script("write_a_bag.py", EXAMPLE_BAG, tmp_path / "own")
+    before, after = pushes_of_the_example, load_pushes([tmp_path / "own"]).records
     assert [len(record.poses.time) for record in after] == [len(record.poses.time) for record in before]
     assert after[1].poses.pose[-1] == pytest.approx(before[1].poses.pose[-1], abs=1e-6)
 
 
-def test_tables_of_the_guide_become_a_bag_that_is_read_as_their_source(tmp_path: Path) -> None:
+def test_tables_of_the_guide_become_a_bag_that_is_read_as_their_source(pushes_of_the_example: list[PushRecord], tmp_path: Path) -> None:
     from push_ident.bags.importers import TrackedPoses, import_tracked_poses
     from push_ident.offline.loading import load_pushes
 
-    source = ROOT / "bags" / "hammer_depth"
-    subprocess.run([sys.executable, ROOT / "docs" / "examples" / "write_tables.py", source, tmp_path], check=True, timeout=300)
+    run_script("write_tables.py", EXAMPLE_BAG, tmp_path)
     files = (tmp_path / f"{name}.csv" for name in ("poses", "pusher", "outline"))
     report = import_tracked_poses(TrackedPoses(*files, radius=0.018, position_std=1e-3, yaw_std=8.7e-3), tmp_path / "own")
-    before, after = load_pushes([source]).records, load_pushes([tmp_path / "own"]).records
+    before, after = pushes_of_the_example, load_pushes([tmp_path / "own"]).records
     assert len(after) == len(before) == report.n_pushes and report.warnings == ()
     assert after[1].poses.pose[-1] == pytest.approx(before[1].poses.pose[-1], abs=2e-6)
 

@@ -20,13 +20,26 @@ from push_ident.errors import InputError
 pytestmark = pytest.mark.alone
 
 SLEEP = "import time; print('ready'); time.sleep(60)"
-# After the others have started: a Ctrl-C between the fork of a child and its start is lost on it.
-DIES = "import sys, time; time.sleep(1.5); print('no camera', file=sys.stderr); sys.exit(7)"
+DIES = "import sys; print('no camera', file=sys.stderr); sys.exit(7)"
+ONCE_READY = """
+import pathlib, time
+log = pathlib.Path({log!r})
+while not log.exists() or "ready" not in log.read_text():
+    time.sleep(0.02)
+"""
 IGNORES_CTRL_C = "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); print('ready'); time.sleep(60)"
-HAS_CHILD = "import subprocess, sys; print('child', subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)']).pid); {rest}"
+# Its child is ready first: a Ctrl-C while Python starts can be lost, as an exception in a callback of the import machinery.
+HAS_CHILD = f"""
+import subprocess, sys
+child = subprocess.Popen([sys.executable, "-c", {SLEEP!r}], stdout=subprocess.PIPE)
+child.stdout.readline()
+print("child", child.pid)
+{SLEEP}
+"""
 RUN = """
-import json, sys
+import ctypes, json, sys
 from pathlib import Path
+ctypes.CDLL(None).prctl(36, 1)  # PR_SET_CHILD_SUBREAPER: orphans are left to this process, which asks none for its exit code, as some inits
 from push_ident.cli.supervisor import NodeCommand, Supervisor
 commands = [NodeCommand(name, (sys.executable, "-c", code)) for name, code in json.loads(sys.argv[1]).items()]
 sys.exit(Supervisor(commands, log_dir=Path(sys.argv[2])).run())
@@ -49,6 +62,11 @@ def wait_for_line(path: Path, word: str) -> str:
     return path.read_text()
 
 
+def child_in(log: Path) -> int:
+    """The child of a process that has one, once both are ready."""
+    return int(wait_for_line(log, "ready").split()[1])
+
+
 def is_alive(process: int) -> bool:
     try:
         state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
@@ -63,18 +81,19 @@ def start_in_own_process(tmp_path: Path, **codes: str) -> subprocess.Popen[str]:
 
 
 def test_death_of_one_names_it_and_stops_the_rest(tmp_path: Path) -> None:
-    process = start_in_own_process(tmp_path, camera=DIES, listener=HAS_CHILD.format(rest=SLEEP))
+    log = tmp_path / "listener.log"
+    process = start_in_own_process(tmp_path, camera=ONCE_READY.format(log=str(log)) + DIES, listener=HAS_CHILD)
     output, error = process.communicate(timeout=30)
     assert process.returncode == 1
     assert "camera ended with exit code 7" in error and "no camera" in error
     assert "listener" not in error and "Traceback" not in output + error
-    assert not is_alive(int(wait_for_line(tmp_path / "listener.log", "child").split()[1]))
+    assert not is_alive(child_in(log))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_request_to_stop_stops_all_within_two_seconds(tmp_path: Path, number: signal.Signals) -> None:
-    process = start_in_own_process(tmp_path, one=HAS_CHILD.format(rest=SLEEP), two=SLEEP)
-    child = int(wait_for_line(tmp_path / "one.log", "ready").split()[1])
+    process = start_in_own_process(tmp_path, one=HAS_CHILD, two=SLEEP)
+    child = child_in(tmp_path / "one.log")
     wait_for_line(tmp_path / "two.log", "ready")
     start = time.monotonic()
     process.send_signal(number)
@@ -111,8 +130,8 @@ def test_no_process_remains_when_the_caller_is_terminated(tmp_path: Path, number
         "commands = [NodeCommand('one', (sys.executable, '-c', sys.argv[2]))]\n"
         "with Supervisor(commands, log_dir=Path(sys.argv[1])):\n    time.sleep(60)"
     )
-    process = subprocess.Popen([sys.executable, "-c", script, str(tmp_path), HAS_CHILD.format(rest=SLEEP)], stderr=subprocess.DEVNULL)
-    child = int(wait_for_line(tmp_path / "one.log", "ready").split()[1])
+    process = subprocess.Popen([sys.executable, "-c", script, str(tmp_path), HAS_CHILD], stderr=subprocess.DEVNULL)
+    child = child_in(tmp_path / "one.log")
     process.send_signal(number)
     assert process.wait(timeout=10) != 0
     assert not is_alive(child)

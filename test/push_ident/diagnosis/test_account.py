@@ -13,25 +13,34 @@ from push_ident.diagnosis.fits import fit_base, fit_effects
 from push_ident.diagnosis.held_out import measure_gap
 from push_ident.diagnosis.policy import AccountPolicy, ValidationPolicy
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.identification.fit import Fit
 from push_ident.identification.observation import Observation, observe_push
 from push_ident.identification.prediction import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import Float64Array, PushRecord
 
-TILT = {"table_tilt": [0.02, 0.0]}
 
-
-def account_with(n: int, seed: int, injected: dict[str, list[float]] | None, *added: str, noise: Float64Array = NOISE) -> Account:
-    """The account of some pushes in a world with `injected` effects, by a model with the `added` ones."""
-    base = fit_base(simulated_pushes(n, seed, injected, noise=noise), DiagnosisSettings())
+def account_by(base: Fit, *added: str) -> Account:
+    """The account of the pushes of a base fit, by a model with the `added` effects."""
     fit = fit_effects(base, added, np.array([1.0, 0.0])) if added else base
     return account_of(measure_gap(base, fit, ValidationPolicy()), base.problem, AccountPolicy())
 
 
+def account_without_effects(n: int, seed: int, noise: Float64Array = NOISE) -> Account:
+    """The account of some pushes in a world without effects."""
+    return account_by(fit_base(simulated_pushes(n, seed, noise=noise), DiagnosisSettings()))
+
+
 @pytest.fixture(scope="module")
-def tilted() -> Account:
-    return account_with(8, 1, TILT, "table_tilt")
+def base_of_tilted() -> Fit:
+    """The base model, fitted to pushes on a tilted table."""
+    return fit_base(simulated_pushes(8, 1, {"table_tilt": [0.02, 0.0]}), DiagnosisSettings())
+
+
+@pytest.fixture(scope="module")
+def tilted(base_of_tilted: Fit) -> Account:
+    return account_by(base_of_tilted, "table_tilt")
 
 
 def test_parts_add_up_to_the_error_of_the_base_model_for_every_push(tilted: Account) -> None:
@@ -46,8 +55,8 @@ def test_effect_that_is_there_has_its_part_and_leaves_nothing_unexplained(tilted
     assert not tilted.is_unexplained
 
 
-def test_effect_that_the_model_lacks_is_unexplained(tilted: Account) -> None:
-    lacking = account_with(8, 1, TILT)
+def test_effect_that_the_model_lacks_is_unexplained(base_of_tilted: Fit, tilted: Account) -> None:
+    lacking = account_by(base_of_tilted)
     assert lacking.is_unexplained and not lacking.is_within_chance and lacking.effects == ()
     # What the effect closes is what was unexplained without it, up to what the maps then absorb.
     assert lacking["unexplained"].mean == pytest.approx(tilted["table_tilt"].mean, rel=0.4)
@@ -55,8 +64,8 @@ def test_effect_that_the_model_lacks_is_unexplained(tilted: Account) -> None:
 
 def test_noise_has_the_part_that_known_noise_makes() -> None:
     """Against other draws of the noise in the true world: pushes from displaced first poses, ends displaced as the mean of a rest is."""
-    records = simulated_pushes(12, 2)
-    account = account_with(12, 2, None)
+    records = simulated_pushes(8, 2)
+    account = account_without_effects(8, 2)
     rng, errors = np.random.default_rng(5), []
     for record in records:
         observed = observe_push(record)
@@ -78,7 +87,7 @@ def rests(observed: Observation, record: PushRecord) -> tuple[tuple[float, float
 
 
 def test_few_pushes_leave_more_open_than_many_and_say_how_many_more_would_tell() -> None:
-    few, many = (account_with(n, 3, None, noise=NOISE / 3) for n in (3, 12))
+    few, many = (account_without_effects(n, 3, NOISE / 3) for n in (3, 8))
     assert few["maps"].mean > 2.0 * many["maps"].mean
     assert few.maps_are_open and few["maps"].mean > few["noise"].mean
     assert few.more_pushes is None or few.more_pushes > 1

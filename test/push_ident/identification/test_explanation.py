@@ -39,7 +39,7 @@ def pushes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
         return load_pushes([recording("contract_sample", "bag")]).records[:5]
     bag = tmp_path_factory.mktemp("cmu") / "bag"
     import_cmu_icra16(recording("cmu_icra16", "30_90_30_30_30_90__exp_08_11_30.txt"), bag)
-    return load_pushes([bag]).records[:4]
+    return load_pushes([bag]).records[:3]
 
 
 def with_outline(change: Callable[[np.ndarray], np.ndarray]) -> Change:

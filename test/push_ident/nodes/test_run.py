@@ -122,6 +122,8 @@ environment, path = dict(os.environ), list(sys.path)
 handlers = {number: signal.getsignal(number) for number in signal.valid_signals()}
 interval = sys.getswitchinterval()
 import push_ident.nodes
+importlib.import_module("push_ident.nodes.push_executor.push_executor_node")
+assert "numba" not in sys.modules, "the executor loads compiled kernels, which it does not need"
 names = [module.name for module in pkgutil.walk_packages(push_ident.nodes.__path__, "push_ident.nodes.")]
 assert len(names) > 20, names
 for name in names:
@@ -132,6 +134,7 @@ for name in names:
     assert {number: signal.getsignal(number) for number in signal.valid_signals()} == handlers, f"{name} sets signal handlers"
     assert sys.getswitchinterval() == interval, f"{name} changes the switch interval"
     assert threading.active_count() == 1, f"{name} starts a thread"
+assert "scipy.stats" not in sys.modules, "half a second of each start; scipy.special has the distributions"
 """
 
 

@@ -9,7 +9,8 @@ from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, INTRINSICS, Pris
 from push_ident.errors import FrameError, InputError, PerceptionError
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
-from push_ident.perception.depth import depth_from_buffer, points_in_table
+from push_ident.perception.depth import points_in_table
+from push_ident.perception.depth_image import depth_from_buffer
 from push_ident.perception.fusion import View, fuse_views
 from push_ident.perception.labels import OBJECT, ROBOT, TABLE, UNKNOWN, Cylinder, label_pixels
 from push_ident.perception.pipeline import Perception

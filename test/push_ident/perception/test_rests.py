@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -100,28 +101,30 @@ def test_rests_in_other_headings_show_the_form_better(sensor):
     assert last.outline_std is not None and len(last.outline_std) == len(last.outline)
 
 
-def test_a_better_outline_moves_neither_the_object_frame_nor_the_pose():
+@pytest.fixture(scope="module")
+def toolbox():
+    """A toolbox watched by a Kinect in two places; its first pose and outline; whether each of the last 80 frames gave a better outline."""
     watched, _ = watched_by("kinect_v1", "toolbox", 31)
     watched.rest(PLACES[0])
-    first = watched.perception.first_pose("o1").copy()
+    first_pose, first = watched.perception.first_pose("o1").copy(), watched.perception.known("o1").traced
     watched.move(PLACES[0], PLACES[1])
     refined = [bool(observation.refined) for observation in watched.rest(PLACES[1], 80)]
-    assert refined.count(True) == 1
-    poses = watched.poses[-80:]
+    return SimpleNamespace(watched=watched, first_pose=first_pose, first=first, refined=refined)
+
+
+def test_a_better_outline_moves_neither_the_object_frame_nor_the_pose(toolbox):
+    assert toolbox.refined.count(True) == 1
+    poses, refined = toolbox.watched.poses[-80:], toolbox.refined
     at = refined.index(True)
     step = np.mean(poses[at:], axis=0) - np.mean(poses[at - 8 : at], axis=0)
     assert np.all(np.abs(step) < [3e-4, 3e-4, 4e-3])  # 0.7 mm and 0.5 degrees in the frame of the first rest
-    np.testing.assert_array_equal(watched.perception.first_pose("o1"), first)
+    np.testing.assert_array_equal(toolbox.watched.perception.first_pose("o1"), toolbox.first_pose)
 
 
-def test_a_better_outline_keeps_the_errors_of_poses_that_last():
+def test_a_better_outline_keeps_the_errors_of_poses_that_last(toolbox):
     """Poses were taken for those of a camera that displaces no edge, and were in their regions in 60 % of the frames."""
-    watched, _ = watched_by("kinect_v1", "toolbox", 31)
-    watched.rest(PLACES[0])
-    first = watched.perception.known("o1").traced
+    watched, first = toolbox.watched, toolbox.first
     assert first.displaced_frame == (0.0, 0.0, 0.0) and not first.frame_covariance.any()
-    watched.move(PLACES[0], PLACES[1])
-    watched.rest(PLACES[1])
     refined = watched.perception.known("o1").traced
     assert refined.displaced_std == first.displaced_std > 0 and len(refined.seen_from) == 2
     camera, offset = suitable_pose("kinect_v1")[None, :2, 3], compose(inverse(PLACES[0]), watched.perception.first_pose("o1"))

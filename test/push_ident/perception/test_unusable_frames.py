@@ -10,7 +10,8 @@ import pytest
 
 from helpers.depth_scene import CAMERA, HAMMER, render
 from push_ident.errors import FrameError, PerceptionError
-from push_ident.perception.depth import check_intrinsics, usable_frame
+from push_ident.perception.depth import usable_frame
+from push_ident.perception.depth_image import check_intrinsics
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.surfaces import split_surfaces

@@ -10,6 +10,7 @@ from push_ident.errors import BagError, FrameError
 from push_ident.geometry.outline import outline_of_cells, polygon_area
 from push_ident.geometry.se2 import transform_points, yaw_of_quaternion
 from push_ident.limits import LIMITS, check_coordinates
+from push_ident.perception.depth_image import check_intrinsics, depth_from_buffer
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array
 
 __all__ = [
@@ -158,16 +159,12 @@ def intrinsics_of(info: Any) -> CameraIntrinsics:
     """Pinhole intrinsics of a sensor_msgs/CameraInfo. Raises FrameError for an invalid camera matrix."""
     k = info.k if hasattr(info, "k") else info.K
     intrinsics = CameraIntrinsics(int(info.width), int(info.height), float(k[0]), float(k[4]), float(k[2]), float(k[5]))
-    from push_ident.perception.depth import check_intrinsics  # takes a fifth of a second to import, and bags of poses do not need it
-
     check_intrinsics(intrinsics)
     return intrinsics
 
 
 def depth_frame_of(image: Any, intrinsics: CameraIntrinsics, stamp: float) -> DepthFrame:
     """Depth frame of a sensor_msgs/Image. Raises FrameError for an unknown encoding or inconsistent sizes."""
-    from push_ident.perception.depth import depth_from_buffer  # as above
-
     data = memoryview(image.data).cast("B")
     depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), data)
     if depth.shape != (intrinsics.height, intrinsics.width):

@@ -132,22 +132,35 @@ class NodeProcess:
 
     def runs(self) -> bool:
         """Whether the process or one of its children runs."""
-        self._popen.poll()
-        return self._reach(0)
+        if not self._gone:  # afterwards the number may belong to another group
+            self._gone = self._popen.poll() is not None and not _group_runs(self._popen.pid)
+        return not self._gone
 
     def signal(self, number: signal.Signals) -> bool:
         """Send a signal to the whole group; whether it had a running process."""
-        return self.runs() and self._reach(number)
-
-    def _reach(self, number: int) -> bool:
-        if not self._gone:  # afterwards the number may belong to another group
-            try:
-                os.killpg(self._popen.pid, number)
-            except ProcessLookupError:
-                self._gone = True
-        return not self._gone
+        if not self.runs():
+            return False
+        try:
+            os.killpg(self._popen.pid, number)
+        except ProcessLookupError:
+            return False
+        return True
 
     def close(self) -> None:
         """Wait for the end of the process and for its last lines."""
         self._popen.wait()
         self._reader.join(timeout=LAST_LINES)
+
+
+def _group_runs(group: int) -> bool:
+    """Whether a process of a group runs.
+
+    One that has ended stays in its group until its parent has asked for its exit code. That of an orphan is asked for by init: seconds
+    later on some machines, never in some containers. So that the group still takes signals says nothing.
+    """
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # ended meanwhile
+            state, _, its_group = file.read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[:3]
+            if int(its_group) == group and state not in "ZX":
+                return True
+    return False

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
-from push_ident.perception.depth import check_size, rays_in_table
+from push_ident.perception.depth import rays_in_table
+from push_ident.perception.depth_image import check_size
 from push_ident.perception.kernels import (
     Grid,
     compare_lines,

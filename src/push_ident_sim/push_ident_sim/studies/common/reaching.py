@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from push_ident_sim.studies.common.base import Json
 
@@ -20,8 +20,8 @@ def share(successes: Iterable[bool]) -> Json:
     """`n`, how many succeeded, and the interval of Clopper and Pearson in which the true share lies at 95 %."""
     found = [bool(success) for success in successes]
     n, k = len(found), sum(found)
-    low = float(beta.ppf(_OUTSIDE / 2, k, n - k + 1)) if k else 0.0
-    high = float(beta.ppf(1 - _OUTSIDE / 2, k + 1, n - k)) if k < n else 1.0
+    low = float(betaincinv(k, n - k + 1, _OUTSIDE / 2)) if k else 0.0
+    high = float(betaincinv(k + 1, n - k, 1 - _OUTSIDE / 2)) if k < n else 1.0
     return {"n": n, "successes": k, "share": round(k / n, 4) if n else None, "low": round(low, 4), "high": round(high, 4)}
 
 

@@ -104,7 +104,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     with single_threads(jobs) as pool:
         truths = _missing_truths(experiment, options) if experiment.needs_truth else []
         run_calls(pool, truths, lambda done, first: report("simulating pushes", done, len(truths)))
-        _run_missing(pool, experiment.name, files, settings, report, until=began + 60.0 * options.stop_after)
+        _run_missing(pool, experiment, files, settings, report, until=began + 60.0 * options.stop_after)
     outcomes = {case: read_json(files[case]) for case in cases if files[case].exists()}
     results = [CaseResult(case, outcome["values"]) for case, outcome in outcomes.items() if "values" in outcome]
     if not results:
@@ -127,15 +127,15 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
 
 
 def _run_missing(
-    pool: ProcessPoolExecutor, name: str, files: dict[Case, Path], settings: CaseSettings, report: Progress, *, until: float
+    pool: ProcessPoolExecutor, experiment: Experiment, files: dict[Case, Path], settings: CaseSettings, report: Progress, *, until: float
 ) -> None:
     """Run the cases of an experiment that have no file, in their order; none begins after `until` on the monotonic clock [s]."""
     missing = [case for case, file in files.items() if not file.exists()]
     n_before = len(files) - len(missing)
     # Where the time is up before the first one, what is finished is published.
-    calls = [(_run_case, (name, case, settings, files[case])) for case in missing] if time.monotonic() < until else []
-    report(name, n_before, len(files))
-    run_calls(pool, calls, lambda done, first: report(name, n_before + done, len(files)), until=until)
+    calls = [(_run_case, (experiment.run, case, settings, files[case])) for case in missing] if time.monotonic() < until else []
+    report(experiment.name, n_before, len(files))
+    run_calls(pool, calls, lambda done, first: report(experiment.name, n_before + done, len(files)), until=until)
 
 
 def _no_result(experiment: Experiment, options: RunOptions, outcomes: Sequence[Json]) -> str:
@@ -241,11 +241,10 @@ def _digest(experiment: Experiment, settings: CaseSettings) -> str:
     return hashlib.sha256(f"{json.dumps(values, sort_keys=True)} {code_digest(files)}".encode()).hexdigest()[:10]
 
 
-def _run_case(name: str, case: Case, settings: CaseSettings, file: Path) -> None:
-    from push_ident_sim.studies.registry import EXPERIMENTS
-
+def _run_case(run: Callable[[Case, CaseSettings], Json], case: Case, settings: CaseSettings, file: Path) -> None:
+    """Run one case into its file. `run` is given itself: to find it by name, each process would have to load all studies."""
     try:
-        outcome: Json = {"case": asdict(case), "values": EXPERIMENTS[name].run(case, settings)}
+        outcome: Json = {"case": asdict(case), "values": run(case, settings)}
     except PushIdentError as error:
         outcome = {"case": asdict(case), "error": str(error)}
     write_json(file, outcome)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.supervisor import Supervisor, node_commands
@@ -182,7 +182,7 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
         kept = {key: value for key, value in values.items() if key not in ("samples", "state")}
         grows = {node: {q: growth(own, q) for q in QUANTITIES} for node, own in values["samples"].items()}
         scores = kept_states[variant].record.latest
-        kept["surprises"] = float(np.mean([score.mahalanobis2 > chi2.isf(_RARE, 3) for score in scores])) if scores else float("nan")
+        kept["surprises"] = float(np.mean([score.mahalanobis2 > chdtri(3, _RARE) for score in scores])) if scores else float("nan")
         runs[variant] = {**kept, "growth": grows, "samples": {node: _thinned(own) for node, own in values["samples"].items()}}
     maps = {
         f"{one} – {other}": compare_maps(posteriors[one], posteriors[other])

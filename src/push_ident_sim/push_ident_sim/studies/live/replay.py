@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import theilslopes
 
 from push_ident.bags.contract import Role, role_of
 from push_ident.bags.raw import raw_messages
@@ -307,5 +306,7 @@ def growth(time_s: Sequence[float] | FloatArray, megabytes: Sequence[float] | Fl
     used = time >= _WARM_UP * time[-1]
     if used.sum() < 3:
         return None
+    from scipy.stats import theilslopes  # its import takes half a second
+
     slope, _, low, high = theilslopes(memory[used], time[used])
     return [round(float(v), 3) for v in (slope, low, high)]
