@@ -31,7 +31,7 @@ from push_ident.nodes.convert import (
     stamp_to_msg,
 )
 from push_ident.nodes.convert_table import EDGE_TOPIC, TABLE_TOPIC, edge_to_msg, table_to_msg
-from push_ident.physics.effects import EFFECTS
+from push_ident.physics.effects import CAUSES, EFFECTS
 from push_ident.physics.overhang import TableEdge
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
@@ -77,11 +77,14 @@ def table_messages(stamp: float = 1.0) -> list[Sent]:
 
 
 def diagnosis_text() -> str:
-    """JSON of a diagnosis that names a tilt of the table which no push contradicts."""
-    parameters = dict.fromkeys(("x", "y"), 0.002)
-    tilt = {"name": "table_tilt", "parameters": parameters, "std": dict.fromkeys(parameters, 0.01)}
-    probabilities = {name: 0.95 if name == tilt["name"] else 0.0 for name in EFFECTS}
-    return json.dumps({"verdict": "named", "effects": [tilt], "probabilities": probabilities, "gap": {"before_per_push_m": [0.005, 0.006]}})
+    """JSON of a diagnosis that names an effect of a size which no push contradicts."""
+    cause = CAUSES[0]
+    sizes = {parameter.name: parameter.nominal + 0.1 * parameter.typical for parameter in EFFECTS[cause].parameters}
+    named = {"name": cause, "parameters": sizes, "std": {name: abs(size) for name, size in sizes.items()}}
+    probabilities = {name: 0.95 if name == cause else 0.0 for name in EFFECTS}
+    return json.dumps(
+        {"verdict": "named", "effects": [named], "probabilities": probabilities, "gap": {"before_per_push_m": [0.005, 0.006]}}
+    )
 
 
 def push_messages(seed: int, start: float) -> list[Sent]:
