@@ -49,7 +49,8 @@ class Standstill:
             insort(self._delays, time - pacing.time_of(found))
         if not _LOOKED <= time - self._since <= self._longest:
             return None
-        delay = self._delays[len(self._delays) // 2] + _DELAY if self._delays else _DELAY
+        # Before it has moved nobody knows: a controller that is slow to begin has missed nothing.
+        delay = self._delays[len(self._delays) // 2] + _DELAY if self._delays else self._lag
         return found if _way(motion, found, pacing.path_time(time - delay)) > _BEHIND else None
 
 
