@@ -57,6 +57,8 @@ class Cell:
         self.events: list[Callable[[Cell], None]] = []
         self.is_silent = self.is_hidden = self.is_box_fixed = self.is_deaf = False
         self.offset = np.zeros(7)
+        self.delay = 0.0
+        self.on_the_way: list[tuple[float, JointTrajectory]] = []
         self.force, self.felt = 1.0, 100.0
         self.hand_text = self.fault = ""
         self.rivals_found: tuple[str, ...] = ()
@@ -72,6 +74,8 @@ class Cell:
         self.time += 0.01
         for event in self.events:
             event(self)
+        while self.on_the_way and self.on_the_way[0][0] <= self.time:
+            self.follow(self.on_the_way.pop(0)[1])
         if self.pieces:
             self.q = self.followed.sample(self.time)[0]
         before, self.tip = self.tip, self.planner.forward(self.q)[:3, 3]
@@ -122,8 +126,12 @@ class Cell:
         return self
 
     def move(self, piece: JointTrajectory, start: float | None) -> None:
-        if self.is_deaf:
-            return
+        if self.delay > 0.0:
+            self.on_the_way.append((self.time + self.delay - 1e-9, piece))
+        elif not self.is_deaf:
+            self.follow(piece)
+
+    def follow(self, piece: JointTrajectory) -> None:
         state = self.followed.sample(self.time) if self.pieces else (self.q, np.zeros(7))
         self.followed = Followed(piece.time, piece.position, piece.velocity).from_state(self.time, *state)
         self.pieces.append(piece)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from typing import Any
 
@@ -113,6 +114,17 @@ def test_arm_that_missed_pieces_goes_on_from_where_it_stands(bench: Bench) -> No
     assert np.sum(steps[:80] < 1e-5) > 5, "it stood"
     assert steps.max() < 1.2 * 0.1 * 0.01, "no step is longer than at 0.1 m/s"
     assert bench.cell.box[1] - start[1] == pytest.approx(0.05, abs=0.004), "the whole push is made"
+
+
+def test_arm_that_is_slow_to_begin_has_missed_nothing(bench: Bench) -> None:
+    paths = []
+    for delay in (0.0, 0.12):
+        bench.cell.delay = delay
+        began = bench.cell.time
+        outcome = bench.push(PushRequest(Mode.CONTACT, "box", contact_point=(0.0, -0.01), direction=math.pi / 2, distance=0.02, speed=0.1))
+        assert code_of(outcome) == PushCode.NONE
+        paths.append(bench.cell.time - began)
+    assert paths[1] < paths[0] + 1.5, "a delay in each motion, and no pause"
 
 
 def test_cancel_halts_the_arm_on_its_path(bench: Bench) -> None:
