@@ -15,6 +15,7 @@ from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 
 from push_ident.nodes.client import CellClient, CellTimeout
+from push_ident.nodes.network import process_domain
 from push_ident_msgs.action import ExecutePush
 
 pytestmark = pytest.mark.alone
@@ -50,7 +51,8 @@ class Executor(Node):
 
 
 @pytest.fixture
-def client() -> Iterator[CellClient]:
+def client(monkeypatch: pytest.MonkeyPatch) -> Iterator[CellClient]:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(process_domain()))
     context = Context()
     rclpy.init(context=context)
     node = Executor(context)

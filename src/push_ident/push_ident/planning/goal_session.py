@@ -36,6 +36,8 @@ from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 
 __all__ = ["Ended", "GoalSession"]
 
+_KNOWN_WITHIN: Final = 3.0
+"""Until an object counts as unknown [s]: what others have heard may not have come here yet, on a busy machine or just after the start."""
 _POLL: Final = 0.01
 """Between two looks at what is under way [s]: a fifth of the 50 ms within which a cancellation must be answered."""
 _HOLD: Final = 0.7
@@ -99,7 +101,7 @@ class GoalSession:
         The pose may be old: a push for another goal may hide the object.
         """
         try:
-            seen = self._ports.observe(self._object_id, np.inf, -np.inf)
+            seen = self._wait(lambda: self._ports.observe(self._object_id, np.inf, -np.inf), _KNOWN_WITHIN)
             if seen is None:
                 raise Ended(GoalCode.UNKNOWN_OBJECT, self._ports.why_unseen(self._object_id))
             self._check(seen)
