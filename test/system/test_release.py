@@ -49,7 +49,7 @@ def test_release_writes_one_version_and_gathers_the_fragments(copy: Path) -> Non
     assert [path.name for path in (copy / "changelog").iterdir()] == ["README.md"]
     text = (copy / "CHANGELOG.md").read_text()
     assert "## 7.8.9 (2031-02-03)\n\n### Added\n\n- First line\n  and second.\n\n### Fixed\n\n- A door.\n" in text
-    assert text.index("## 7.9.0") < text.index("## 7.8.9") and "wheel" not in text and "door.fixed" not in text
+    assert text.index("## 7.9.0") < text.index("## 7.8.9") and "wheel.added" not in text and "door.fixed" not in text
 
 
 def test_a_version_of_another_form_changes_nothing(copy: Path) -> None:
