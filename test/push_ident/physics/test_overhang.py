@@ -63,8 +63,8 @@ def test_falls_exactly_where_no_pressure_on_the_table_is_in_equilibrium() -> Non
     assert 5 < sum(found) < len(found) - 5
 
 
-def test_a_push_far_from_the_edge_is_the_same_to_the_last_bit_and_at_the_edge_it_is_another() -> None:
-    models = Belief.certain(MODEL).models(0, np.random.default_rng(0))
+def check_push_along_the_edge(models: list[BatchModel]) -> None:
+    """Far from the edge it ends as on an endless table, to the last bit; at the edge elsewhere."""
     reach = float(np.min(MODEL.shape.outline[:, 0]))
     path = PusherPath(np.array([0.0, 1.0]), np.array([[reach - 0.03, 0.015], [reach + 0.06, 0.015]]), 0.008)
     push = [BatchPush(path, np.zeros(3), np.array([1.0]))]
@@ -73,6 +73,10 @@ def test_a_push_far_from_the_edge_is_the_same_to_the_last_bit_and_at_the_edge_it
     near = rollouts(MODEL.shape, models, push, step=1 / 240, edge=TableEdge(np.array([0.0, 1.0]), float(CENTRE[1]) + 0.005))
     np.testing.assert_array_equal(far, without)
     assert np.max(np.abs(near - without)) > 1e-3
+
+
+def test_a_push_far_from_the_edge_is_the_same_to_the_last_bit_and_at_the_edge_it_is_another() -> None:
+    check_push_along_the_edge(Belief.certain(MODEL).models(0, np.random.default_rng(0)))
 
 
 OF_TABLE = [name for name, effect in EFFECTS.items() if isinstance(effect.acts, OnTable)]
@@ -95,14 +99,7 @@ def changed_model(model: BatchModel, **changes: Any) -> BatchModel:
 def test_effects_far_from_the_edge_act_as_on_an_endless_table(name: str) -> None:
     effects = effect_values({name: [p.typical + p.nominal for p in EFFECTS[name].parameters]})
     models = [changed_model(model, effects=effects) for model in Belief.certain(MODEL).models(0, np.random.default_rng(0))]
-    reach = float(np.min(MODEL.shape.outline[:, 0]))
-    path = PusherPath(np.array([0.0, 1.0]), np.array([[reach - 0.03, 0.015], [reach + 0.06, 0.015]]), 0.008)
-    push = [BatchPush(path, np.zeros(3), np.array([1.0]))]
-    without = rollouts(MODEL.shape, models, push, step=1 / 240)
-    far = rollouts(MODEL.shape, models, push, step=1 / 240, edge=TableEdge(np.array([1.0, 0.0]), 1.0))
-    near = rollouts(MODEL.shape, models, push, step=1 / 240, edge=TableEdge(np.array([0.0, 1.0]), float(CENTRE[1]) + 0.005))
-    np.testing.assert_array_equal(far, without)
-    assert np.max(np.abs(near - without)) > 1e-3
+    check_push_along_the_edge(models)
 
 
 def factor_by_place(place: Float64Array, borne: Float64Array) -> Float64Array:

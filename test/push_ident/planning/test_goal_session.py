@@ -232,6 +232,14 @@ def test_goal_that_cannot_be_is_refused_before_anything_moves(
     assert outcome.code is code and not cell.pushes
 
 
+def test_goal_for_an_object_of_which_nothing_is_known_yet_waits_for_it(posterior: ModelPosterior) -> None:
+    cell = Cell(posterior, is_visible=lambda time: time > 102.0)
+    GoalSession(GoalRequest(object_id="", goal=GOAL), cell).check()
+    assert cell.time < 102.1
+    with pytest.raises(GoalRefusedError):
+        GoalSession(GoalRequest(object_id="", goal=GOAL), Cell(posterior, is_visible=lambda time: time > 104.0)).check()
+
+
 def test_tolerance_below_what_the_poses_allow_is_said(posterior: ModelPosterior) -> None:
     outcome, _ = run(Cell(posterior, std=0.02))
     assert outcome.code is GoalCode.TOLERANCE and "28.3 mm" in outcome.text

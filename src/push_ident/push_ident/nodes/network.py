@@ -26,8 +26,8 @@ _LOCAL: Final = "fastdds_local.xml"
 _NETWORK: Final = "fastdds_network.xml"
 _LAST_DOMAIN: Final = 101
 """The highest ROS domain whose ports are free on every Linux: https://docs.ros.org/en/jazzy/Concepts/Intermediate/About-Domain-ID.html"""
-_HELD: Final[list[socket.socket]] = []
-"""One for each domain that this process holds; the kernel closes them when it ends."""
+_HELD: Final[dict[int, socket.socket]] = {}
+"""What holds each domain of this process, the one that was given out longest ago first; the kernel closes them when it ends."""
 
 
 def choose_network(environ: MutableMapping[str, str]) -> None:
@@ -60,9 +60,10 @@ def own_domain() -> int:
     """A ROS domain that no other process that asked for one has, until this process ends.
 
     An abstract socket holds it: as domains do, its name belongs to the network of the machine or of the container, and leaves no file.
+    Where no other is left it is the one that this process was given longest ago: its cell is over.
 
     Raises:
-        InputError: All are held.
+        InputError: Others hold all.
     """
     for domain in random.SystemRandom().sample(range(1, _LAST_DOMAIN + 1), _LAST_DOMAIN):
         holder = socket.socket(socket.AF_UNIX)
@@ -71,7 +72,11 @@ def own_domain() -> int:
         except OSError:
             holder.close()
             continue
-        _HELD.append(holder)
+        _HELD[domain] = holder
+        return domain
+    if _HELD:
+        domain = next(iter(_HELD))
+        _HELD[domain] = _HELD.pop(domain)
         return domain
     raise InputError(f"other cells of this machine hold all ROS domains from 1 to {_LAST_DOMAIN}; stop one, or set ROS_DOMAIN_ID")
 

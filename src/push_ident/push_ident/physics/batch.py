@@ -9,7 +9,6 @@ the times of their pushes too (`BatchClock`).
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 from collections import deque
@@ -320,9 +319,12 @@ def _roll(ready: _Ready, pushes: _Pushes, n_frames: int, edges: Overhang | None,
         )  # fmt: skip
 
     def roll_what_is_left() -> None:
-        with contextlib.suppress(IndexError):
-            while True:
-                roll(left.popleft())
+        while left:
+            try:
+                own = left.popleft()
+            except IndexError:  # another thread was first
+                return
+            roll(own)
 
     # This thread works too: on a busy machine others may get a core only when nothing is left to be done.
     others = [_pool(threads - 1, os.getpid()).submit(roll_what_is_left) for _ in range(threads - 1)]

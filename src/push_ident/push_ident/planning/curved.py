@@ -25,7 +25,7 @@ from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
 
-__all__ = ["N_SEGMENTS", "CurvedPushes", "Face", "Horizon", "PushStart", "RolledPushes", "face_of", "in_time"]
+__all__ = ["N_SEGMENTS", "CurvedPushes", "Face", "Horizon", "PushStart", "RolledPushes", "face_of", "never_late"]
 
 _BREAKS: Final = np.array([0.0, 0.15, 0.45, 1.0])
 """Where segments begin and end, as shares of the horizon [1]: the first is the one that will be made before all is planned anew."""
@@ -200,7 +200,7 @@ class _Prepared:
     """Start, tangent, normal, length and openness of each, with axes for variants and frames."""
 
 
-def in_time() -> bool:
+def never_late() -> bool:
     """Nobody waits."""
     return False
 
@@ -323,7 +323,7 @@ class CurvedPushes:
         starts: Sequence[PushStart],
         first: Float64Array,
         n_iterations: int,
-        is_late: Callable[[], bool] = in_time,
+        is_late: Callable[[], bool] = never_late,
     ) -> tuple[Float64Array, RolledPushes]:
         """Better unknowns, shape (n_starts, N_SEGMENTS, 2), and what they do (one variant).
 

@@ -96,7 +96,8 @@ class GoalSession:
         self.progress = GoalProgress()
 
     def check(self) -> None:
-        """Raise GoalRefusedError for a goal that cannot be reached whatever is pushed. Moves nothing.
+        """Raise GoalRefusedError for a goal that cannot be reached whatever is pushed. Moves nothing; waits for an object of which nothing
+        is known yet.
 
         The pose may be old: a push for another goal may hide the object.
         """

@@ -15,7 +15,7 @@ import numpy as np
 
 from push_ident.geometry.se2 import compose, inverse
 from push_ident.planning.contact_tracking import ContactTracker
-from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, in_time
+from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, never_late
 from push_ident.planning.model_weights import ModelWeights, touching
 from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.corridor import Corridor
@@ -148,7 +148,7 @@ class PathFollower:
         model, radius = self._weights.best(1), self._settings.pusher_radius
         self._tracker = ContactTracker(model, radius, compose(self._away, pose), covariance)
 
-    def correct(self, time: float, pose: Float64Array, covariance: Float64Array, is_late: Callable[[], bool] = in_time) -> Correction:
+    def correct(self, time: float, pose: Float64Array, covariance: Float64Array, is_late: Callable[[], bool] = never_late) -> Correction:
         """The motion from a frame on.
 
         Args:

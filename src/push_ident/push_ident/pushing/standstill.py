@@ -10,6 +10,7 @@ import numpy as np
 from push_ident.pushing.motion import ArmMotion
 from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.ports import ArmState
+from push_ident.types import Float64Array
 
 __all__ = ["Standstill"]
 
@@ -35,7 +36,8 @@ class Standstill:
         self._lag, self._longest = lag, longest
         self._delays: list[float] = []
         """Behind the pieces, wherever the tool moved [s], in order of size: controllers differ."""
-        self._tip, self._since = np.full(3, np.inf), np.inf
+        self._tip: Float64Array | None = None
+        self._since = np.inf
 
     def where(self, motion: ArmMotion, pacing: PathPacing, state: ArmState, time: float) -> float | None:
         """Path time at which the arm stands [s]; None where it moves, or should stand.
@@ -43,8 +45,10 @@ class Standstill:
         None, too, where it has stood for longer: something blocks it, and its force and distance from the path tell.
         """
         tip, led_to = state.pose_tip_in_table[:3, 3], pacing.path_time(time)
-        found = motion.time_at(tip, pacing.path_time(time - self._lag), led_to)
-        if np.linalg.norm(tip - self._tip) > _MOVES:
+        found = min(motion.time_at(tip, pacing.path_time(time - self._lag), led_to), led_to)
+        if self._tip is None:
+            self._tip, self._since = tip, time
+        elif np.linalg.norm(tip - self._tip) > _MOVES:
             self._tip, self._since = tip, time
             insort(self._delays, time - pacing.time_of(found))
         if not _LOOKED <= time - self._since <= self._longest:
