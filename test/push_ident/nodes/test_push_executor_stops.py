@@ -119,6 +119,23 @@ def test_executor_that_does_not_run_for_a_moment_goes_on_with_the_push(the_cell:
     assert seconds[0] - 0.2 < pushed[0][0] < seconds[0] + 0.2 and abs(pushed[-1][0] - seconds[3]) < 0.2
 
 
+def test_executor_that_has_just_started_waits_for_the_first_joint_states(
+    domain: int, the_cell: Cell, node: subprocess.Popen[str], processes: list[subprocess.Popen[str]]
+) -> None:
+    node.kill()
+    node.wait(5.0)
+    the_cell.silent = True
+    the_cell.diagnostics.clear()
+    processes.append(start_node(domain))
+    wait_for(lambda: any("objects: box" in summary(m) for m in list(the_cell.diagnostics)), 60.0)
+    call = send(the_cell, **CONTACT)
+    time.sleep(1.5)  # longer than an arm that was heard before may be silent
+    assert not call.result.done(), call.end()
+    the_cell.silent = False
+    result = call.end()
+    assert result.error_code == 0, result.error_text
+
+
 def test_motion_that_was_not_watched_for_long_does_not_go_on(the_cell: Cell, node: subprocess.Popen[str]) -> None:
     call = begin_push(the_cell, **SLOW_PUSH)
     node.send_signal(signal.SIGSTOP)
