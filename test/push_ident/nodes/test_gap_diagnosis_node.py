@@ -119,6 +119,8 @@ def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
     assert "fitting the base model" in stages
     cell.wait_for(lambda: cell.reports, 5.0)
     assert cell.reports[-1] == report
+    again = cell.result_of(cell.send().get_result_async(), 120.0).result
+    assert again.success and again.message == report.verdict and again.report.ranking[0] == "table_tilt"
 
 
 def test_cancel_ends_a_diagnosis_at_once(cell: Cell) -> None:

@@ -1,4 +1,4 @@
-"""A diagnosis in a process of its own: it takes seconds, and a node that computes receives nothing meanwhile."""
+"""Diagnoses in a process of its own: one takes seconds, and a node that computes receives nothing meanwhile."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
+from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import PushIdentError
 from push_ident.nodes.lifetime import end_with_parent, stop_signals_blocked
@@ -23,55 +24,96 @@ _POLL_INTERVAL: Final = 0.1
 
 
 class DiagnosisProcess:
-    """Runs one diagnosis; `wait` returns its JSON, `stop` ends it at once."""
+    """One diagnosis at a time. The process begins with the first one and stays: the next one, of some more pushes, starts at its fits."""
 
-    def __init__(self, records: Sequence[PushRecord], settings: DiagnosisSettings, push_settings: PushSettings) -> None:
-        # A fork would copy the locks of the middleware's threads.
-        context = multiprocessing.get_context("spawn")
-        self._receive, send = context.Pipe(duplex=False)
-        self._process = context.Process(target=_run, args=(send, list(records), settings, push_settings), daemon=True)
-        # A Ctrl-C at the terminal reaches this process, too; the node ends it.
-        with stop_signals_blocked():
-            self._process.start()
-        send.close()
+    def __init__(self) -> None:
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._connection: Connection | None = None
 
-    def wait(self, on_stage: Callable[[str], None], should_continue: Callable[[], bool]) -> dict[str, Any] | None:
+    def diagnose(
+        self,
+        records: Sequence[PushRecord],
+        settings: DiagnosisSettings,
+        push_settings: PushSettings,
+        *,
+        on_stage: Callable[[str], None],
+        should_continue: Callable[[], bool],
+    ) -> dict[str, Any] | None:
         """The outcome as JSON; None where it was ended because `should_continue` returned False.
 
         Raises:
             PushIdentError: the diagnosis failed.
         """
+        is_over = False
         try:
+            connection = self._connected()
+            connection.send((list(records), settings, push_settings))
             while should_continue():
-                if not self._receive.poll(_POLL_INTERVAL):
+                if not connection.poll(_POLL_INTERVAL):
                     continue
-                kind, content = self._receive.recv()
+                kind, content = connection.recv()
                 if kind == _STAGE:
                     on_stage(content)
-                elif kind == _FAILED:
+                    continue
+                is_over = True
+                if kind == _FAILED:
                     raise PushIdentError(content)
-                else:
-                    outcome: dict[str, Any] = content
-                    return outcome
-        except EOFError:
-            raise PushIdentError(f"The diagnosis ended with exit code {self._process.exitcode}; is there enough memory?") from None
+                outcome: dict[str, Any] = content
+                return outcome
+        except (EOFError, OSError):
+            raise PushIdentError(f"The diagnosis ended with exit code {self._exit_code()}; is there enough memory?") from None
         finally:
-            self.stop()
+            if not is_over:
+                self.stop()
         return None
 
     def stop(self) -> None:
-        """End it at once."""
-        self._process.kill()
-        self._process.join()
-        self._receive.close()
+        """End the process at once, and forget the fits."""
+        if self._process is not None and self._connection is not None:
+            self._process.kill()
+            self._process.join()
+            self._connection.close()
+        self._process = self._connection = None
+
+    def _connected(self) -> Connection:
+        if self._process is not None and not self._process.is_alive():
+            self.stop()
+        if self._connection is None:
+            # A fork would copy the locks of the middleware's threads.
+            context = multiprocessing.get_context("spawn")
+            self._connection, other = context.Pipe()
+            self._process = context.Process(target=_run, args=(other,), daemon=True)
+            # A Ctrl-C at the terminal reaches this process, too; the node ends it.
+            with stop_signals_blocked():
+                self._process.start()
+            other.close()
+        return self._connection
+
+    def _exit_code(self) -> int | None:
+        if self._process is None:
+            return None
+        self._process.join(1.0)
+        return self._process.exitcode
 
 
-def _run(send: Connection, records: list[PushRecord], settings: DiagnosisSettings, push_settings: PushSettings) -> None:
+def _run(connection: Connection) -> None:
     end_with_parent()
-    try:
-        found = diagnose(records, settings, push_settings=push_settings, on_progress=lambda text: send.send((_STAGE, text)))
-        send.send((_DONE, to_json(found)))
-    except PushIdentError as error:
-        send.send((_FAILED, str(error)))
-    except Exception as error:
-        send.send((_FAILED, f"{type(error).__name__}: {error}"))
+    latest: Diagnosis | None = None
+    while True:
+        try:
+            records, settings, push_settings = connection.recv()
+        except EOFError:
+            return
+        try:
+            latest = diagnose(
+                records,
+                settings,
+                push_settings=push_settings,
+                earlier=latest,
+                on_progress=lambda text: connection.send((_STAGE, text)),
+            )
+            connection.send((_DONE, to_json(latest)))
+        except PushIdentError as error:
+            connection.send((_FAILED, str(error)))
+        except Exception as error:
+            connection.send((_FAILED, f"{type(error).__name__}: {error}"))

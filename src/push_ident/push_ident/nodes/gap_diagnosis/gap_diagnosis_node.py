@@ -64,6 +64,7 @@ class _GapDiagnosis(Component):
         self._records: dict[str, deque[PushRecord]] = {}
         self._shapes: dict[str, ObjectShape] = {}
         self._busy = threading.Lock()
+        self._process = DiagnosisProcess()
         self._last = ""
         self._table = TableInput(node)
         self._is_active = False
@@ -90,9 +91,16 @@ class _GapDiagnosis(Component):
         self._is_active = True
 
     def pause(self) -> None:
-        """Drop a push under way; end a diagnosis that is running."""
+        """Drop a push under way; end a diagnosis that is running, and its process."""
         self._is_active = False
         self._collector.pause()
+        if self._busy.acquire(blocking=False):
+            self._process.stop()
+            self._busy.release()
+
+    def close(self) -> None:
+        """End the process of diagnoses."""
+        self._process.stop()
 
     # ---- input
 
@@ -132,12 +140,13 @@ class _GapDiagnosis(Component):
 
     def _diagnose(self, goal: ServerGoalHandle) -> DiagnoseGap.Result:
         object_id, records = self._chosen(goal.request)
-        process = DiagnosisProcess(records, self._diagnosis_settings(goal.request), self._push_settings(records))
-
-        def publish_stage(stage: str) -> None:
-            goal.publish_feedback(DiagnoseGap.Feedback(stage=stage))
-
-        content = process.wait(publish_stage, lambda: not goal.is_cancel_requested and self._is_active)
+        content = self._process.diagnose(
+            records,
+            self._diagnosis_settings(goal.request),
+            self._push_settings(records),
+            on_stage=lambda stage: goal.publish_feedback(DiagnoseGap.Feedback(stage=stage)),
+            should_continue=lambda: not goal.is_cancel_requested and self._is_active,
+        )
         if content is None:
             if not goal.is_cancel_requested:
                 raise InputError("The node was deactivated; the diagnosis is ended.")
