@@ -11,6 +11,7 @@ from push_ident.errors import InputError
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush, ModelBatch, rollouts
+from push_ident.physics.effect_values import effect_values
 from push_ident.planning.belief import Belief
 from push_ident.planning.contact_tracking import ContactTracker
 from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, face_of
@@ -218,6 +219,18 @@ def test_tool_is_never_believed_inside_the_object_nor_just_in_front_of_it() -> N
         np.testing.assert_allclose(tracker.pose, [-depth, 0.0, 0.0], atol=1e-9)
         np.testing.assert_allclose(face.normal, [-1.0, 0.0], atol=1e-9)
         assert tracker.gap == 0.0 and face.is_open == (True, True) and float(wrap_angle(tracker.pose[2])) == 0.0
+
+
+def test_tool_is_where_a_diagnosed_offset_says() -> None:
+    side, offset = float(MODEL.shape.outline[:, 0].min()), np.array([0.004, -0.002])
+    tool = np.array([side - SETTINGS.pusher_radius, 0.01])
+    (own,) = known().models
+    displaced = own._replace(effects=effect_values({"tool_offset": offset}))
+    for model, at in ((own, tool), (displaced, tool - offset)):
+        tracker = ContactTracker(ModelBatch(MODEL.shape, [model], SETTINGS.pusher_radius), SETTINGS.pusher_radius, np.zeros(3), FRAME)
+        tracker.see(np.zeros(3), FRAME, at)
+        assert tracker.gap == 0.0
+        np.testing.assert_allclose(tracker.pose, 0.0, atol=1e-9)
 
 
 def test_models_that_do_not_explain_the_push_lose_their_weight_and_a_stretch_that_was_broken_off_decides_nothing() -> None:

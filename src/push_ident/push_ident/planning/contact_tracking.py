@@ -12,6 +12,7 @@ import numpy as np
 
 from push_ident.geometry.se2 import inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchClock, ModelBatch
+from push_ident.physics.effect_values import driven_path
 from push_ident.planning.curved import Face, face_of
 from push_ident.types import Float64Array
 
@@ -74,7 +75,8 @@ class ContactTracker:
         self.pose = poses[1]
 
     def see(self, pose: Float64Array, covariance: Float64Array, tool: Float64Array) -> Face:
-        """A frame: pose, shape (3,), its covariance, shape (3, 3), and the axis of the tool then [m], shape (2,).
+        """A frame: pose, shape (3,), its covariance, shape (3, 3), and the axis of the tool then as the arm reports it
+        [m], shape (2,).
 
         Returns the face that the tool is at.
         """
@@ -92,8 +94,11 @@ class ContactTracker:
         return self._touch(tool)
 
     def _touch(self, tool: Float64Array) -> Face:
-        face, distance = face_of(self.model.shape.outline, transform_points(inverse(self.pose), tool[None])[0])
-        self.gap = distance - self._radius - self.model.models[0].surface
+        model = self.model.models[0]
+        # Where the tool is by the model, which may know that it is displaced from where the arm reports it.
+        at = driven_path(model.effects.of_motion, np.zeros(0), np.append(tool, 0.0)[None])[0][0, :2]
+        face, distance = face_of(self.model.shape.outline, transform_points(inverse(self.pose), at[None])[0])
+        self.gap = distance - self._radius - model.surface
         if -_DEEP < self.gap < _TOUCHES:
             self.pose = self.pose + np.append(rotation(float(self.pose[2])) @ face.normal * self.gap, 0.0)
             self.gap = 0.0
