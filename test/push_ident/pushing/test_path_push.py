@@ -13,7 +13,7 @@ from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.motion import MotionSettings, PathPlan, plan_path_push
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.steering import CorrectionFault, PathRequest, Steering, ToolCorrection
-from push_ident.pushing.tool_path import ToolPath, rounded, stopping
+from push_ident.pushing.tool_path import ToolMotion, ToolPath, rounded, stopping
 from push_ident.types import Float64Array
 from push_ident_sim.cell.robot import HOME, robot_description
 
@@ -84,7 +84,9 @@ def test_tool_keeps_to_its_path_and_rounds_its_corners_within_its_acceleration()
 def test_tool_that_stops_or_comes_late_does_not_swing_back_and_keeps_its_speed(speed: float, acceleration: float) -> None:
     """What swings back at the end would back off into the object."""
     moving, rest = np.array([speed, 0.0]), np.zeros(2)
-    stop = rounded(stopping(1.0, rest, moving, acceleration), 1.0, rest, moving, acceleration)
+    time = np.arange(201) * 0.01
+    steady = ToolMotion(time, np.outer(time - 1.0, moving), np.tile(moving, (201, 1)))
+    stop = rounded(stopping(steady, 1.0, acceleration), 1.0, rest, moving, acceleration)
     assert stop.velocity[:, 0].min() > -0.1 * speed and np.all(np.abs(stop.position[:, 1]) < 1e-9)
     assert stop.position[-1, 0] == pytest.approx(speed**2 / (2 * 0.8 * acceleration), abs=3e-4)
     straight = ToolPath(np.array([0.0, 0.3]), np.array([[0.0, 0.01], [0.3 * speed, 0.01]]))
@@ -95,6 +97,18 @@ def test_tool_that_stops_or_comes_late_does_not_swing_back_and_keeps_its_speed(s
         assert np.linalg.norm(np.diff(motion.velocity, axis=0), axis=1).max() < 1.01 * acceleration * 0.01
     from_rest = rounded(ToolPath(straight.time, straight.position), 0.0, straight.position[0], rest, acceleration, 0.25)
     assert from_rest.velocity[:, 0].min() > -0.15 * speed, "also after it had to catch up"
+
+
+def test_tool_that_stops_in_a_bend_keeps_to_the_motion_that_was_checked() -> None:
+    speed, radius, acceleration = 0.2, 0.04, 2.0
+    time = np.arange(151) * 0.01
+    angle = time * speed / radius
+    towards = np.column_stack([np.cos(angle), np.sin(angle)])
+    bend = ToolMotion(time, radius * np.column_stack([np.sin(angle), 1.0 - np.cos(angle)]), speed * towards)
+    stop = rounded(stopping(bend, 0.5, acceleration), 0.5, bend.position[50], bend.velocity[50], acceleration)
+    travel = np.linalg.norm(np.diff(stop.position, axis=0), axis=1).sum()
+    assert travel == pytest.approx(speed**2 / (2 * 0.8 * acceleration), abs=1e-3)
+    assert np.max(np.abs(np.linalg.norm(stop.position - [0.0, radius], axis=1) - radius)) < 5e-4, "a straight line would be 1.9 mm away"
 
 
 def test_joints_carry_the_tool_along_the_path_and_are_those_of_every_place_in_its_corridor(

@@ -192,8 +192,7 @@ class Steering:
         begin = self._now + self._offset + _AHEAD
         if not correction.stop:
             return ToolPath(correction.stamp + self._offset + correction.time, correction.position), begin
-        k = min(int(np.searchsorted(plan.tool.time, begin)), len(plan.tool.time) - 1)
-        return stopping(float(plan.tool.time[k]), plan.tool.position[k], plan.tool.velocity[k], plan.acceleration), begin
+        return stopping(plan.tool, begin, plan.acceleration), begin
 
     def _count(self, fault: CorrectionFault, detail: str) -> InputError:
         self.refused[fault] += 1

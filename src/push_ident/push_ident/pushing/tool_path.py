@@ -24,8 +24,8 @@ _SHARE: Final = 0.8
 """Of the acceleration that a path may need [1]: the rest leads back to it."""
 _THERE, _CATCH_UP = 1e-4, 2.0
 """Distance from the end at which a motion is there [m], and the longest time to catch up with a path that is over [s]."""
-_BRAKING: Final = 17
-"""Points of a braking tool."""
+_BRAKING: Final = 16
+"""Points of a tool that brakes, and as many before."""
 _WINDOW: Final = np.linspace(-0.5, 0.5, 9)
 """Of the mean that rounds corners [1]."""
 
@@ -103,19 +103,20 @@ class ToolMotion:
         return np.asarray(self.velocity[k] / speed[k])
 
 
-def stopping(time: float, position: Float64Array, velocity: Float64Array, acceleration: float) -> ToolPath:
-    """The path of a tool that brakes to rest, on a straight line.
+def stopping(motion: ToolMotion, begin: float, acceleration: float) -> ToolPath:
+    """The path of a tool that brakes to rest along the motion that it makes: that was checked, a straight line would leave it in a bend.
 
     Args:
-        time: when it begins to [s].
-        position: of the tool then [m], shape (2,).
-        velocity: and its velocity [m/s], shape (2,).
+        motion: under way.
+        begin: when it begins to brake [s].
         acceleration: largest [m/s^2].
     """
-    braking = max(float(np.linalg.norm(velocity)) / (_SHARE * acceleration), _PERIOD)
-    after = np.linspace(0.0, braking, _BRAKING)
-    # As if it had come along that line before: what rounds the path looks back.
-    return ToolPath(time + np.append(-braking, after), position + np.outer(np.append(-braking, after - 0.5 * after**2 / braking), velocity))
+    k = min(int(np.searchsorted(motion.time, begin)), len(motion.time) - 1)
+    braking = max(float(np.linalg.norm(motion.velocity[k])) / (_SHARE * acceleration), _PERIOD)
+    after = np.linspace(-braking, braking, 2 * _BRAKING + 1)
+    # What rounds a path looks back: up to now, the tool comes along the motion.
+    reached = begin + np.where(after > 0.0, after - 0.5 * after**2 / braking, after)
+    return ToolPath(begin + after, np.column_stack([np.interp(reached, motion.time, column) for column in motion.position.T]))
 
 
 def rounded(
