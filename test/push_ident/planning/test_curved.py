@@ -84,6 +84,23 @@ def test_tool_without_unknowns_moves_as_if_fixed_to_the_object_on_its_path_and_w
     np.testing.assert_allclose(beside[-1] - seen[0], CIRCLE.speed * horizon.breaks[1] * turn @ [0.5, 0.3], atol=1e-9)
 
 
+def test_tool_that_would_be_too_fast_keeps_its_headings_at_the_largest_speed() -> None:
+    fast = PathGoal(CIRCLE.poses, 0.8 * SETTINGS.max_speed)
+    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], fast, 0.0)
+    start, horizon = start_of(plan), Horizon.of(fast.speed, 0.08, np.array([-0.1, 0.0]))
+    wanted = np.zeros((1, 3, N_SEGMENTS, 2))
+    wanted[0, 1, 0], wanted[0, 2, 0] = [0.9, 0.0], [-0.3, 0.0]
+    free = CurvedPushes(replace(SETTINGS, max_speed=10.0), fast).tool_paths(horizon, [start], wanted)[0]
+    held = CurvedPushes(SETTINGS, fast).tool_paths(horizon, [start], wanted)[0]
+    np.testing.assert_array_equal(held[[0, 2]], free[[0, 2]])
+    steps = [np.diff(path[1], axis=0)[1:] for path in (free, held)]
+    speed = [np.linalg.norm(step, axis=1) / np.diff(horizon.knots)[1:] for step in steps]
+    assert speed[0].max() > 1.2 * SETTINGS.max_speed
+    np.testing.assert_allclose(speed[1], np.minimum(speed[0], SETTINGS.max_speed), rtol=1e-9)
+    angle = [np.arctan2(step[:, 1], step[:, 0]) for step in steps]
+    np.testing.assert_allclose(wrap_angle(angle[0] - angle[1]), 0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("delay", [0.0, 0.01, 0.2])
 def test_unknowns_of_a_later_look_ahead_are_the_same_motion(delay: float) -> None:
     horizon = Horizon.of(0.1, 0.08, np.array([-PERIOD, 0.0]))

@@ -6,7 +6,7 @@ The tool moves as if it were fixed to an object that keeps to the path, and besi
 
 so the unknowns turn the tool's heading and change its speed, and with none the tool follows the path like the object. Gauss-Newton
 improves them: the residuals are the errors of the object along the path under each of several models, in tolerances, and the contact that
-slides to the end of its face, the tool that leaves the object, its corridor or its limits. All pushes, with one unknown changed in each,
+slides to the end of its face, the tool that leaves the object, its corridor or its workspace. All pushes, with one unknown changed in each,
 are simulated in one batch.
 """
 
@@ -25,11 +25,13 @@ from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
 
-__all__ = ["N_SEGMENTS", "CurvedPushes", "Face", "Horizon", "PushStart", "RolledPushes", "face_of", "never_late"]
+__all__ = ["N_LIMITS", "N_SEGMENTS", "CurvedPushes", "Face", "Horizon", "PushStart", "RolledPushes", "face_of", "never_late"]
 
 _BREAKS: Final = np.array([0.0, 0.15, 0.45, 1.0])
 """Where segments begin and end, as shares of the horizon [1]: the first is the one that will be made before all is planned anew."""
 N_SEGMENTS: Final = len(_BREAKS) - 1
+N_LIMITS: Final = 2
+"""Limits of a tool that have a residual each, the last ones: corridor and workspace."""
 _FRAMES: Final = 8
 """Poses along a push that are compared with the path."""
 _STEP_TRAVEL: Final = 0.0025
@@ -259,12 +261,24 @@ class CurvedPushes:
             (start, tangent, normal, length, opens),
         )
 
-    @staticmethod
-    def _tool(own: _Prepared, unknowns: Float64Array) -> Float64Array:
+    def _tool(self, own: _Prepared, unknowns: Float64Array) -> Float64Array:
         beside = own.offset + own.horizon.speed * _turned(own.turn, own.spent @ unknowns)
         moving = own.frame[..., :2] + _turned(own.frame_turn, beside)
         fixed = np.broadcast_to(own.lead[:, None], (len(own.lead), unknowns.shape[1], *own.lead.shape[1:]))
-        return np.concatenate([fixed, moving], axis=2)
+        return self._slowed(own.horizon, np.concatenate([fixed, moving], axis=2))
+
+    def _slowed(self, horizon: Horizon, tool: Float64Array) -> Float64Array:
+        """The same headings, no faster than the tool may be: who is too slow for the path is corrected again, and stays in contact."""
+        step, n_fixed = np.diff(tool, axis=2), len(horizon.lead) - 1
+        share = self._settings.max_speed * np.diff(horizon.knots) / np.maximum(np.hypot(step[..., 0], step[..., 1]), 1e-12)
+        share[..., :n_fixed] = 1.0
+        if np.all(share >= 1.0):
+            return tool
+        slower = tool[:, :, :1] + np.cumsum(step * np.minimum(share, 1.0)[..., None], axis=2)
+        # What is not too fast stays as it is, to the last bit.
+        too_fast = np.min(share, axis=-1) < 1.0
+        changed = np.where(too_fast[..., None, None], slower, tool[:, :, 1:])
+        return np.concatenate([tool[:, :, :1], changed], axis=2)
 
     def _roll(self, models: ModelBatch, own: _Prepared, unknowns: Float64Array) -> RolledPushes:
         n_starts, n_variants = unknowns.shape[:2]
@@ -283,11 +297,11 @@ class CurvedPushes:
             error = np.where(failed[..., None, None], _FAILED, error)
             poses = np.where(failed[..., None, None], own.wanted, poses)
             along_across = np.where(failed[..., None, None], 0.0, along_across)
-        residual = np.empty((*each, 5 * n_frames + 2 * N_SEGMENTS + 3))
+        residual = np.empty((*each, 5 * n_frames + 2 * N_SEGMENTS + N_LIMITS))
         residual[..., : 3 * n_frames] = (error / np.sqrt(n_frames)).reshape(*each, -1)
         residual[..., 3 * n_frames : 5 * n_frames] = self._contact(own, tool, poses).reshape(*each, -1)
-        residual[..., 5 * n_frames : -3] = (_DAMPING * unknowns).reshape(n_starts, n_variants, -1)
-        residual[..., -3:] = self._limits(own.horizon, tool)
+        residual[..., 5 * n_frames : -N_LIMITS] = (_DAMPING * unknowns).reshape(n_starts, n_variants, -1)
+        residual[..., -N_LIMITS:] = self._limits(own.horizon, tool)
         progress = np.where(failed[..., None], 0.0, own.place + along_across[..., 0])
         return RolledPushes(tool, poses, residual, np.hypot(error[..., 1], error[..., 2]), progress)
 
@@ -305,16 +319,13 @@ class CurvedPushes:
         return np.stack([share / _FACE_SCALE * beyond, share / _TOUCH_SCALE * gap], axis=-1)
 
     def _limits(self, horizon: Horizon, tool: Float64Array) -> Float64Array:
-        """Corridor, workspace and speed, each as far as it is violated most: shape (n_starts, n_variants, 3)."""
+        """Corridor and workspace, each as far as it is violated most: shape (n_starts, n_variants, N_LIMITS)."""
         x_min, x_max, y_min, y_max = self._settings.workspace
         outside = np.max(np.maximum(np.array([x_min, y_min]) - tool, tool - np.array([x_max, y_max])), axis=(-1, -2))
         corridor = np.zeros(tool.shape[:2])
         if self._corridor is not None:
             corridor = np.max(self._corridor.excess(tool[:, :, horizon.at_frames]), axis=-1)
-        step = np.diff(tool, axis=2)
-        speed = np.max(np.hypot(step[..., 0], step[..., 1]) / np.diff(horizon.knots), axis=-1)
-        too_fast = np.maximum(speed / self._settings.max_speed - 1.0, 0.0) * 10.0
-        return np.stack([corridor / _LIMIT_SCALE, np.maximum(outside, 0.0) / _LIMIT_SCALE, too_fast], axis=-1)
+        return np.stack([corridor / _LIMIT_SCALE, np.maximum(outside, 0.0) / _LIMIT_SCALE], axis=-1)
 
     def improve(
         self,

@@ -16,7 +16,7 @@ from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.physics.batch import ModelBatch
 from push_ident.planning.belief import Belief
-from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, RolledPushes, face_of
+from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Horizon, PushStart, RolledPushes, face_of
 from push_ident.planning.feasible import Surroundings, is_possible
 from push_ident.planning.library import Strokes, placed, strokes
 from push_ident.planning.model_weights import ModelWeights
@@ -214,5 +214,5 @@ def _worth(rolled: RolledPushes) -> Float64Array:
     steps = np.maximum(np.diff(progress, axis=-1, prepend=0.0), 0.0)
     way = np.cumsum(steps * square, axis=-1)
     cost = (_CONTACT + way + _CARRIED * square) / np.maximum(progress, 1e-9)
-    penalty = np.sum(rolled.residual[:, :, 0, -3:] ** 2, axis=-1)
+    penalty = np.sum(rolled.residual[:, :, 0, -N_LIMITS:] ** 2, axis=-1)
     return np.where((progress > _LEAST) & (penalty[..., None] < 1.0), cost, np.inf)

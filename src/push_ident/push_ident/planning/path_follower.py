@@ -15,7 +15,7 @@ import numpy as np
 
 from push_ident.geometry.se2 import compose, inverse
 from push_ident.planning.contact_tracking import ContactTracker
-from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, never_late
+from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Horizon, PushStart, never_late
 from push_ident.planning.model_weights import ModelWeights, touching
 from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.corridor import Corridor
@@ -68,7 +68,7 @@ class FollowStatus(Enum):
     GOING = "the tool goes on"
     ARRIVED = "the object is at the end of the path"
     NO_BETTER = "this contact does not keep the object on the path any more: push it elsewhere"
-    LEAVES = "the tool would leave the workspace, its corridor or its speed"
+    LEAVES = "the tool would leave the workspace or its corridor"
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,7 @@ class PathFollower:
         self._bad = (self._bad + (not is_late())) if hopeless else 0
         self._errors = [now] if tracker.was_displaced else [*self._errors, now][-self._n_errors :]
         self._time, self._tool = time + self._period + self._horizon.knots, rolled.tool[0, 0]
-        return Correction(self._status(rolled.residual[0, 0, 0, -3:]), self._time, self._tool, self._done, tracker.pose)
+        return Correction(self._status(rolled.residual[0, 0, 0, -N_LIMITS:]), self._time, self._tool, self._done, tracker.pose)
 
     def _status(self, limits: Float64Array) -> FollowStatus:
         if self._path.length - self._done < _ARRIVED:

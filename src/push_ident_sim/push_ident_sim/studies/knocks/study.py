@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from push_ident.planning.curved_planner import CurvedPathPlanner
 from push_ident.planning.path_planner import PathStatus
+from push_ident.planning.path_steps import PathSteps
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, new_figure, save
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
@@ -18,7 +18,7 @@ from push_ident_sim.studies.common.pushed import IDENTIFIED, TRUTH, UNIFORM, Pus
 from push_ident_sim.studies.common.random_objects import random_object
 from push_ident_sim.studies.common.reaching import causes_in_words, failures, share, share_in_words
 from push_ident_sim.studies.paths.run import is_followed
-from push_ident_sim.studies.paths.steered import Knock, follow_steered
+from push_ident_sim.studies.paths.steered import HALF_WIDTH, Knock, follow_steered
 
 __all__ = ["STUDY"]
 
@@ -32,7 +32,7 @@ _AIM = 3.0
 def _run(case: Case, settings: CaseSettings) -> Json:
     thing = plate_in_bullet(random_object(np.random.default_rng(case.model)))
     pushed = PushedObject(thing, case.variant, np.random.default_rng([case.model, 6]))
-    planner, runs = CurvedPathPlanner(pushed.truth.shape, pushed.settings), []
+    planner, runs = PathSteps(pushed.truth.shape, pushed.settings, HALF_WIDTH), []
     try:
         for name in _PATHS:
             for speed in _SPEEDS:
@@ -115,7 +115,7 @@ STUDY = Experiment(
     title="Displaced on the path",
     question=(
         "As along paths, on the line with the heading along it and on the circle. When the object is half-way, it is displaced by 40 mm to "
-        "the side of the path and turned by 0.117 rad, and the tool stays. The time until it is back for the first time, within 5 mm and 4 "
+        "the side of the path and turned by 0.117 rad; a tool that steers it stays where it is. The time until it is back for the first time, within 5 mm and 4 "
         "degrees of the path, is simulated, with 0.4 s of rest before and after each contact."
     ),
     objects=("uneven",),

@@ -1,4 +1,4 @@
-"""One object that is pushed along paths in Bullet, with the tool steered while it moves."""
+"""One object that is pushed along paths in Bullet as a goal of the cell would be: with the tool steered, or by straight pushes."""
 
 from __future__ import annotations
 
@@ -9,22 +9,30 @@ import numpy as np
 
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.planning.curved_planner import CurvedPathPlanner, CurvedPush
-from push_ident.planning.path_follower import FollowStatus
+from push_ident.planning.curved_planner import CurvedPush
+from push_ident.planning.path_follower import FollowStatus, PathFollower
 from push_ident.planning.path_goal import PathGoal
-from push_ident.planning.path_planner import PathStatus
+from push_ident.planning.path_planner import PathPush
+from push_ident.planning.path_steps import PathSteps
 from push_ident.types import Float64Array
+from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.studies.common.pushed import PushedObject
 from push_ident_sim.studies.paths.run import MOST_CONTACTS, PathOutcome, measure, named_path
 
-__all__ = ["PERIOD", "Knock", "follow_steered"]
+__all__ = ["HALF_WIDTH", "PERIOD", "Knock", "follow_steered"]
 
 PERIOD = 1.0 / 30.0
 """Of the camera [s]."""
+HALF_WIDTH = 0.06
+"""Of the corridor along a path [m]: the default of `goal_pushing_node`."""
 _TOLERANCE = 0.003, float(np.radians(2.0))
 """Errors that are aimed at [m], [rad]."""
 _SLOWEST = 4.0
 """A contact may take so many times as long as the path at its speed [1]."""
+_HALF = 0.5
+"""Share of the path after which the knock comes [1]."""
+_SEEN = 4
+"""Every so manyth pose of the engine is looked at."""
 _DISPLACED, _TURNED = 0.040, 0.117
 """By a knock [m], [rad]."""
 _BACK = np.array([0.005, np.radians(4.0)])
@@ -33,7 +41,7 @@ _BACK = np.array([0.005, np.radians(4.0)])
 
 @dataclass(slots=True)
 class Knock:
-    """Someone displaces the object half-way."""
+    """Someone displaces the object half-way, in a steered push or before a straight one."""
 
     at: float = np.inf
     """When, since the beginning, rests included [s]."""
@@ -49,7 +57,6 @@ class _Run:
     """What is under way."""
 
     pushed: PushedObject
-    planner: CurvedPathPlanner
     path: PathGoal
     outcome: PathOutcome
     knock: Knock | None
@@ -60,22 +67,26 @@ class _Run:
     processor: list[float] = field(default_factory=list)
 
 
-def follow_steered(pushed: PushedObject, planner: CurvedPathPlanner, name: str, speed: float, knock: Knock | None = None) -> PathOutcome:
+def follow_steered(pushed: PushedObject, planner: PathSteps, name: str, speed: float, knock: Knock | None = None) -> PathOutcome:
     """Push an object, put at the start of a path, along it."""
     path = replace(named_path(name, speed), position=_TOLERANCE[0], yaw=_TOLERANCE[1])
-    run, plans = _Run(pushed, planner, path, PathOutcome(name, speed), knock), 0
+    run, plans = _Run(pushed, path, PathOutcome(name, speed), knock), 0
     pushed.pose = path.poses[0].copy()
     while True:
         begun = time.process_time()
         plan = planner.plan(pushed.belief, pushed.observe()[0], path, run.done)
         run.outcome.planning_s, plans = run.outcome.planning_s + time.process_time() - begun, plans + 1
         run.done = plan.done
-        if plan.status is not PathStatus.PUSH or run.outcome.contacts >= MOST_CONTACTS:
+        if plan.contact is None or run.outcome.contacts >= MOST_CONTACTS:
             break
-        _one_contact(run, plan)
+        if plan.straight is not None:
+            _straight(run, plan.straight)
+        else:
+            assert plan.steered is not None and plan.follower is not None
+            _steered(run, plan.steered, plan.follower(PERIOD))
     outcome = run.outcome
     outcome.planning_s /= plans
-    outcome.end = plan.status.name if plan.status is not PathStatus.PUSH else "MAX_CONTACTS"
+    outcome.end = plan.status.name if plan.contact is None else "MAX_CONTACTS"
     if run.wall:
         outcome.correction_median_s, outcome.correction_p99_s = (float(v) for v in np.quantile(run.wall, [0.5, 0.99]))
         outcome.correction_processor_s = float(np.mean(run.processor))
@@ -84,11 +95,10 @@ def follow_steered(pushed: PushedObject, planner: CurvedPathPlanner, name: str, 
     return outcome
 
 
-def _one_contact(run: _Run, plan: CurvedPush) -> None:
+def _steered(run: _Run, plan: CurvedPush, follower: PathFollower) -> None:
     pushed, path = run.pushed, run.path
-    assert plan.time is not None and plan.tool is not None and plan.corridor is not None
+    assert plan.time is not None and plan.tool is not None
     pose, covariance = pushed.observe()
-    follower = run.planner.follower(pushed.belief, path, plan.corridor, PERIOD)
     follower.begin(plan.time, plan.tool, pose, covariance, run.done, plan.expected_error)
     pushed.touch(plan.tool[0])
     now = np.ceil(plan.time[1] / PERIOD) * PERIOD
@@ -106,34 +116,54 @@ def _one_contact(run: _Run, plan: CurvedPush) -> None:
             break
         now += PERIOD
         pushed.lead(correction.time, correction.tool, now)
-        if run.knock is not None:
-            _knock(run, run.knock, correction.tool[1], now)
+        if run.knock is not None and run.knock.pending and run.done > _HALF * path.length:
+            run.knock.pending, run.knock.at = False, run.outcome.time_s + now
+            pushed.knock(_displaced(run, correction.tool[1]))
+        else:
+            _see(run, now, pushed.pose)
+    _end_contact(run, pushed.let_go())
+
+
+def _straight(run: _Run, plan: PathPush) -> None:
+    pushed = run.pushed
+    assert plan.plan is not None
+    if run.knock is not None and run.knock.pending and run.done > _HALF * run.path.length:
+        # Between two contacts: the tool is away.
+        run.knock.pending, run.knock.at = False, run.outcome.time_s
+        pushed.pose = _displaced(run, None)
+        return
+    motion = pushed.push(plan.plan)
+    for now, pose in zip(motion.time[::_SEEN], motion.pose[::_SEEN], strict=True):
+        _see(run, float(now), pose)
+    _end_contact(run, motion)
+
+
+def _end_contact(run: _Run, motion: TrueMotion) -> None:
     if run.knock is not None and not run.knock.pending and not np.isfinite(run.knock.back):
         run.knock.contacts += 1
-    motion = pushed.let_go()
     run.way.append(motion.pose[::4])
     run.outcome.contacts += 1
-    run.outcome.time_s += pushed.duration(motion)
+    run.outcome.time_s += run.pushed.duration(motion)
 
 
-def _knock(run: _Run, knock: Knock, tool: Float64Array, now: float) -> None:
-    """Displace the object half-way, and see when it is back."""
-    clock, pushed = run.outcome.time_s + now, run.pushed
-    if knock.pending and run.done > 0.5 * run.path.length:
-        knock.pending, knock.at = False, clock
-        pushed.knock(_displaced(run, tool))
-    elif not knock.pending and not np.isfinite(knock.back):
-        _, error = run.path.error(pushed.pose, run.done, 0.1)
-        if np.all(error < _BACK):
-            knock.back = clock
+def _see(run: _Run, now: float, pose: Float64Array) -> None:
+    """Whether a displaced object is back."""
+    knock = run.knock
+    if knock is None or knock.pending or np.isfinite(knock.back):
+        return
+    _, error = run.path.error(pose, run.done, 0.1)
+    if np.all(error < _BACK):
+        knock.back = run.outcome.time_s + now
 
 
-def _displaced(run: _Run, tool: Float64Array) -> Float64Array:
-    """To the side of the path, where the tool is not in the way."""
+def _displaced(run: _Run, tool: Float64Array | None) -> Float64Array:
+    """To the side of the path, where the tool, if it is down, is not in the way."""
     pushed, direction = run.pushed, float(run.path.direction(run.done))
     for angle in np.radians([90.0, -90.0, 60.0, -60.0, 30.0, -30.0, 0.0]):
         along = direction + angle
         pose = pushed.pose + np.array([_DISPLACED * np.cos(along), _DISPLACED * np.sin(along), np.sign(angle) * _TURNED])
+        if tool is None:
+            return pose
         gap = signed_distance(tool[None], transform_points(pose, pushed.truth.shape.outline))[0] - pushed.settings.pusher_radius
         if gap > 1e-3:
             return pose

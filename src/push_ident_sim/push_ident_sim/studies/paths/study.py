@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from push_ident.planning.curved_planner import CurvedPathPlanner
 from push_ident.planning.path_planner import PathPlanner, PathStatus
+from push_ident.planning.path_steps import PathSteps
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, markdown_table, new_figure, save
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
@@ -18,7 +18,7 @@ from push_ident_sim.studies.common.pushed import GREEDY, IDENTIFIED, TRUTH, UNIF
 from push_ident_sim.studies.common.random_objects import random_object
 from push_ident_sim.studies.common.reaching import causes_in_words, failures, mean_of, share, share_in_words
 from push_ident_sim.studies.paths.run import PATHS, SPEED, follow, is_followed, named_path
-from push_ident_sim.studies.paths.steered import follow_steered
+from push_ident_sim.studies.paths.steered import HALF_WIDTH, follow_steered
 
 __all__ = ["STUDY"]
 
@@ -38,7 +38,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         if case.variant in (_STRAIGHT, GREEDY):
             straight = PathPlanner(pushed.truth.shape, pushed.settings, SPEED, greedy=case.variant == GREEDY)
             return {"paths": [follow(pushed, straight, name).values() for name in PATHS]}
-        planner = CurvedPathPlanner(pushed.truth.shape, pushed.settings)
+        planner = PathSteps(pushed.truth.shape, pushed.settings, HALF_WIDTH)
         speeds = {name: _SPEEDS if case.variant == IDENTIFIED and name in _AT_ALL_SPEEDS else (SPEED,) for name in PATHS}
         return {"paths": [follow_steered(pushed, planner, name, speed).values() for name in PATHS for speed in speeds[name]]}
     finally:
@@ -151,9 +151,10 @@ STUDY = Experiment(
     title="Along paths",
     question=(
         "Objects of random shape and uneven maps are pushed in Bullet along a line of 25 cm with a heading of 0.5 rad to it, the same line "
-        "with the heading along it (ahead), a circle of 8 cm radius and an eight of two such circles, with the heading along the path. The "
-        f"tool is steered: at each of 30 frames a second it is corrected, at {1e3 * SPEED:.0f} mm/s along the "
-        f"path, and where the object is identified, ahead and on the circle, at {', '.join(f'{1e3 * s:.0f}' for s in _SPEEDS)} mm/s. "
+        "with the heading along it (ahead), a circle of 8 cm radius and an eight of two such circles, with the heading along the path. "
+        "Pushes are planned as a goal of the cell plans them: where a contact can hold the object on the path, the tool is steered, at "
+        f"each of 30 frames a second; else a straight push is made. The speed is {1e3 * SPEED:.0f} mm/s along the path, and where the "
+        f"object is identified, ahead and on the circle, {', '.join(f'{1e3 * s:.0f}' for s in _SPEEDS)} mm/s. "
         "A correction is decided from one frame and begins with the next one. Frames have the noise of the camera and an error that "
         "lasts as long as the contact. A face can hold the object on a path only where the force that the path needs is within its cone of "
         "friction, on the face; else the contact is changed. RMS is that of the true pose from the nearest point of the path, over "
