@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from push_ident.planning.curved_planner import CurvedPathPlanner
 from push_ident.planning.path_planner import PathPlanner
+from push_ident.planning.path_steps import PathSteps
 from push_ident_sim.studies.common.experiment import Case, CaseResult
 from push_ident_sim.studies.common.plate import plate_in_bullet
 from push_ident_sim.studies.common.pushed import PushedObject
 from push_ident_sim.studies.common.random_objects import random_object
 from push_ident_sim.studies.paths.run import PATHS, SPEED, follow, named_path
-from push_ident_sim.studies.paths.steered import Knock, follow_steered
+from push_ident_sim.studies.paths.steered import HALF_WIDTH, Knock, follow_steered
 from push_ident_sim.studies.registry import EXPERIMENTS
 
 
@@ -33,12 +33,12 @@ def test_known_object_follows_a_line_in_bullet_and_the_page_says_how_closely(tmp
 
 def test_known_object_is_steered_along_a_line_in_one_contact_and_brought_back_to_it_after_a_knock(tmp_path: Path) -> None:
     pushed = PushedObject(plate_in_bullet(random_object(np.random.default_rng(3))), "truth", np.random.default_rng(5))
-    planner, knock = CurvedPathPlanner(pushed.truth.shape, pushed.settings, n_models=1, n_asked=1), Knock()
+    planner, knock = PathSteps(pushed.truth.shape, pushed.settings, HALF_WIDTH), Knock()
     steered = follow_steered(pushed, planner, "ahead", 0.2).values()
     knocked = follow_steered(pushed, planner, "ahead", 0.2, knock).values()
     pushed.close()
     assert steered["end"] == "ARRIVED" and steered["contacts"] == 1 and steered["rms_m"] < 0.003 and steered["rms_rad"] < np.radians(2.0)
-    assert knocked["end"] == "ARRIVED" and knocked["largest_m"] > 0.03 and knock.at > 0.5 and knock.back - knock.at < 10.0
+    assert knocked["end"] == "ARRIVED" and knocked["largest_m"] > 0.03 and knock.at > 0.5 and knock.back - knock.at < 3.0
     study = EXPERIMENTS["knocks"]
     runs = [knocked | {"back_s": 2.0, "contacts_to_be_back": 0}, knocked | {"back_s": None, "contacts_to_be_back": 3}]
     summary = study.summarise([CaseResult(Case("uneven", 1, "truth"), {"paths": runs})])

@@ -115,8 +115,8 @@ STUDY = Experiment(
     title="Displaced on the path",
     question=(
         "As along paths, on the line with the heading along it and on the circle. When the object is half-way, it is displaced by 40 mm to "
-        "the side of the path and turned by 0.117 rad; a tool that steers it stays where it is. The time until it is back for the first time, within 5 mm and 4 "
-        "degrees of the path, is simulated, with 0.4 s of rest before and after each contact."
+        "the side of the path and turned by 0.117 rad; a tool that steers it stays where it is. The time until it is back for the first "
+        "time, within 5 mm and 4 degrees of the path, is simulated, with 0.4 s of rest before and after each contact."
     ),
     objects=("uneven",),
     variants=(UNIFORM, IDENTIFIED, TRUTH),
