@@ -383,9 +383,11 @@ def test_record_of_a_later_push_says_that_the_one_before_has_none() -> None:
     assert not push.unrecorded and push.records[0].poses.time[0] > 4.0
 
 
-def test_samples_behind_the_end_of_a_record_that_came_before_them_belong_to_its_push() -> None:
+@pytest.mark.parametrize("lifted", [3.0, 4.0])
+def test_samples_behind_the_end_of_a_record_that_came_before_them_belong_to_its_push(lifted: float) -> None:
+    """Also where the tool stays down for a second."""
     records = [(2.9, record_of(2.0, 2.93)), (7.0, record_of(6.0, 6.95))]
-    first, second = play_with_records(records, pusher=[(2, 3), (6, 7)], end=20)
+    first, second = play_with_records(records, pusher=[(2, lifted), (6, 7)], end=8)
     assert [push.interval.push_id for push in (first, second)] == [1, 1] and not (first.unrecorded or second.unrecorded)
     assert first.records[0].poses.time[-1] == pytest.approx(3.4), "the poses at rest after it"
     assert second.records[0].poses.time[0] == pytest.approx(5.5)

@@ -2,7 +2,7 @@
 
 1. A push is an interval of time. A push record gives it. Where nobody writes records it is a run of pusher samples without a pause over
    `gap`. Where somebody does, a run without a record is no push: the executor ended in the middle of it, and nothing says what it made.
-   Samples up to `gap` behind the end of a record that came before them are the rest of its push.
+   Samples that go on, without a pause over `gap`, behind the end of a record that came before them are the rest of its push.
 2. A push owns the time between the midpoints to the intervals before and after it, those of failed pushes included.
 3. Of the poses that it owns, a push takes those up to `gap` around its interval. Where there is none at or before its start, it takes the
    last one before; where there is none at or after its end, the first one after; neither is farther than a minute.
@@ -377,8 +377,11 @@ class PushCutter:
         return [record for record in self._records if record.start < run.end and run.start < record.end]
 
     def _is_tail(self, run: _Run, end: float) -> bool:
-        """Whether a run is the rest of a push that ended at `end` [s]: samples behind the end of its record, which came before them."""
-        return end < run.end <= end + self._gap and not self._records_of(run)
+        """Whether a run is the rest of a push that ended at `end` [s]: samples behind the end of its record, which came before them.
+
+        However long it is: a busy executor may leave the tool down for seconds before it lifts it.
+        """
+        return end < run.end and run.start <= end + self._gap and not self._records_of(run)
 
     def _window(self) -> tuple[float, float]:
         """Rule 2, for the oldest push that was not handed out."""
