@@ -67,8 +67,8 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         client.wait_for_map(object_id, made)
         reports = [_diagnose(client, object_id)]
         asked: list[Json] = []
-        while not _is_settled(reports[-1]) and reports[-1].has_next_push and len(asked) < _MOST:
-            result = _make(client, _goal_of(reports[-1], object_id))
+        while (goal := _proposed(reports[-1], object_id)) is not None and len(asked) < _MOST:
+            result = _make(client, goal)
             asked.append({"code": int(result.error_code), "text": result.error_text, "distance2": reports[-1].next_push_mahalanobis2})
             made += result.error_code == PushCode.NONE
             client.wait_for_map(object_id, made)
@@ -97,15 +97,23 @@ def _make(client: CellClient, goal: ExecutePush.Goal) -> ExecutePush.Result:
     return client.execute_push(goal)
 
 
-def _goal_of(report: GapReport, object_id: str) -> ExecutePush.Goal:
+def _proposed(report: GapReport, object_id: str) -> ExecutePush.Goal | None:
+    """The push that a report asks for: to separate what is open, or since the pushes are too few to know. None where it asks for none."""
+    if not _is_settled(report) and report.has_next_push:
+        push = report.contact_point, report.direction, report.distance, report.speed
+    elif report.verdict == "no_gap" and report.more_pushes > 0 and report.has_first_push:
+        push = report.first_contact_point, report.first_direction, report.first_distance, report.first_speed
+    else:
+        return None
+    point, direction, distance, speed = push
     return ExecutePush.Goal(
         mode=ExecutePush.Goal.MODE_CONTACT,
         object_id=object_id,
         frame_id="table",
-        contact_point=report.contact_point,
-        direction=report.direction,
-        distance=report.distance,
-        speed=report.speed,
+        contact_point=point,
+        direction=direction,
+        distance=distance,
+        speed=speed,
     )
 
 
@@ -191,8 +199,9 @@ STUDY = Experiment(
     title="Settling an open diagnosis by further pushes",
     question=(
         "Can the cell find the cause of the gap without help? All nodes run live on the simulated cell, with an effect injected at its "
-        f"typical size and with depth images. After {_FIRST} random pushes `diagnose_gap` is called. While its verdict is open, "
-        f"`execute_push` makes the push that it proposes, at most {_MOST} times, and it is called again."
+        f"typical size and with depth images. After {_FIRST} random pushes `diagnose_gap` is called. While its verdict is open, or "
+        "nothing is found and it says that the pushes are too few to know, `execute_push` makes the push that it proposes, at most "
+        f"{_MOST} times, and it is called again."
     ),
     variants=_VARIANTS,
     run=_run,
