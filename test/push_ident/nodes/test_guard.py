@@ -21,6 +21,7 @@ from rclpy.context import Context
 from rclpy.executors import Executor, TimeoutException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -239,6 +240,26 @@ def test_a_subscription_destroyed_before_its_message_is_taken_does_not_block_the
     work()
     assert work.exception() is None and node.guard.refused == 0
     assert all(service.callback_group.can_execute(service) for service in node.services)
+
+
+def test_events_are_heard_although_they_are_looked_for_once_a_second(
+    picky: tuple[Picky, Executor, Publisher], capfd: pytest.CaptureFixture[str]
+) -> None:
+    _, executor, publisher = picky
+    context = Context()
+    rclpy.init(context=context, domain_id=executor.context.get_domain_id())
+    other = Node("other", context=context)
+    other.create_publisher(PoseStamped, "pose", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+    said, deadline, with_events = "", time.monotonic() + 20.0, []
+    while ("incompatible QoS" not in said or len(with_events) < 100) and time.monotonic() < deadline:
+        publisher.publish(PoseStamped())
+        executor.spin_once(timeout_sec=0.02)
+        with_events.append(executor._takes_events)
+        said += capfd.readouterr().err
+    other.destroy_node()
+    context.try_shutdown()
+    assert "incompatible QoS" in said
+    assert sum(with_events) < 0.5 * len(with_events)
 
 
 def test_no_node_has_a_raw_callback(tmp_path: Any) -> None:

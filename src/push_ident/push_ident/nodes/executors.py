@@ -2,20 +2,43 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, Final
 
 from rclpy.context import Context
+from rclpy.event_handler import EventHandler
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 
 __all__ = ["make_executor"]
 
 
+_EVENTS: Final = 1.0
+"""Time between two looks for events of publishers and subscriptions, which wait until then [s]: a QoS or a type that does not fit."""
+
+
 class _GuardedExecutor(Executor):  # type: ignore[misc]
     """Guards what callbacks themselves cannot: taking a message, sending an answer to a client that has gone, the work of rclpy around
-    actions and events. In rclpy such an error ends the process, or blocks a callback group for ever."""
+    actions and events. In rclpy such an error ends the process, or blocks a callback group for ever.
+
+    And looks for events once a second: rclpy builds a wait set for every message, in which they are most of the entities.
+    """
+
+    _next_events = 0.0
+    _takes_events = True
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        self._takes_events = time.monotonic() >= self._next_events
+        super().spin_once(timeout_sec)
+
+    def can_execute(self, entity: Any) -> bool:
+        if isinstance(entity, EventHandler):
+            if not self._takes_events:
+                return False
+            self._next_events = time.monotonic() + _EVENTS  # not before a wait set was built
+        return bool(super().can_execute(entity))
 
     def _make_handler(self, entity: Any, node: Any, take_from_wait_list: Callable[[Any], Any]) -> Any:
         return super()._make_handler(entity, node, lambda entity: _guarded(entity, node.guard, take_from_wait_list))

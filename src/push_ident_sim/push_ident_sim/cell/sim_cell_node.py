@@ -90,7 +90,8 @@ PARAMETERS: Final = (
     Parameter("real_time_factor", 1.0, "largest number of simulated seconds per second; 0: no limit", 0.0, 100.0),
     Parameter("robot", "", "robot file of the arm; empty: an iiwa with a closed hand", read_only=True),
     Parameter("time_step", 1.0 / 240.0, "of the simulation [s]", 1e-3, 1e-2, read_only=True),
-    Parameter("state_rate", 100.0, "of joint states, wrench and clock, in simulated time [Hz]", 10.0, 240.0, read_only=True),
+    Parameter("state_rate", 100.0, "of joint states and wrench, in simulated time [Hz]", 10.0, 240.0, read_only=True),
+    Parameter("clock_rate", 25.0, "of the clock, which wakes every node, in simulated time [Hz]", 10.0, 240.0, read_only=True),
     Parameter("camera_rate", 15.0, "of depth images, in simulated time [Hz]; 0: no camera", 0.0, 60.0, read_only=True),
     Parameter("camera_position", [0.55, 0.0, 0.85], "optical frame in the table frame, x y z [m]", -10.0, 10.0, read_only=True),
     Parameter(
@@ -170,6 +171,7 @@ class _SimCell(Component):
         self._world = CellWorld(thing, config, pose=values["start_pose"], robot=robot)
         self._camera_period = 1.0 / values["camera_rate"] if values["camera_rate"] > 0 else np.inf
         self._state_period, self._truth_period = 1.0 / values["state_rate"], 1.0 / values["truth_rate"]
+        self._clock_period = 1.0 / values["clock_rate"]
         self._state_rng, self._camera_rng, self._luck, self._truth_rng = np.random.default_rng(values["noise_seed"]).spawn(4)
         self._sensor = Sensor(values["sensor"], values["noise_seed"], values["depth_noise"])
         self._camera: DepthCamera | None = None
@@ -261,6 +263,9 @@ class _SimCell(Component):
             self._world.step()
         now = self._world.time
         self._meter.simulated = now
+        if now >= schedule.clock - 0.5 * step:
+            schedule.clock += self._clock_period
+            self._clock_pub.publish(Clock(clock=stamp_to_msg(now)))
         if now >= schedule.state - 0.5 * step:
             schedule.state += self._state_period
             with self._meter.measure("state topics"):
@@ -316,7 +321,6 @@ class _SimCell(Component):
         (force,) = reported_forces(self._world.config.effects, self._world.take_pusher_force()[None, :2])
         force = force + self._wrench_noise * self._state_rng.standard_normal(2)
         x, y, yaw = self._world.object_pose()
-        self._clock_pub.publish(Clock(clock=stamp))
         self._joint_pub.publish(joints)
         self._wrench_pub.publish(force_to_msg(stamp, force))
         self._truth_pub.publish(position_to_msg(stamp, [x, y, 0.0], yaw=float(yaw), frame_id=TABLE_FRAME))
@@ -416,6 +420,7 @@ class _SimCell(Component):
 class _Schedule:
     """Simulated times at which something is due [s]."""
 
+    clock: float = 0.0
     state: float = 0.0
     truth: float = 0.0
     image: float = 0.0
