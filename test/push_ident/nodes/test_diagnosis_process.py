@@ -29,7 +29,7 @@ def test_each_diagnosis_starts_at_the_latest_that_succeeded(monkeypatch: pytest.
     for name, value in {"diagnose": diagnose, "to_json": str, "end_with_parent": lambda: None}.items():
         monkeypatch.setattr(diagnosis_process, name, value)
     own, other = multiprocessing.Pipe()
-    thread = threading.Thread(target=diagnosis_process._run, args=(other,))
+    thread = threading.Thread(target=diagnosis_process.diagnose_requests, args=(other,))
     thread.start()
     answers = []
     for records in ("a", "bad", "worse", "b"):
@@ -49,7 +49,7 @@ def test_process_stays_until_it_is_stopped_and_is_replaced_when_it_was_killed() 
         stages: list[str] = []
         found = process.diagnose(*request, on_stage=stages.append, should_continue=lambda: should_continue)
         if found is not None:
-            ids.append(process._process.pid)
+            ids.append(process.pid)
             assert stages and found["verdict"]
         return found
 
@@ -60,6 +60,6 @@ def test_process_stays_until_it_is_stopped_and_is_replaced_when_it_was_killed() 
         os.waitid(os.P_PID, ids[0], os.WEXITED | os.WNOWAIT)
         assert diagnosed() is not None
         assert ids[0] == ids[1] != ids[2]
-        assert diagnosed(should_continue=False) is None and process._process is None
+        assert diagnosed(should_continue=False) is None and process.pid is None
     finally:
         process.stop()

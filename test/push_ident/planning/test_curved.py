@@ -242,7 +242,7 @@ def test_tool_is_where_a_diagnosed_offset_says() -> None:
     side, offset = float(MODEL.shape.outline[:, 0].min()), np.array([0.004, -0.002])
     tool = np.array([side - SETTINGS.pusher_radius, 0.01])
     (own,) = known().models
-    displaced = own._replace(effects=effect_values({"tool_offset": offset}))
+    displaced = BatchModel(own.body, own.pusher_friction, effects=effect_values({"tool_offset": offset}))
     for model, at in ((own, tool), (displaced, tool - offset)):
         tracker = ContactTracker(ModelBatch(MODEL.shape, [model], SETTINGS.pusher_radius), SETTINGS.pusher_radius, np.zeros(3), FRAME)
         tracker.see(np.zeros(3), FRAME, at)

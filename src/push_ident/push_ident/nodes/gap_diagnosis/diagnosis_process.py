@@ -16,7 +16,7 @@ from push_ident.nodes.lifetime import end_with_parent, stop_signals_blocked
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PushRecord
 
-__all__ = ["DiagnosisProcess"]
+__all__ = ["DiagnosisProcess", "diagnose_requests"]
 
 _STAGE, _DONE, _FAILED = "stage", "done", "failed"
 _POLL_INTERVAL: Final = 0.1
@@ -67,6 +67,11 @@ class DiagnosisProcess:
                 self.stop()
         return None
 
+    @property
+    def pid(self) -> int | None:
+        """Of the process; None while there is none."""
+        return None if self._process is None else self._process.pid
+
     def stop(self) -> None:
         """End the process at once, and forget the fits."""
         if self._process is not None and self._connection is not None:
@@ -82,7 +87,7 @@ class DiagnosisProcess:
             # A fork would copy the locks of the middleware's threads.
             context = multiprocessing.get_context("spawn")
             self._connection, other = context.Pipe()
-            self._process = context.Process(target=_run, args=(other,), daemon=True)
+            self._process = context.Process(target=diagnose_requests, args=(other,), daemon=True)
             # A Ctrl-C at the terminal reaches this process, too; the node ends it.
             with stop_signals_blocked():
                 self._process.start()
@@ -96,7 +101,8 @@ class DiagnosisProcess:
         return self._process.exitcode
 
 
-def _run(connection: Connection) -> None:
+def diagnose_requests(connection: Connection) -> None:
+    """What the process does: one diagnosis after the other, each starting at the fits of the latest one that succeeded."""
     end_with_parent()
     latest: Diagnosis | None = None
     while True:

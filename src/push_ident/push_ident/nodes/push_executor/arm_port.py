@@ -40,7 +40,7 @@ _GRACE = 0.03
 _PATIENCE = 1.0
 """How long an arm at rest may stay silent before a push is refused [s]."""
 _DISCOVERY = 5.0
-"""How long after the start of the node an arm may take to be heard at all [s]: on a busy machine DDS needs seconds to find a publisher."""
+"""And one that was never heard [s]: on a busy machine DDS needs seconds to find a publisher."""
 _STANDING = 0.02
 """An arm whose joints are all slower stands [rad/s]."""
 _MAX_JOINTS = 256
@@ -110,7 +110,6 @@ class ArmPort:
         self._kinematics: ArmKinematics | None = None
         self._planner: ArmKinematics | None = None
         self._state: ArmState | None = None
-        self._heard_by = time.monotonic() + _DISCOVERY
         self._stamp = Time()
         self._clock = ArmClock()
         self._reported: set[str] = set()
@@ -169,9 +168,9 @@ class ArmPort:
         Planning keeps the interpreter busy, so states may be taken in late for a moment: that is waited out here.
         """
         asked = time.monotonic()
-        patient_until = asked + _PATIENCE if self.state is not None else max(asked + _PATIENCE, self._heard_by)
+        patience = _DISCOVERY if self.state is None else _PATIENCE
         while self.state is None or self.state.received <= asked:
-            if time.monotonic() > patient_until:
+            if time.monotonic() - asked > patience:
                 return self.fresh_state(timeout)
             time.sleep(0.002)
         return self.state
