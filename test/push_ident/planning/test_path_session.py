@@ -19,6 +19,8 @@ from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathPush, PathStatus
 from push_ident.planning.path_session import PathSession
 from push_ident.planning.path_steps import PathStep, PathSteps
+from push_ident.planning.planner import GoalPush, PlanStatus
+from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import Float64Array
@@ -44,7 +46,7 @@ class Now:
 
 @dataclass
 class Push:
-    """A push that carries the object along the path for two seconds, 2 mm beside it."""
+    """A push that carries the object along the path for two seconds, beside it."""
 
     cell: Cell
     travel: float
@@ -59,7 +61,7 @@ class Push:
         return self.first + self.travel * min((self.cell.time - self.begun) / SECONDS, 1.0)
 
     def report(self) -> PushReport | None:
-        self.cell.pose = PATH.at(self.done) + np.array([0.0, 0.002, 0.0])
+        self.cell.pose = PATH.at(self.done) + np.array([0.0, self.cell.beside, 0.0])
         self.n_corrections = 30
         return PushReport(self.code, "as told", 1, self.begun) if self.cell.time >= self.begun + SECONDS else None
 
@@ -76,6 +78,10 @@ class Cell:
     pose: Float64Array = field(default_factory=lambda: PATH.poses[0].copy())
     steers: list[bool] = field(default_factory=list)
     """As each plan was asked for."""
+    targets: list[Float64Array] = field(default_factory=list)
+    """Poses that pushes to the end were planned for."""
+    beside: float = 0.002
+    """Of the path [m]: where the object is led."""
     unreachable: bool = False
     cancelled: bool = False
     wants: Wish = Wish.GO_ON
@@ -124,6 +130,11 @@ class Cell:
             return Now(PathStep(PathStatus.UNREACHABLE, now))
         return Now(PathStep(PathStatus.PUSH, now, STEERED if steers else None, None if steers else STRAIGHT))
 
+    def begin_plan(self, model: KnownModel, seen: TrackedObject, target: Target, obstacles: Any, failed: Any) -> Now:
+        self.targets.append(target.goal.pose)
+        self.beside = 0.0
+        return Now(GoalPush(PlanStatus.PUSH, 0.9, PUSH, target.goal.pose, target.goal.pose[None], 1.0))
+
     def _begin(self) -> Push:
         travel, code = self.travels.pop(0)
         place, _ = PATH.error(self.pose, 0.0, 1.0)
@@ -150,6 +161,16 @@ def test_path_is_followed_to_its_end_and_its_error_is_that_of_the_poses_on_the_w
     assert outcome.progress.corrections == 60 and cell.steers == [True, True, True]
     assert outcome.progress.path is PATH and outcome.progress.step is not None and outcome.progress.step.steered is STEERED
     np.testing.assert_allclose(outcome.progress.rms, [0.002, 0.0], atol=2e-4)
+
+
+def test_object_that_is_beside_the_end_of_its_path_is_pushed_there_as_to_a_goal() -> None:
+    cell = Cell([(0.12, PushCode.NONE), (0.0, PushCode.NONE)], beside=0.006)
+    outcome = follow(cell)
+    assert outcome.code is GoalCode.NONE and outcome.progress.pushes == 2 and outcome.progress.done == 1.0
+    np.testing.assert_array_equal(cell.targets, PATH.poses[-1:])
+    np.testing.assert_allclose(cell.pose, PATH.poses[-1], atol=1e-9)
+    limited = follow(Cell([(0.12, PushCode.NONE)], beside=0.006), max_pushes=1)
+    assert limited.code is GoalCode.MAX_PUSHES and limited.progress.done == 1.0
 
 
 def test_after_a_steered_push_that_brought_nothing_a_straight_one_comes_first() -> None:

@@ -1,4 +1,4 @@
-"""Pushing an object along a path: plan, push, correct on the way, until it is at the end."""
+"""Pushing an object along a path: plan, push, correct on the way, until it is at the end, and there as exactly as it was asked for."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from push_ident.planning.goal_session import Ended, GoalSession
 from push_ident.planning.path_goal import PathGoal, check_path
 from push_ident.planning.path_planner import PathStatus
 from push_ident.planning.path_steps import PathStep
+from push_ident.planning.planner import PlanStatus
 from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode
@@ -73,7 +74,8 @@ class PathSession(GoalSession):
             raise Ended(error.code, str(error)) from None
 
     def _is_there(self, seen: TrackedObject) -> bool:
-        return self._arrived or self._path.length - self._done < _LEAST
+        at_end = self._arrived or self._path.length - self._done < _LEAST
+        return at_end and self._target.is_reached(seen.pose, seen.covariance)
 
     def _compare(self, seen: TrackedObject) -> None:
         _, error = self._path.error(seen.pose, self._done, _AHEAD)
@@ -90,8 +92,19 @@ class PathSession(GoalSession):
             step = self._next_step(seen)
             if step.status is PathStatus.ARRIVED:
                 self._arrived, self.progress.done = True, 1.0
+                self._end_at_pose(seen)
                 return
             seen = self._make(seen, step)
+
+    def _end_at_pose(self, seen: TrackedObject) -> None:
+        """The end of a path is a pose: where the object is beside it, it is pushed there as to any goal."""
+        while not self._is_there(seen):
+            seen = self._certain(seen)
+            plan = self._plan(seen)
+            if plan.status is PlanStatus.ARRIVED:
+                return
+            self.progress.step = self.progress.tool = None
+            seen = self._push_to_goal(seen, plan)
 
     def _next_step(self, seen: TrackedObject) -> PathStep:
         self._check_pushes()
