@@ -45,6 +45,6 @@ def test_object_is_pushed_along_a_line_in_the_live_simulated_cell(tmp_path: Path
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     content = json.loads((tmp_path / "path.json").read_text())
     assert content["reached"] and content["kind"] == "path" and content["done"] == 1.0
-    # One contact holds the object for the whole way or nearly so, where straight pushes need some five.
+    # One contact or two hold the object for the whole way, where straight pushes need some five; one or two more end at the last pose.
     assert content["n_corrections"] > 20 and content["n_pushes"] <= 4
     assert content["rms_position_m"] < 0.003 and content["rms_yaw_rad"] < np.radians(2.0)
