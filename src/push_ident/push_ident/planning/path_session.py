@@ -14,7 +14,7 @@ from push_ident.planning.goal_ports import GoalProgress, GoalRequest, GoalState,
 from push_ident.planning.goal_session import Ended, GoalSession
 from push_ident.planning.path_goal import PathGoal, check_path
 from push_ident.planning.path_planner import PathStatus
-from push_ident.planning.path_steps import PathStep
+from push_ident.planning.path_steps import PathStep, may_steer_after
 from push_ident.planning.planner import PlanStatus
 from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
@@ -26,8 +26,6 @@ _AHEAD: Final = 0.05
 """How far along the path the object may come between two poses [m]."""
 _LEAST: Final = 0.004
 """Nearer to the end of the path than this no push is planned [m], as by both planners."""
-_STUCK: Final = 0.005
-"""A steered push that brings the object less far along the path is no use there [m]."""
 
 
 class _Watched:
@@ -142,8 +140,7 @@ class PathSession(GoalSession):
             self._refusals = 0
         else:
             self._take_failure(report, contact)
-        # Where steering brought nothing, a straight push comes first before it is tried again.
-        self._steers = step.steered is None or self._done > before + _STUCK
+        self._steers = may_steer_after(step, before, self._done)
         return self._after_push(seen, report)
 
     def _take_done(self, done: float) -> None:

@@ -19,10 +19,12 @@ from push_ident.planning.path_planner import PathPlanner, PathPush, PathStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["PathStep", "PathSteps"]
+__all__ = ["PathStep", "PathSteps", "may_steer_after"]
 
 _BEARABLE: Final = 1.0
 """Root of the mean square error of a steered push, under the most probable model, up to which nothing else is looked for [tolerances]."""
+_STUCK: Final = 0.005
+"""A steered push that brings the object less far along the path is no use there [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,3 +97,14 @@ class PathSteps:
         if self._straight is None or self._straight[0] != speed:
             self._straight = speed, PathPlanner(self._shape, self._settings, speed)
         return self._straight[1]
+
+
+def may_steer_after(step: PathStep, before: float, done: float) -> bool:
+    """Whether the push after this one may be steered: where steering brought nothing, a straight push comes first.
+
+    Args:
+        step: the push that was made.
+        before: length of path that was behind then [m].
+        done: and that is behind now [m].
+    """
+    return step.steered is None or done > before + _STUCK

@@ -13,7 +13,7 @@ from push_ident.planning.curved_planner import CurvedPush
 from push_ident.planning.path_follower import FollowStatus, PathFollower
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathPush
-from push_ident.planning.path_steps import PathSteps
+from push_ident.planning.path_steps import PathSteps, may_steer_after
 from push_ident.types import Float64Array
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.studies.common.pushed import PushedObject
@@ -70,11 +70,11 @@ class _Run:
 def follow_steered(pushed: PushedObject, planner: PathSteps, name: str, speed: float, knock: Knock | None = None) -> PathOutcome:
     """Push an object, put at the start of a path, along it."""
     path = replace(named_path(name, speed), position=_TOLERANCE[0], yaw=_TOLERANCE[1])
-    run, plans = _Run(pushed, path, PathOutcome(name, speed), knock), 0
+    run, plans, steers = _Run(pushed, path, PathOutcome(name, speed), knock), 0, True
     pushed.pose = path.poses[0].copy()
     while True:
         begun = time.process_time()
-        plan = planner.plan(pushed.belief, pushed.observe()[0], path, run.done)
+        plan = planner.plan(pushed.belief, pushed.observe()[0], path, run.done, steers=steers)
         run.outcome.planning_s, plans = run.outcome.planning_s + time.process_time() - begun, plans + 1
         run.done = plan.done
         if plan.contact is None or run.outcome.contacts >= MOST_CONTACTS:
@@ -84,6 +84,7 @@ def follow_steered(pushed: PushedObject, planner: PathSteps, name: str, speed: f
         else:
             assert plan.steered is not None and plan.follower is not None
             _steered(run, plan.steered, plan.follower(PERIOD))
+        steers = may_steer_after(plan, plan.done, run.done)
     outcome = run.outcome
     outcome.planning_s /= plans
     outcome.end = plan.status.name if plan.contact is None else "MAX_CONTACTS"
