@@ -393,6 +393,18 @@ def test_samples_behind_the_end_of_a_record_that_came_before_them_belong_to_its_
     assert second.records[0].poses.time[0] == pytest.approx(5.5)
 
 
+def test_run_after_a_pause_of_just_the_gap_is_a_push_where_nobody_writes_records() -> None:
+    """By rounding the pause is more than the gap, and the run begins no later than the gap allows."""
+    assert 2.2 - 1.7 > 0.5 and 2.2 <= 1.7 + 0.5
+    cutter = PushCutter(0.5)
+    cutter.set_shape("o1", hammer_shape())
+    for time in times(0, 6):
+        cutter.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
+    for time in (1.6, 1.65, 1.7, 2.2, 2.25, 2.3, 2.9, 2.95, 3.0):
+        cutter.add_pusher(time, np.array([0.1 * time, 0.2]))
+    assert len(cutter.finished(flush=True)) == 3
+
+
 def test_push_during_which_the_pusher_paused_is_handed_out_once() -> None:
     pushes = play_with_records([(5.0, record_of(2.0, 4.5))], pusher=[(2, 3), (3.8, 4.5)], end=20)
     assert len(pushes) == 1

@@ -23,7 +23,7 @@ class _GuardedExecutor(Executor):  # type: ignore[misc]
     """Guards what callbacks themselves cannot: taking a message, sending an answer to a client that has gone, the work of rclpy around
     actions and events. In rclpy such an error ends the process, or blocks a callback group for ever.
 
-    And looks for events once a second: rclpy builds a wait set for every message, in which they are most of the entities.
+    And looks for events once a second: rclpy builds a wait set for every message, and each publisher and subscription has two of them.
     """
 
     _next_events = 0.0

@@ -379,9 +379,10 @@ class PushCutter:
     def _is_tail(self, run: _Run, end: float) -> bool:
         """Whether a run is the rest of a push that ended at `end` [s]: samples behind the end of its record, which came before them.
 
-        However long it is: a busy executor may leave the tool down for seconds before it lifts it.
+        However long it is, where a push would have a record: a busy executor may leave the tool down for seconds before it lifts it.
         """
-        return end < run.end and run.start <= end + self._gap and not self._records_of(run)
+        goes_on = run.end <= end + self._gap or (run.expects_record and run.start <= end + self._gap)
+        return end < run.end and goes_on and not self._records_of(run)
 
     def _window(self) -> tuple[float, float]:
         """Rule 2, for the oldest push that was not handed out."""
