@@ -214,8 +214,10 @@ def send(cell: Cell, **fields: object) -> Call:
     return Call(handle, handle.get_result_async(), feedback)
 
 
-def start_node(domain: int, **parameters: object) -> subprocess.Popen[str]:
+def start_node(domain: int, remap: tuple[str, str] | None = None, **parameters: object) -> subprocess.Popen[str]:
     arguments = [item for name, value in (QUICK | parameters).items() for item in ("-p", f"{name}:={value}")]
+    if remap is not None:
+        arguments += ["-r", f"{remap[0]}:={remap[1]}"]
     return subprocess.Popen(
         [sys.executable, "-m", "push_ident.nodes", "push_executor_node", "--ros-args", *arguments],
         env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},

@@ -197,8 +197,10 @@ def test_path_is_followed_with_corrections_that_the_executor_takes(cell: GoalCel
     assert result.done == 1.0 and result.corrections >= 1 and result.rms_position < 0.006 and result.rms_yaw < 0.02
     assert (cell.box[:2] - first[:2]) @ along[:2] == pytest.approx(0.08, abs=0.008)
     made = [record for record in cell.records if record.error_code == 0]
-    assert sum(record.distance for record in made) == pytest.approx(0.08, abs=0.015)
-    assert all(record.direction == pytest.approx(0.3, abs=0.1) for record in made)
+    ahead = [record.direction == pytest.approx(0.3, abs=0.1) for record in made]
+    assert sum(record.distance for record, is_ahead in zip(made, ahead, strict=True) if is_ahead) == pytest.approx(0.08, abs=0.015)
+    # A box that came to the end of the path beside its last pose is pushed there, from wherever that is: short pushes.
+    assert all(is_ahead or record.distance < 0.02 for record, is_ahead in zip(made, ahead, strict=True))
     # Shown: the path all the time, and the tool as it is steered.
     wait_for(lambda: cell.drawings and cell.drawings[-1] is None)
     shown = [drawing for drawing in cell.drawings[n_shown:] if drawing is not None]

@@ -9,9 +9,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from std_msgs.msg import String
 
 from helpers.executor_cell import (
     CONTACT,
+    LATCHED,
     QUICK,
     Cell,
     Stalls,
@@ -134,6 +136,29 @@ def test_executor_that_has_just_started_waits_for_the_first_joint_states(
     the_cell.silent = False
     result = call.end()
     assert result.error_code == 0, result.error_text
+
+
+def test_executor_takes_the_description_that_comes_after_the_first_request(
+    domain: int, the_cell: Cell, node: subprocess.Popen[str], processes: list[subprocess.Popen[str]]
+) -> None:
+    """Of a cell that has just started the topics come in any order: here a goal, the joint states and then their description."""
+    node.kill()
+    node.wait(5.0)
+    the_cell.diagnostics.clear()
+    processes.append(start_node(domain, remap=("robot_description", "later_description")))
+    later = the_cell.create_publisher(String, "later_description", LATCHED)
+    try:
+        wait_for(lambda: any("objects: box" in summary(m) for m in list(the_cell.diagnostics)), 60.0)
+        call = send(the_cell, **CONTACT)
+        time.sleep(1.0)
+        assert not call.result.done(), call.end()
+        later.publish(String(data=robot_description()))
+        result = call.end()
+        assert result.error_code == 0, result.error_text
+    finally:
+        the_cell.destroy_publisher(later)
+        processes[-1].kill()
+        processes[-1].wait(5.0)
 
 
 def test_motion_that_was_not_watched_for_long_does_not_go_on(the_cell: Cell, node: subprocess.Popen[str]) -> None:

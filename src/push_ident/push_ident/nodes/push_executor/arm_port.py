@@ -137,9 +137,12 @@ class ArmPort:
     def planner(self) -> ArmKinematics:
         """Kinematics for planning, not those of the joint state callback. Raises PlanningError ARM_SILENT before there are any."""
         if self._planner is None:
-            topic = self._node.resolve_topic_name("robot_description")
-            raise PlanningError(PushCode.ARM_SILENT, f"no robot description received on {topic}; is the arm's driver running?")
+            raise self._no_description()
         return self._planner
+
+    def _no_description(self) -> PlanningError:
+        topic = self._node.resolve_topic_name("robot_description")
+        return PlanningError(PushCode.ARM_SILENT, f"no robot description received on {topic}; is the arm's driver running?")
 
     @property
     def silence(self) -> float:
@@ -157,6 +160,8 @@ class ArmPort:
         while self.silence > limit and time.monotonic() < deadline:
             time.sleep(0.002)
         state, silence = self.state, self.silence
+        if state is None and self._planner is None:
+            raise self._no_description()  # states cannot be read without one
         if state is None or silence > limit:
             since = "yet" if state is None else f"for {1e3 * silence:.0f} ms, and the arm must be held after {1e3 * timeout:.0f} ms"
             raise PlanningError(PushCode.ARM_SILENT, f"no joint states on {self._node.resolve_topic_name('joint_states')} {since}.")
@@ -209,7 +214,9 @@ class ArmPort:
 
     def _use_offered(self) -> None:
         """Use the latest description, unless the arm moves or may be moved with the one before; refuse one that does not fit the arm."""
-        if not self._offered or self.description_fault or self._n_users or not self._is_standing:
+        is_waiting = self._planner is None  # a push may have been asked for before anything was heard: it needs the first description
+        is_free = is_waiting or (self._is_standing and not self._n_users)
+        if not self._offered or self.description_fault or not is_free:
             return
         try:
             self._use(self._offered)
