@@ -27,6 +27,7 @@ import numpy as np
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.policy import AccountPolicy
 from push_ident.diagnosis.threads import map_in_threads
+from push_ident.identification.covariance import lower_root
 from push_ident.identification.fit import Fit
 from push_ident.identification.next_push import CHATTER
 from push_ident.identification.observation import NoiseModel, Observation
@@ -205,15 +206,15 @@ def _errors_of_fold(fit: Fit, pushes: Sequence[int], problem: FitProblem, policy
     # The same for every push and every fold, so that the means over the pushes show what pushes have in common. Cholesky's root gives the
     # maps the same draws whatever effects follow them.
     normal = policy.posterior_scale * np.random.default_rng(0).normal(size=(policy.draws, fit.unknowns.size))
-    drawn = [fit.unknowns.mechanics(z) for z in fit.z + normal @ np.linalg.cholesky(fit.covariance).T]
+    drawn = [fit.unknowns.mechanics(z) for z in fit.z + normal @ lower_root(fit.covariance).T]
     mean = fit.unknowns.mechanics(fit.z)
     floor = (problem.noise or NoiseModel()).floor
     errors = np.full((len(pushes), 3, policy.draws), np.nan)
     for row, push in enumerate(pushes):
         record, observed = problem.records[push], problem.observations[push]
         first, last, discrepancy = np.random.default_rng([1, push]).normal(size=(3, policy.draws, 3))
-        starts = observed.pose[0] + first @ np.linalg.cholesky(observed.first_covariance - floor).T
-        last = last @ np.linalg.cholesky(observed.last_covariance - floor).T
+        starts = observed.pose[0] + first @ lower_root(observed.first_covariance - floor).T
+        last = last @ lower_root(observed.last_covariance - floor).T
         discrepancy = discrepancy * np.sqrt(np.diag(floor) + observed.discrepancy[-1] ** 2)
         end_of = _EndPoses(record, observed, problem.settings, mean)
         with_maps = last + [end_of(model, start) for model, start in zip(drawn, starts, strict=True)]

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from push_ident.errors import InputError, PushIdentError
+from push_ident.identification.covariance import lower_root
 from push_ident.identification.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.prediction import cell_displacement
 from push_ident.identification.problem import RunAll
@@ -290,7 +291,7 @@ def _value(mean: Mechanics, scale: Float64Array, models: Sequence[_PossibleModel
     if record is not None:
         observation = observe_push(record, options.noise)
         sensitivities = [_sensitivity(model.mechanics, push, observation, options.numerics) @ scale for model in models]
-        roots = [np.asarray(np.linalg.cholesky(identity + rows.T @ rows)) for rows in sensitivities]
+        roots = [lower_root(identity + rows.T @ rows) for rows in sensitivities]
     at_mean = solve_triangular(roots[0], scale.T, lower=True)
     return PushValue(
         push=push,
@@ -311,7 +312,7 @@ def _sensitivity(mechanics: Mechanics, push: PlannedPush, observation: Observati
     whitened = np.einsum("fij,fjp->fip", observation.whitening, motion.jacobian)
     by_first = whitened[:, :, :3].reshape(-1, 3)
     in_deviations = by_first @ np.linalg.cholesky(observation.first_covariance)
-    if np.sum(in_deviations**2) > CHATTER**2 * len(observation.time):
+    if not np.sum(in_deviations**2) <= CHATTER**2 * len(observation.time):
         return nothing
     by_z = (whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]).reshape(-1, size)
     explained, _ = np.linalg.qr(by_first)

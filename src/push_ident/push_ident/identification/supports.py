@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from push_ident.identification.covariance import lower_root
 from push_ident.identification.result import ModelPosterior
 from push_ident.types import Float64Array
 
@@ -38,7 +39,7 @@ def supports(posterior: ModelPosterior) -> tuple[Support, ...]:
     if not unknowns.prior.feet:
         return ()
     mean = unknowns.feet(posterior.z)
-    root = np.linalg.cholesky(posterior.covariance)
+    root = lower_root(posterior.covariance)
     draws = np.random.default_rng(0).normal(size=(_DRAWS, unknowns.size)) @ root.T
     drawn = [unknowns.feet(posterior.z + step) for step in draws]
     place_std = np.std([feet.place for feet in drawn], axis=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import traceback
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from typing import Any, Final
@@ -122,4 +123,5 @@ def diagnose_requests(connection: Connection) -> None:
         except PushIdentError as error:
             connection.send((_FAILED, str(error)))
         except Exception as error:
+            traceback.print_exc()  # nobody expected it: the log of the node says where it happened
             connection.send((_FAILED, f"{type(error).__name__}: {error}"))
