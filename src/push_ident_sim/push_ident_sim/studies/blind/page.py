@@ -146,8 +146,8 @@ def _same_cases(compared: Json) -> list[str]:
     ]
 
 
-def draw(summary: Json, folder: Path) -> dict[str, str]:
-    """Write the confusion matrix into a folder."""
+def draw(summary: Json, folder: Path, name: str = "blind") -> dict[str, str]:
+    """Write the confusion matrix into a folder, under the name of the study."""
     confusion: dict[str, dict[str, int]] = summary.get("confusion", {})
     if not confusion:
         return {}
@@ -164,8 +164,8 @@ def draw(summary: Json, folder: Path) -> dict[str, str]:
     ax.set_yticks(range(len(rows)), rows, fontsize=8)
     ax.set_xlabel("first name given")
     ax.set_ylabel("truth")
-    save(figure, folder / "blind.png")
+    save(figure, folder / f"{name}.png")
     return {
-        "blind.png": "Cases by truth and by the first name given; colours are shares of a row. "
+        f"{name}.png": "Cases by truth and by the first name given; colours are shares of a row. "
         "Single effects of detectable size, nulls, and effects outside the catalogue."
     }

@@ -1,0 +1,1 @@
+"""Experiment: the diagnosis on sealed cases through the camera."""
