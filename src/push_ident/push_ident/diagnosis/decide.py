@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from push_ident.diagnosis.fits import BASE_WITH_FORCES
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.policy import SelectionPolicy
@@ -32,7 +33,7 @@ def decide(state: DiagnosisState) -> DiagnosisState:
         last = effects[-1].name
         sets = {**sets, last: (*sets.get(last, ()), SOMETHING_ELSE)}
     verdict = Verdict.UNKNOWN if is_unknown else verdict_of(effects, sets)
-    negligible = () if is_unknown else _negligible_effects(selection, settings.base_effects)
+    negligible = () if is_unknown else _negligible_effects(selection, (*settings.base_effects, *BASE_WITH_FORCES))
     return replace(state, decision=Decision(verdict, effects, negligible, sets))
 
 

@@ -17,9 +17,9 @@ from push_ident.identification.unknowns import Unknowns
 from push_ident.physics.effects import EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array, PushRecord
 
-__all__ = ["fit_base", "fit_effects", "polished", "with_another", "without_pushes"]
+__all__ = ["BASE_WITH_FORCES", "fit_base", "fit_effects", "polished", "with_another", "without_pushes"]
 
-_BASE_WITH_FORCES: Final = tuple(name for name in FORCE_CAUSES if EFFECTS[name].delays_forces)
+BASE_WITH_FORCES: Final = tuple(name for name in FORCE_CAUSES if EFFECTS[name].delays_forces)
 """Effects that belong to the base model where forces are measured: contacts that give delay them, and nothing is wrong."""
 _MAX_ITERATIONS: Final = 40
 """Of a fit that starts from another one."""
@@ -48,7 +48,7 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings, earlier
     # Errors of a force sensor are looked for at their own size, not at that which a tare leaves.
     effect_std = {name: [p.scale for p in EFFECTS[name].parameters] for name in FORCE_CAUSES} | settings.effect_std
     prior = settings.base_prior.felt_in(records)
-    late = [name for name in _BASE_WITH_FORCES if prior.force_offset_std > 0 and name not in settings.base_effects]
+    late = [name for name in BASE_WITH_FORCES if prior.force_offset_std > 0 and name not in settings.base_effects]
     unknowns = Unknowns(records[0].shape, prior, effects=[*settings.base_effects, *late], effect_std=effect_std)
 
     problem = FitProblem(records, unknowns, noise=settings.noise, settings=settings.numerics, run_all=map_in_threads)

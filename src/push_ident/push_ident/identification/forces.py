@@ -4,7 +4,7 @@ A mean over a window averages the noise of the sensor and what hands and contact
 the engine gives with its exact derivative. What the samples scatter from one to the next is the noise of the sensor. The model itself is
 wrong by a share of the force, since no law of friction is exact; the windows of a push share this discrepancy. Where a force comes
 or goes it takes its time, which a rigid contact does not. A pusher that stands still against the object may press it with any force up to
-friction: what is measured then says nothing of the object.
+friction: what is measured then says nothing of the object, nor does a window with a part of that.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class ForceObservation:
     """Mean of each [N], shape (n, 2), table frame."""
     std: Float64Array
     """Standard deviation of each component, the discrepancy of the model included [N], shape (n,); infinite where nothing was measured, and
-    where the pusher stands still against the object."""
+    where the pusher stands still against the object at some time."""
 
     def times(self, effects: EffectValues) -> Float64Array:
         """When the forces at `edges` were measured [s], shape (n + 1,)."""
@@ -107,7 +107,7 @@ def observe_forces(record: PushRecord, noise: NoiseModel | None = None) -> Force
 
 
 def _leans(record: PushRecord, edges: Float64Array) -> BoolArray:
-    """Windows in which the pusher stands still where it may touch the object, after it drove there, shape (n,)."""
+    """Windows in a part of which the pusher stands still where it may touch the object, after it drove there, shape (n,)."""
     pusher = record.pusher
     gap, speed = pusher_gaps(record), np.linalg.norm(np.gradient(pusher.position, pusher.time, axis=0), axis=1)
     slow = DRIVING * max(float(speed.max()), 1e-9)
@@ -115,8 +115,9 @@ def _leans(record: PushRecord, edges: Float64Array) -> BoolArray:
     arrived = pusher.time[(gap < near) & (speed > slow)]
     if not len(arrived):
         return np.zeros(len(edges) - 1, dtype=bool)
-    at = np.column_stack([np.interp(edges, pusher.time, pusher.position[:, axis]) for axis in (0, 1)])
-    stands = np.linalg.norm(np.diff(at, axis=0), axis=1) < slow * np.diff(edges)
+    standing = np.append(pusher.time[speed < slow], edges[np.interp(edges, pusher.time, speed) < slow])
+    standing.sort()
+    stands = np.searchsorted(standing, edges[1:], side="right") > np.searchsorted(standing, edges[:-1], side="left")
     nearest = np.minimum(*(np.interp(own, pusher.time, gap) for own in (edges[:-1], edges[1:])))
     return np.asarray(stands & (nearest < near) & (edges[:-1] > arrived[0]))
 
