@@ -49,7 +49,7 @@ MINUTES ?= 60
 fuzz: setup  ## mutated messages, bags and depth frames for nodes, commands and perception, MINUTES=60; then docs/results/fuzzing.md
 	$(VENV)/push-ident fuzz --minutes $(MINUTES) --cases test/push_ident_sim/fuzz/cases --page docs/results/fuzzing.md
 
-blind: setup  ## the diagnosis on sealed cases of two other engines (two hours; the seeds of the published pages), then the page
+blind: setup  ## the diagnosis on sealed cases of two other engines (an hour and a half; the seeds of the published pages), then the page
 	$(VENV)/push-ident experiment blind --seed 31000 --models 20 --variants 14-pushes,6-chosen,camera,engines --json docs/results/experiments/blind.json
 	$(VENV)/push-ident experiment blind-camera --seed 37000 --models 12 --json docs/results/experiments/blind-camera.json
 	$(VENV)/push-ident experiment report
