@@ -26,7 +26,8 @@ def test_forces_become_means_over_windows_with_their_noise() -> None:
     assert seen.edges[0] == pytest.approx(0.0) and seen.edges[-1] == 2.0
     assert np.abs(seen.force - [3.0, -1.0]).max() < 0.4
     # 0.3 N over 10 samples, and 10 % of 3.2 N in twice as many windows as share it.
-    assert np.median(seen.std[np.isfinite(seen.std)]) == pytest.approx(np.hypot(0.3 / np.sqrt(10), np.sqrt(2) * 0.1 * np.hypot(3, 1)), rel=0.1)
+    expected = np.hypot(0.3 / np.sqrt(10), np.sqrt(2) * 0.1 * np.hypot(3, 1))
+    assert np.median(seen.std[np.isfinite(seen.std)]) == pytest.approx(expected, rel=0.1)
     assert observe_forces(record) is None
 
 
