@@ -1,7 +1,8 @@
 """Where to push an object that shall follow a path in as few contacts as possible, by pushes that curve.
 
 At each contact of the outline the tool would move as if fixed to the object on its path; `CurvedPushes` improves that for a stretch of path
-ahead. As with straight pushes, a push is worth J = (c + sum of e^2 + l e_end^2) / progress, cut off where that is least.
+ahead. A push costs c + sum of e^2 + l e_end^2, as a straight one does (`path_planner.py`); contacts are compared by their cost for each
+metre, cut off where that is least, but no sooner than what corrects a push looks ahead: it would give the contact up at once.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Horiz
 from push_ident.planning.feasible import Surroundings, is_possible
 from push_ident.planning.library import Strokes, placed, strokes
 from push_ident.planning.model_weights import ModelWeights
-from push_ident.planning.path_follower import PathFollower, guesses_around
+from push_ident.planning.path_follower import LOOK_AHEAD, PathFollower, guesses_around
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathStatus
 from push_ident.pushing.corridor import Corridor
@@ -34,7 +35,7 @@ _TRAVEL: Final = 0.2
 _ITERATIONS: Final = 3
 """Of Gauss-Newton for each contact."""
 _CONTACT, _CARRIED = 0.03, 0.03
-"""c and l of J [m], as for straight pushes (`path_planner.py`)."""
+"""c and l [m], as for straight pushes."""
 _LEAST: Final = 0.004
 """Progress of a push along the path [m]: less is none."""
 _AHEAD: Final = 0.2
@@ -72,9 +73,8 @@ class CurvedPush:
     corridor: Corridor | None = None
     """Where it may be corrected to: along the rest of the path."""
     expected_error: float = np.nan
-    """Root of the mean square error until then [tolerances]."""
-    held_error: float = np.nan
-    """The same under the most probable model alone: what this contact does to an object that is as it is believed [tolerances]."""
+    """Root of the mean square error until then, of an object that is as it is believed to be: how far models differ does not count, that is
+    what corrections are for [tolerances]."""
     expected_done: float = np.nan
     """Length of path that is expected to be behind when the push is no longer worth while, if nothing corrects it [m]."""
 
@@ -137,37 +137,37 @@ class CurvedPathPlanner:
         horizon = Horizon.of(path.speed, _TRAVEL, np.array([-self._settings.clearance / path.speed, 0.0]))
         pushes, models = CurvedPushes(self._settings, path), self._weights_of(belief).best(self._n_judging)
         coarse = [self._strokes.picked(int(number)) for number in numbers]
-        order = self._ranked(pushes, models.picked([0]), horizon, coarse, seen, now)[0]
+        first = int(np.searchsorted(path.speed * horizon.frames, min(LOOK_AHEAD, path.length - now) - 1e-9))
+        order = self._ranked(pushes, models.picked([0]), horizon, coarse, seen, now, first)[0]
         fine = [coarse[k].changed(along, 0.0) for k in order[:_REFINED] for along in _SHIFTS]
-        order, best = self._ranked(pushes, models.picked([0]), horizon, fine, seen, now)
+        order, best = self._ranked(pushes, models.picked([0]), horizon, fine, seen, now, first)
         order = order[:_JUDGED]
         starts = [self._start(fine[k], seen, now) for k in order]
         judged = pushes.roll(models, horizon, starts, best[order][:, None])
-        worth = _worth(judged)
-        for k in np.argsort(np.min(worth, axis=-1).mean(axis=0)):
-            cut = int(np.argmin(worth[:, k].mean(axis=0)))
-            if not np.isfinite(worth[:, k, cut]).all():
+        rate = _rate(judged, first)
+        for k in np.argsort(np.min(rate, axis=-1).mean(axis=0)):
+            cut = int(np.argmin(rate[:, k].mean(axis=0)))
+            if not np.isfinite(rate[:, k, cut]).all():
                 break
             contact = placed(fine[order[k]], 0, seen, _STRAIGHT, path.speed)
             motion = compose(inverse(seen), judged.poses[0, k, 0, cut])
             tool = judged.tool[k, 0]
             if is_possible(self._shape, self._settings, contact, seen, motion, around) and self._is_free(tool, around):
                 expected = now + float(judged.progress[:, k, 0, cut].mean())
-                error = float(np.sqrt(np.mean(judged.error[:, k, 0, : cut + 1] ** 2)))
-                held = float(np.sqrt(np.mean(judged.error[0, k, 0, : cut + 1] ** 2)))
+                error = float(np.sqrt(np.mean(judged.error[0, k, 0, : cut + 1] ** 2)))
                 corridor = self._corridor(tool, path, now)
-                return CurvedPush(PathStatus.PUSH, now, contact, horizon.knots - horizon.knots[0], tool, corridor, error, held, expected)
+                return CurvedPush(PathStatus.PUSH, now, contact, horizon.knots - horizon.knots[0], tool, corridor, error, expected)
         return CurvedPush(PathStatus.UNREACHABLE, now)
 
     def _ranked(
-        self, pushes: CurvedPushes, models: ModelBatch, horizon: Horizon, own: Sequence[Strokes], seen: Float64Array, now: float
+        self, pushes: CurvedPushes, models: ModelBatch, horizon: Horizon, own: Sequence[Strokes], seen: Float64Array, now: float, first: int
     ) -> tuple[np.ndarray, Float64Array]:
         """Order of contacts by what they are worth, and the improved unknowns of each, shape (n, N_SEGMENTS, 2)."""
         starts, nothing = [self._start(one, seen, now) for one in own], np.zeros((1, N_SEGMENTS, 2))
         around = np.concatenate([nothing, *guesses_around(nothing[0])])
         guesses = np.broadcast_to(around, (len(starts), *around.shape))
         best, rolled = pushes.improve(models, horizon, starts, guesses, _ITERATIONS)
-        return np.argsort(np.min(_worth(rolled)[0], axis=-1)), best
+        return np.argsort(np.min(_rate(rolled, first)[0], axis=-1)), best
 
     def _start(self, own: Strokes, seen: Float64Array, now: float) -> PushStart:
         plan = placed(own, 0, seen, _STRAIGHT, 1.0)
@@ -208,11 +208,13 @@ def _along(own: Strokes, seen: Float64Array, path: PathGoal, now: float) -> np.n
     return np.asarray(chosen[pushable[chosen]])
 
 
-def _worth(rolled: RolledPushes) -> Float64Array:
-    """J of pushes of one variant each, cut off at each frame, shape (n_models, n_starts, n_frames); infinite without progress."""
+def _rate(rolled: RolledPushes, first: int) -> Float64Array:
+    """What pushes of one variant each, cut off at each frame, cost for each metre of path, shape (n_models, n_starts, n_frames); infinite
+    without progress, and where they are cut off before the frame of number `first`."""
     progress, square = rolled.progress[:, :, 0], rolled.error[:, :, 0] ** 2
     steps = np.maximum(np.diff(progress, axis=-1, prepend=0.0), 0.0)
     way = np.cumsum(steps * square, axis=-1)
-    cost = (_CONTACT + way + _CARRIED * square) / np.maximum(progress, 1e-9)
+    rate = (_CONTACT + way + _CARRIED * square) / np.maximum(progress, 1e-9)
+    rate[..., :first] = np.inf
     penalty = np.sum(rolled.residual[:, :, 0, -N_LIMITS:] ** 2, axis=-1)
-    return np.where((progress > _LEAST) & (penalty[..., None] < 1.0), cost, np.inf)
+    return np.where((progress > _LEAST) & (penalty[..., None] < 1.0), rate, np.inf)

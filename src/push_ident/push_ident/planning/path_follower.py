@@ -22,9 +22,9 @@ from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
 
-__all__ = ["Correction", "FollowStatus", "PathFollower", "guesses_around"]
+__all__ = ["LOOK_AHEAD", "Correction", "FollowStatus", "PathFollower", "guesses_around"]
 
-_TRAVEL: Final = 0.08
+LOOK_AHEAD: Final = 0.08
 """How far ahead along the path a correction looks [m]: an object that is beside the path must turn, move over, and turn back."""
 _SETTLED: Final = 0.02
 """Between the points of the motion that is settled [s]: earlier corrections may have bent it."""
@@ -38,7 +38,7 @@ _AHEAD: Final = 0.05
 """How far along the path the object may have come since the last frame [m]."""
 _NOT_BETTER: Final = 0.85
 """A contact brings the object back only where the error at the end of the look ahead is below this share of the present one [1]."""
-_BAD: Final = 1.5
+_BAD: Final = 2.0
 """Root of the mean square error over the look ahead that another contact is worth [tolerances]."""
 _WORSE: Final = 1.3
 """And of that which was expected when the contact was chosen [1]."""
@@ -126,7 +126,7 @@ class PathFollower:
         """In tolerances, of the latest frames."""
         self._n_errors = max(_IN_A_ROW, round(_STAYED / (path.speed * period)))
         lead = np.linspace(-period, 0.0, max(2, int(np.ceil(period / _SETTLED)) + 1))
-        self._horizon = Horizon.of(path.speed, _TRAVEL, lead)
+        self._horizon = Horizon.of(path.speed, LOOK_AHEAD, lead)
 
     def begin(
         self, time: Float64Array, tool: Float64Array, pose: Float64Array, covariance: Float64Array, done: float, expected_error: float
@@ -139,7 +139,7 @@ class PathFollower:
             pose: of the object at rest, table frame of the camera, shape (3,).
             covariance: of it, shape (3, 3).
             done: length of path that is behind [m].
-            expected_error: what was promised of this contact, so that it is not given up for another that does no better [tolerances].
+            expected_error: of the contact, so that it is not given up for another that does no better [tolerances].
         """
         self._bearable = max(_BAD, _WORSE * expected_error)
         self._time, self._tool, self._done, self._now = time, tool, done, float(time[0])

@@ -1,12 +1,14 @@
 """The next push of an object along a path: a path is followed by a chain of straight pushes, each along the path as far as it pays.
 
-From the library of strokes, with the motion after every 4 mm, a push is worth
+From the library of strokes, with the motion after every 4 mm, a push costs
 
-    J = (c + sum over the way of e^2 + l e_end^2) / progress        e: distance from the path, or angle to it, in tolerances
+    J = c + sum over the way of e^2 + l e_end^2 - r progress        e: distance from the path, or angle to it, in tolerances
 
-with sums and progress in metres of path: what following costs for each metre. c is what a contact costs: as much as c metres one tolerance
-beside the path; l is the length on which the next push finds the object as far off as this one leaves it. All strokes are judged by the
-mean model, the best by all models of the library.
+with sums and progress in metres of path. c is what a contact costs: as much as c metres one tolerance beside the path; l is the length on
+which the next push finds the object as far off as this one leaves it. r is what a metre of path costs where the object is within tolerance:
+the least (c + sum of e^2 + l e_end^2) / progress of all pushes. There the push that costs least for each metre is the best one; an object
+that is further off is brought back first, without progress if need be. (It is the relative cost of a step where the average cost counts:
+Bertsekas, Dynamic Programming and Optimal Control II, chapter 5.) All strokes are judged by the mean model, the best by all models.
 """
 
 from __future__ import annotations
@@ -62,8 +64,6 @@ class PathPush:
     plan: PushPlan2D | None = None
     expected_done: float = np.nan
     """Length of path that is expected to be behind after the push [m]."""
-    expected_error: float = np.nan
-    """Root of the mean square error until then [tolerances]."""
 
 
 class PathPlanner:
@@ -117,41 +117,63 @@ class PathPlanner:
         seen = compose(away, pose)
         library = self._library_of(belief, seen)
         around = Surroundings([transform_points(away, outline) for outline in obstacles], failed)
-        for number, k, reached, error in self._ranked(library, pose, path, now):
+        for number, k, reached in self._ranked(library, pose, path, now):
             plan = placed(library.strokes, number, seen, float(library.lengths[k]), self._settings.speed_range[0])
             if is_possible(self._shape, self._settings, plan, seen, library.motion[0, number, k], around):
-                return PathPush(PathStatus.PUSH, now, plan, reached, error)
+                return PathPush(PathStatus.PUSH, now, plan, reached)
         return PathPush(PathStatus.UNREACHABLE, now)
 
-    def _ranked(self, library: Library, pose: Float64Array, path: PathGoal, now: float) -> list[tuple[int, int, float, float]]:
-        """Strokes, lengths, where on the path they are expected to end and the error until then, the best first: by the mean model, then by
-        all."""
-        cost, _, _ = self._cost(library.motion[:1], pose, path, now)
+    def _rate(self, library: Library, pose: Float64Array, path: PathGoal, now: float) -> float:
+        """r, by the mean model, from as near to `pose` as is within tolerance; 0 where no push brings the object further along the path."""
+        wanted = path.at(now)
+        beside = pose - wanted
+        beside[2] = wrap_angle(beside[2])
+        near = wanted + np.clip(beside, -path.tolerance, path.tolerance)
+        cost, place, _ = self._cost(library.motion[:1], near, path, now)
+        progress = place - now
+        brings = progress >= min(_LEAST, path.length - now)
+        return float(np.min(cost[brings] / progress[brings])) if brings.any() else 0.0
+
+    def _ranked(self, library: Library, pose: Float64Array, path: PathGoal, now: float) -> list[tuple[int, int, float]]:
+        """Strokes, lengths, and where on the path they are expected to end, the best first: by the mean model, then by all."""
+        rate = self._rate(library, pose, path, now)
+        worth, _ = self._worth(library.motion[:1], pose, path, now, rate)
         n_lengths = len(library.lengths)
-        first = np.argsort(cost[0].ravel())[:_SCREENED]
-        first = first[np.isfinite(cost[0].ravel()[first])]
+        first = np.argsort(worth[0].ravel())[:_SCREENED]
+        first = first[np.isfinite(worth[0].ravel()[first])]
         own = np.unique(first // n_lengths)
-        cost, place, square = self._cost(library.motion[:, own], pose, path, now)
-        mean, where, error = cost.mean(axis=0).ravel(), place.mean(axis=0).ravel(), np.sqrt(square.mean(axis=0)).ravel()
+        worth, place = self._worth(library.motion[:, own], pose, path, now, rate)
+        mean, where = worth.mean(axis=0).ravel(), place.mean(axis=0).ravel()
         order = np.argsort(mean)
-        known = (j for j in order if np.isfinite(mean[j]))
-        return [(int(own[j // n_lengths]), int(j % n_lengths), float(where[j]), float(error[j])) for j in known]
+        return [(int(own[j // n_lengths]), int(j % n_lengths), float(where[j])) for j in order if np.isfinite(mean[j])]
+
+    def _worth(
+        self, motion: Float64Array, pose: Float64Array, path: PathGoal, now: float, rate: float
+    ) -> tuple[Float64Array, Float64Array]:
+        """J of each motion, infinite where it is no use, and the length of path that is behind after it [m]: each of shape (n_models,
+        n_strokes, n_lengths)."""
+        cost, place, square = self._cost(motion, pose, path, now)
+        if self._greedy:
+            aim = path.poses[int(np.searchsorted(path.along, min(now + _WAYPOINT, path.length)))]
+            poses = compose(pose, motion)
+            off = np.concatenate([poses[..., :2] - aim[:2], wrap_angle(poses[..., 2:] - aim[2])], axis=-1) / path.tolerance
+            return np.where(np.isfinite(off[..., 0]), np.sum(off**2, axis=-1), np.inf), place
+        here = _square(path, path.error(pose, now, _AHEAD)[1])
+        progress = place - now
+        is_use = (progress >= min(_LEAST, path.length - now)) | (_CONTACT + _CARRIED * square < _CARRIED * here)
+        return np.where(is_use, cost - rate * progress, np.inf), place
 
     def _cost(
         self, motion: Float64Array, pose: Float64Array, path: PathGoal, now: float
     ) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """J of each motion, the length of path that is behind after it [m], and the mean square error until then [tolerances^2]: each of
-        shape (n_models, n_strokes, n_lengths)."""
-        poses = compose(pose, motion)
-        place, error = path.error(poses, now, _AHEAD)
-        square = np.sum((error / [path.position, path.yaw]) ** 2, axis=-1)
-        place = np.maximum(place, now)
-        if self._greedy:
-            aim = path.poses[int(np.searchsorted(path.along, min(now + _WAYPOINT, path.length)))]
-            off = np.concatenate([poses[..., :2] - aim[:2], wrap_angle(poses[..., 2:] - aim[2])], axis=-1) / path.tolerance
-            return np.where(np.isfinite(off[..., 0]), np.sum(off**2, axis=-1), np.inf), place, square
-        progress = place - now
-        steps = np.diff(place, axis=2, prepend=now)
-        way = np.cumsum(np.maximum(steps, 0.0) * square, axis=2)
-        cost = (_CONTACT + way + _CARRIED * square) / np.maximum(progress, 1e-9)
-        return np.where(progress >= min(_LEAST, path.length - now), cost, np.inf), place, way / np.maximum(progress, 1e-9)
+        """Cost of each motion [m], the length of path that is behind after it [m], and the square error then [tolerances^2]: each of shape
+        (n_models, n_strokes, n_lengths)."""
+        place, error = path.error(compose(pose, motion), now, _AHEAD)
+        square, place = _square(path, error), np.maximum(place, now)
+        way = np.cumsum(np.maximum(np.diff(place, axis=2, prepend=now), 0.0) * square, axis=2)
+        return _CONTACT + way + _CARRIED * square, place, square
+
+
+def _square(path: PathGoal, error: Float64Array) -> Float64Array:
+    """Squared errors in tolerances, from distances and angles of shape (..., 2)."""
+    return np.asarray(np.sum((error / [path.position, path.yaw]) ** 2, axis=-1))

@@ -1,12 +1,13 @@
 """The next push along a path: with the tool steered as long as one contact holds the object on it, else a straight one.
 
 A face holds an object on a path only where the force that the path needs lies within its cone of friction. Whether one does, the planner of
-steered pushes says by the error of the best contact under the most probable model. How far other models differ does not count: that is what
-corrections are for. Where none is bearable, straight pushes go on, each from another side.
+steered pushes says by the error of the best contact. Where none holds it within tolerance, straight pushes go on, each from another side,
+or bring it back.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -21,8 +22,9 @@ from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["PathStep", "PathSteps", "may_steer_after"]
 
-_BEARABLE: Final = 1.0
-"""Root of the mean square error of a steered push, under the most probable model, up to which nothing else is looked for [tolerances]."""
+_BEARABLE: Final = math.sqrt(2.0)
+"""Root of the mean square error that is expected of a steered push, up to which it is made rather than a straight one: with distance and
+angle both at their tolerance [tolerances]."""
 _STUCK: Final = 0.005
 """A steered push that brings the object less far along the path is no use there [m]."""
 
@@ -84,10 +86,9 @@ class PathSteps:
         curved = self._curved.plan(belief, pose, path, done, obstacles, failed) if steers else CurvedPush(PathStatus.UNREACHABLE, done)
         if curved.status is PathStatus.ARRIVED:
             return PathStep(curved.status, curved.done)
-        is_curved = curved.status is PathStatus.PUSH
-        if not is_curved or curved.held_error > _BEARABLE:
+        if curved.status is not PathStatus.PUSH or curved.expected_error > _BEARABLE:
             straight = self._planner(path.speed).plan(belief, pose, path, done, obstacles, failed)
-            if not is_curved or straight.expected_error < curved.held_error:
+            if straight.status is PathStatus.PUSH or curved.status is not PathStatus.PUSH:
                 return PathStep(straight.status, straight.done, straight=straight if straight.status is PathStatus.PUSH else None)
         corridor = curved.corridor
         assert corridor is not None, "a push has one"

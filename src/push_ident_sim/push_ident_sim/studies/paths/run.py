@@ -56,6 +56,7 @@ class PathOutcome:
     """Root mean square of the true distance from the path, over the length that was followed."""
     rms_rad: float = float("nan")
     largest_m: float = float("nan")
+    """Of all distances, where the object did not come further along the path as well."""
     followed: float = 0.0
     """Share of the path."""
     correction_median_s: float = float("nan")
@@ -106,7 +107,7 @@ def measure(outcome: PathOutcome, path: PathGoal, poses: Float64Array) -> None:
     moved, error = np.diff(places), np.array(errors)
     if moved.sum() > 0:
         outcome.rms_m, outcome.rms_rad = (float(v) for v in np.sqrt(moved @ error**2 / moved.sum()))
-        outcome.largest_m = float(np.max(error[moved > 0, 0]))
+        outcome.largest_m = float(np.max(error[:, 0]))
     outcome.followed = places[-1] / path.length
     travel = np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]), axis=1))
     kept = np.unique(np.searchsorted(travel, np.arange(0.0, travel[-1] + 5e-3, 5e-3)).clip(max=len(poses) - 1))

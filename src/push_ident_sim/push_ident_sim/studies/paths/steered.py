@@ -117,9 +117,11 @@ def _steered(run: _Run, plan: CurvedPush, follower: PathFollower) -> None:
             break
         now += PERIOD
         pushed.lead(correction.time, correction.tool, now)
-        if run.knock is not None and run.knock.pending and run.done > _HALF * path.length:
+        comes = run.knock is not None and run.knock.pending and run.done > _HALF * path.length
+        displaced = _displaced(run, correction.tool[1]) if comes else None
+        if run.knock is not None and displaced is not None:
             run.knock.pending, run.knock.at = False, run.outcome.time_s + now
-            pushed.knock(_displaced(run, correction.tool[1]))
+            pushed.knock(displaced)
         else:
             _see(run, now, pushed.pose)
     _end_contact(run, pushed.let_go())
@@ -130,8 +132,10 @@ def _straight(run: _Run, plan: PathPush) -> None:
     assert plan.plan is not None
     if run.knock is not None and run.knock.pending and run.done > _HALF * run.path.length:
         # Between two contacts: the tool is away.
+        displaced = _displaced(run, None)
+        assert displaced is not None, "no tool is in the way"
         run.knock.pending, run.knock.at = False, run.outcome.time_s
-        pushed.pose = _displaced(run, None)
+        pushed.pose = displaced
         return
     motion = pushed.push(plan.plan)
     for now, pose in zip(motion.time[::_SEEN], motion.pose[::_SEEN], strict=True):
@@ -157,15 +161,15 @@ def _see(run: _Run, now: float, pose: Float64Array) -> None:
         knock.back = run.outcome.time_s + now
 
 
-def _displaced(run: _Run, tool: Float64Array | None) -> Float64Array:
-    """To the side of the path, where the tool, if it is down, is not in the way."""
+def _displaced(run: _Run, tool: Float64Array | None) -> Float64Array | None:
+    """To the side of the path; None while the tool, if it is down, is in the way on both."""
     pushed, direction = run.pushed, float(run.path.direction(run.done))
-    for angle in np.radians([90.0, -90.0, 60.0, -60.0, 30.0, -30.0, 0.0]):
-        along = direction + angle
-        pose = pushed.pose + np.array([_DISPLACED * np.cos(along), _DISPLACED * np.sin(along), np.sign(angle) * _TURNED])
+    for side in (1.0, -1.0):
+        along = direction + side * np.pi / 2
+        pose = pushed.pose + np.array([_DISPLACED * np.cos(along), _DISPLACED * np.sin(along), side * _TURNED])
         if tool is None:
             return pose
         gap = signed_distance(tool[None], transform_points(pose, pushed.truth.shape.outline))[0] - pushed.settings.pusher_radius
         if gap > 1e-3:
             return pose
-    raise AssertionError("a tool behind an object is not in front of it")
+    return None
