@@ -21,7 +21,7 @@ from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import SimObject
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, observe_motion, path_of_plan, true_model
 
-__all__ = ["GREEDY", "IDENTIFIED", "KINDS", "TABLE", "TRUTH", "UNIFORM", "PushedObject"]
+__all__ = ["GREEDY", "IDENTIFIED", "KINDS", "REST", "TABLE", "TRUTH", "UNIFORM", "PushedObject"]
 
 KINDS = UNIFORM, IDENTIFIED, TRUTH, GREEDY = ("uniform", "identified", "truth", "greedy")
 """What is known: nothing (equal cells, nothing learned), what pushes have shown, everything. `greedy`: what pushes have shown, by a planner
@@ -37,7 +37,7 @@ _LEARNED = 10
 _LASTING = np.array([7e-4, 7e-4, 6e-3])
 """Standard deviation of the errors of a pose at rest that no further frame lessens [m, m, rad]: perception in the simulated cell
 (`CameraPolicy.floor_position`, `floor_yaw`)."""
-_REST = 0.4
+REST = 0.4
 """Before and after each push [s]."""
 _LONGEST_REST = 1.0
 """For which the tool stands after a steered push [s]."""
@@ -116,7 +116,7 @@ class PushedObject:
 
     def observe(self) -> tuple[Float64Array, Float64Array]:
         """Pose as perceived at rest, shape (3,), and its covariance, shape (3, 3)."""
-        n = int(_REST * self._noise.rate)
+        n = int(REST * self._noise.rate)
         frame = np.array([self._noise.position_std, self._noise.position_std, self._noise.yaw_std])
         std = np.hypot(frame / np.sqrt(n), _LASTING)
         return self.pose + std * self._rng.normal(size=3), np.diag(std**2)
@@ -176,7 +176,7 @@ class PushedObject:
     @staticmethod
     def duration(motion: TrueMotion) -> float:
         """Of a push with the rests before and after it [s]."""
-        return float(motion.time[-1]) + 2 * _REST
+        return float(motion.time[-1]) + 2 * REST
 
     @property
     def has_fallen(self) -> bool:

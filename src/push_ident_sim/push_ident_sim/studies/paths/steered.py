@@ -16,7 +16,7 @@ from push_ident.planning.path_planner import PathPush
 from push_ident.planning.path_steps import PathSteps, may_steer_after
 from push_ident.types import Float64Array
 from push_ident_sim.engines.true_motion import TrueMotion
-from push_ident_sim.studies.common.pushed import PushedObject
+from push_ident_sim.studies.common.pushed import REST, PushedObject
 from push_ident_sim.studies.paths.run import MOST_CONTACTS, PathOutcome, measure, named_path
 
 __all__ = ["HALF_WIDTH", "PERIOD", "Knock", "follow_steered"]
@@ -120,7 +120,7 @@ def _steered(run: _Run, plan: CurvedPush, follower: PathFollower) -> None:
         comes = run.knock is not None and run.knock.pending and run.done > _HALF * path.length
         displaced = _displaced(run, correction.tool[1]) if comes else None
         if run.knock is not None and displaced is not None:
-            run.knock.pending, run.knock.at = False, run.outcome.time_s + now
+            run.knock.pending, run.knock.at = False, run.outcome.time_s + REST + now
             pushed.knock(displaced)
         else:
             _see(run, now, pushed.pose)
@@ -158,7 +158,7 @@ def _see(run: _Run, now: float, pose: Float64Array) -> None:
         return
     _, error = run.path.error(pose, run.done, 0.1)
     if np.all(error < _BACK):
-        knock.back = run.outcome.time_s + now
+        knock.back = run.outcome.time_s + REST + now
 
 
 def _displaced(run: _Run, tool: Float64Array | None) -> Float64Array | None:
