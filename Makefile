@@ -31,7 +31,7 @@ bench: setup  ## time and error of engine, rivals and identification (ten minute
 	$(VENV)/push-ident bench --page docs/results/benchmarks.md
 
 experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
-	@for name in $$($(VENV)/push-ident experiment list | cut -d: -f1 | grep -vxE 'blind|recorded|endurance|supports|loads|perception|sensors|edge|paths|knocks|chain|effects|pusht|demo'); do \
+	@for name in $$($(VENV)/push-ident experiment list | cut -d: -f1 | grep -vxE 'blind|recorded|endurance|supports|loads|perception|sensors|edge|paths|knocks|chain|effects|pusht|demo|goals-live'); do \
 	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
 	$(VENV)/push-ident experiment supports --seed 1000 --models 50 --json docs/results/experiments/supports.json
 	$(VENV)/push-ident experiment loads --seed 3000 --models 8 --json docs/results/experiments/loads.json
@@ -43,6 +43,7 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 	$(VENV)/push-ident experiment chain --seed 6200 --models 2 --json docs/results/experiments/chain.json
 	$(VENV)/push-ident experiment effects --seed 6300 --models 10 --json docs/results/experiments/effects.json
 	$(VENV)/push-ident experiment demo --seed 8200 --models 2 --json docs/results/experiments/demo.json
+	$(VENV)/push-ident experiment goals-live --seed 6500 --models 2 --json docs/results/experiments/goals-live.json
 	$(VENV)/push-ident experiment report
 
 MINUTES ?= 60

@@ -1,0 +1,1 @@
+"""Experiment: an object is pushed to goals in the live cell."""
