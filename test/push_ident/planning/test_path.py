@@ -46,6 +46,21 @@ def test_known_object_follows_a_line_in_few_contacts_and_stays_near_it() -> None
     assert np.sqrt(np.mean(error[:, 0] ** 2)) < 0.006 and np.sqrt(np.mean(error[:, 1] ** 2)) < np.radians(6.0)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
+def test_object_far_beside_its_path_is_brought_back_before_it_goes_on(side: float) -> None:
+    planner, middle = PathPlanner(MODEL.shape, SETTINGS, LINE.speed), LINE.at(LINE.length / 2)
+    across = float(LINE.direction(LINE.length / 2)) + side * np.pi / 2
+    pose, done = middle + np.array([0.04 * np.cos(across), 0.04 * np.sin(across), side * 0.117]), LINE.length / 2
+    for _ in range(2):
+        plan = planner.plan(KNOWN, pose, LINE, done)
+        assert plan.plan is not None
+        pose, done = after(pose, plan.plan)[-1], plan.done
+    place, error = LINE.error(pose, done, 0.1)
+    assert error[0] < 0.006 and error[1] < np.radians(5.0)
+    # A part of the way that pushes along the path would have taken.
+    assert place < LINE.length / 2 + 0.04
+
+
 def test_who_looks_one_push_ahead_needs_more_contacts() -> None:
     greedy, planner = (PathPlanner(MODEL.shape, SETTINGS, LINE.speed, greedy=greedy) for greedy in (True, False))
     progress = [own.plan(KNOWN, LINE.poses[0], LINE, 0.0).expected_done for own in (greedy, planner)]
