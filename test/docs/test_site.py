@@ -38,7 +38,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # Not --quiet: it drops the warnings before strict mode counts them.
     call = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(target)]
     environ = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
-    done = subprocess.run(call, cwd=ROOT, env=environ, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(call, cwd=ROOT, env=environ, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stdout + done.stderr
     return target
 
