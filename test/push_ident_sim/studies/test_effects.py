@@ -32,13 +32,7 @@ def test_summary_counts_names_and_twins(tmp_path: Path) -> None:
 
     def values(model: int, kind: str) -> Json:
         found = named[model] if kind == "diagnosed" else []
-        return {
-            "reached": [dict.fromkeys(LEVELS, True)],
-            "pushes": [pushes[kind]],
-            "error_m": [1e-3 * pushes[kind]],
-            "named": found,
-            "asked": 2,
-        }
+        return {"reached": [dict.fromkeys(LEVELS, True)], "pushes": [pushes[kind]], "error_m": [1e-3 * pushes[kind]], "named": found}
 
     results = [CaseResult(Case("tool_offset", model, kind), values(model, kind)) for model in named for kind in pushes]
     study = EXPERIMENTS["effects"]

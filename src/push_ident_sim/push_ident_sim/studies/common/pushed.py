@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from push_ident.geometry.se2 import transform_points
@@ -54,6 +56,7 @@ class PushedObject:
         pushes: limits of the pushes; by default those of the paper's experiments.
         effects: of the world, on motion and tool. Who knows everything knows them.
         exploring: random pushes before the first goal.
+        names_effects: gives the names of effects that are fitted with the maps, from the exploring pushes; by default none are.
     """
 
     def __init__(
@@ -66,6 +69,7 @@ class PushedObject:
         pushes: PushSettings | None = None,
         effects: InjectedEffects | None = None,
         exploring: int = _EXPLORING,
+        names_effects: Callable[[list[PushRecord]], tuple[str, ...]] | None = None,
     ) -> None:
         self._truth_settings, self._noise, self._rng, self._kind = TruthSettings(), CameraNoise(), rng, kind
         self.settings = pushes or self._truth_settings.pushes
@@ -87,22 +91,14 @@ class PushedObject:
             for _ in range(exploring):
                 # As on the paper's table, wherever later pushes may go.
                 self._record(self._move(sample_push(self.truth.shape, self.pose, rng, self._truth_settings.pushes)))
+            if names_effects is not None:
+                self.named = names_effects(self._records)
             self._learn()
         self._explored = exploring
 
     @property
     def _learns(self) -> bool:
         return self._kind in (IDENTIFIED, GREEDY)
-
-    @property
-    def records(self) -> tuple[PushRecord, ...]:
-        """Pushes that are learned from."""
-        return tuple(self._records)
-
-    def take_effects(self, names: tuple[str, ...]) -> None:
-        """Effects of these names are fitted with the maps from now on."""
-        self.named = names
-        self._learn()
 
     def explore(self, pushes: PushSettings) -> TrueMotion | None:
         """Make one more random push, and learn from it; None where all that are allowed were made, or nothing is learned."""

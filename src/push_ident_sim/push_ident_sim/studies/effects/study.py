@@ -4,7 +4,6 @@ with the truth."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -15,8 +14,7 @@ from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.usable_effects import usable_effects
 from push_ident.errors import InputError
 from push_ident.physics.effects import EFFECTS
-from push_ident.pushing.sampling import sample_push
-from push_ident.types import Float64Array
+from push_ident.types import Float64Array, PushRecord
 from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, new_figure, save
@@ -33,9 +31,7 @@ __all__ = ["STUDY", "won_back"]
 _EFFECTS: Final = ("table_tilt", "table_anisotropy", "pusher_lag", "tool_offset")
 _KINDS = UNDIAGNOSED, DIAGNOSED, TRUE = ("undiagnosed", "diagnosed", "truth")
 _EXPLORING: Final = 6
-"""Random pushes before the first diagnosis."""
-_ASKED: Final = 4
-"""Largest number of pushes that a diagnosis may ask for then; who is not diagnosed, or asks for fewer, makes random ones."""
+"""Random pushes before the first goal, from which the effect is diagnosed."""
 _LAST: Final = tuple(LEVELS)[-1]
 _MEASURES: Final = {"pushes": "pushes", "error_m": "error of the expected ends"}
 _RESAMPLED: Final = 2000
@@ -47,10 +43,8 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     goals = [random_goal(rng) for _ in range(settings.goals)]
     thing, noise = plate_in_bullet(random_object(np.random.default_rng(case.model))), np.random.default_rng([case.model, 2])
     effects = _injected(case.object_name, np.random.default_rng([case.model, 3]))
-    pushed = PushedObject(thing, TRUTH if case.variant == TRUE else IDENTIFIED, noise, effects=effects, exploring=_EXPLORING)
-    asked = _diagnose(pushed) if case.variant == DIAGNOSED else 0
-    while case.variant != TRUE and len(pushed.records) < _EXPLORING + _ASKED:
-        pushed.push(sample_push(pushed.truth.shape, pushed.pose, noise, pushed.settings))
+    kind, names = (TRUTH if case.variant == TRUE else IDENTIFIED), (_found if case.variant == DIAGNOSED else None)
+    pushed = PushedObject(thing, kind, noise, effects=effects, exploring=_EXPLORING, names_effects=names)
     try:
         outcomes = [reach(pushed, goal) for goal in goals]
     finally:
@@ -60,7 +54,6 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         "pushes": [outcome.pushes[_LAST] for outcome in outcomes],
         "error_m": [round(error, 6) for outcome in outcomes for error in outcome.errors],
         "named": list(pushed.named),
-        "asked": asked,
         "injected": {name: list(values) for name, values in effects.as_dict().items()},
     }
 
@@ -72,18 +65,12 @@ def _injected(name: str, rng: np.random.Generator) -> InjectedEffects:
     return InjectedEffects.of({name: [size * np.cos(turn), size * np.sin(turn)] if has_direction else size})
 
 
-def _diagnose(pushed: PushedObject) -> int:
-    """Diagnose, make the push that is asked for, and diagnose again, as long as one is; what is named then joins the model by its own rule,
-    as in the nodes. Returns how many pushes were made."""
-    for asked in range(_ASKED + 1):
-        found = diagnose(list(pushed.records))
-        push = found.first_push if found.next_push is None else found.next_push.push
-        if asked == _ASKED or push is None or push.plan is None or (found.effects and not found.confusion_set):
-            break
-        pushed.push(push.plan)
-    with suppress(InputError):  # it leaves open what acts
-        pushed.take_effects(tuple(effect.name for effect in usable_effects(to_json(found)).effects))
-    return asked
+def _found(records: list[PushRecord]) -> tuple[str, ...]:
+    """Names of the effects that a diagnosis finds and that join a model by its own rule, as in the nodes."""
+    try:
+        return tuple(effect.name for effect in usable_effects(to_json(diagnose(records))).effects)
+    except InputError:
+        return ()
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
@@ -91,10 +78,6 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
     return {
         "effects": {name: {kind: _row(own) for kind, own in kinds.items()} for name, kinds in by_effect.items()},
         "named": {name: _named(name, kinds.get(DIAGNOSED, [])) for name, kinds in by_effect.items()},
-        "asked": {
-            name: round(float(np.mean([r.values["asked"] for r in kinds.get(DIAGNOSED, [])] or [0])), 2)
-            for name, kinds in by_effect.items()
-        },
         "won_back": {name: _shares(kinds) for name, kinds in by_effect.items() if set(kinds) == set(_KINDS)},
     }
 
@@ -163,12 +146,11 @@ def _tables(summary: Json) -> str:
         [
             name,
             "{right} of {cases}, others in {others}".format(**summary["named"][name]),
-            f"{summary['asked'][name]:.1f}",
             *(_share_text(own[key], factor, unit) for key, factor, unit in (("pushes", 1.0, ""), ("error_m", 1e3, " mm"))),
         ]
         for name, own in summary["won_back"].items()
     ]
-    titles = ["", "named rightly", "pushes asked for", *(f"{what}: lost, of it won back" for what in _MEASURES.values())]
+    titles = ["", "named rightly", *(f"{what}: lost, of it won back" for what in _MEASURES.values())]
     return markdown_table(head, rows) + "\n\n" + markdown_table(titles, won)
 
 
@@ -206,12 +188,10 @@ STUDY = Experiment(
     question=(
         "Objects of random shape and uneven maps are pushed in Bullet from one random goal to the next, as in `goals`, in a world "
         "with one effect of typical size (a slope of 0.02 rad, friction that differs by 15 % along the grain, a lag of 20 ms, a tool "
-        "that is 2 mm beside its place), in any direction of the table. "
-        f"{_EXPLORING} random pushes come first. For the diagnosed model they are diagnosed; as long as the diagnosis leaves open what "
-        f"acts, or says that the pushes are too few to know, the push that it asks for is made, {_ASKED} at most. The effects that it is "
-        "certain enough of by its own rule, as for the nodes, are then fitted with the maps and act in all that is planned. The "
-        "undiagnosed model is identified without any effect. Both learn from ten pushes before the first goal, random ones where none is "
-        "asked for, and from none later. The true model knows maps and effect. At most "
+        "that is 2 mm beside its place), in any direction of the table. Six random pushes come first. The undiagnosed model is "
+        "identified from them and from up to four more without any effect. For the diagnosed one, a diagnosis of the six names "
+        "effects; those that are certain enough by its own rule, as for the nodes, are then fitted with the maps and act in all that is "
+        "planned. The true model knows maps and effect. At most "
         "20 pushes a goal, all tolerances together. Lost is what the undiagnosed model needs or errs more than the true one; in "
         "brackets the interval of 95 % from a bootstrap over the objects. After a lag the tool comes to rest where it was sent, so "
         "that ends of pushes lose nothing by it but what it does to the maps."
