@@ -72,7 +72,7 @@ def test_edge_of_a_goal_comes_back_with_what_is_risked() -> None:
 def test_path_comes_back_with_the_tool_as_it_is_steered_and_its_corridor() -> None:
     corridor = Corridor(np.array([[0.0, 0.0], [0.04, 0.0], [0.08, 0.0]]), 0.02)
     tool = np.array([[0.0, 0.0], [0.04, 0.001], [0.08, 0.003]])
-    curved = CurvedPush(PathStatus.PUSH, 0.02, STRAIGHT, np.arange(3.0), tool, corridor, 0.4, 0.3, 0.08)
+    curved = CurvedPush(PathStatus.PUSH, 0.02, STRAIGHT, np.arange(3.0), tool, corridor, 0.3, 0.08)
     steered = PathStep(PathStatus.PUSH, 0.02, curved)
     end = Target(Goal(PATH.poses[-1], PATH.position, PATH.yaw))
 

@@ -18,6 +18,7 @@ from geometry_msgs.msg import PoseStamped
 
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError
+from push_ident.files import write_whole
 from push_ident.geometry.se2 import compose, inverse, wrap_angle
 from push_ident.nodes.client import CellClient
 from push_ident.types import Float64Array
@@ -132,7 +133,7 @@ def _planar(msg: PoseStamped) -> Float64Array:
 def _write_line(file: Path, pose: Float64Array) -> None:
     """From where the object lies, in its heading."""
     x, y, yaw = pose
-    file.write_text(f"{x}, {y}, {yaw}\n{x + _LENGTH * np.cos(yaw)}, {y + _LENGTH * np.sin(yaw)}, {yaw}\n", encoding="utf-8")
+    write_whole(file, f"{x}, {y}, {yaw}\n{x + _LENGTH * np.cos(yaw)}, {y + _LENGTH * np.sin(yaw)}, {yaw}\n", "the line")
 
 
 def _error(pose: Float64Array, goal: Float64Array) -> list[float]:
