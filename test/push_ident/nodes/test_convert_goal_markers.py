@@ -92,7 +92,7 @@ def test_path_comes_back_with_the_tool_as_it_is_steered_and_its_corridor() -> No
     np.testing.assert_allclose(np.abs(planned.corridor[:, 1]), 0.02)
     corrected = back(drawn(None, end, path=PATH, step=steered, tool=tool[1:] + np.array([0.0, 0.002])))
     np.testing.assert_allclose(corrected.tool, tool[1:] + np.array([0.0, 0.002]))
-    straight = PathStep(PathStatus.PUSH, 0.02, straight=PathPush(PathStatus.PUSH, 0.02, STRAIGHT, 0.05, 0.2))
+    straight = PathStep(PathStatus.PUSH, 0.02, straight=PathPush(PathStatus.PUSH, 0.02, STRAIGHT, 0.05))
     pushed = back(drawn(None, end, path=PATH, step=straight))
     assert pushed.corridor is None and pushed.chance == "push 3: expected to 50 % of the path"
     np.testing.assert_allclose(pushed.tool, [[0.0, -0.01], [0.0, 0.06]], atol=1e-12)
