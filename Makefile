@@ -38,12 +38,12 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 	$(VENV)/push-ident experiment perception --seed 5000 --models 1 --json docs/results/experiments/perception.json
 	$(VENV)/push-ident experiment sensors --seed 5000 --models 1 --json docs/results/experiments/sensors.json
 	$(VENV)/push-ident experiment edge --seed 6000 --models 3 --json docs/results/experiments/edge.json
-	$(VENV)/push-ident experiment paths --seed 6400 --models 3 --json docs/results/experiments/paths.json
-	$(VENV)/push-ident experiment knocks --seed 6400 --models 2 --json docs/results/experiments/knocks.json
+	$(VENV)/push-ident experiment paths --seed 52000 --models 4 --variants identified,straight,truth --json docs/results/experiments/paths.json
+	$(VENV)/push-ident experiment knocks --seed 52000 --models 5 --variants identified,truth --json docs/results/experiments/knocks.json
 	$(VENV)/push-ident experiment chain --seed 6200 --models 2 --json docs/results/experiments/chain.json
-	$(VENV)/push-ident experiment effects --seed 6300 --models 10 --json docs/results/experiments/effects.json
+	$(VENV)/push-ident experiment effects --seed 54000 --models 10 --goals 2 --json docs/results/experiments/effects.json
 	$(VENV)/push-ident experiment demo --seed 8200 --models 2 --json docs/results/experiments/demo.json
-	$(VENV)/push-ident experiment goals-live --seed 6500 --models 2 --json docs/results/experiments/goals-live.json
+	$(VENV)/push-ident experiment goals-live --seed 55100 --models 1 --json docs/results/experiments/goals-live.json
 	$(VENV)/push-ident experiment report
 
 MINUTES ?= 60

@@ -20,7 +20,7 @@ from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.se2 import compose, inverse, wrap_angle
-from push_ident.nodes.client import CellClient
+from push_ident.nodes.client import CellClient, CellTimeout
 from push_ident.types import Float64Array
 from push_ident_sim.objects import make_object
 from push_ident_sim.studies.common.base import Json
@@ -35,7 +35,7 @@ _KINDS = _POSE, _LINE, _EDGE = ("pose", "line", "edge")
 _EXPLORING: Final = 2
 """Random pushes before the first one to the goal."""
 _REACH: Final = 0.10
-"""Half the side of the square that goals are drawn from [m]: the hand and the arm are not in the camera's way there."""
+"""Half the side of the square that goals are drawn from [m]."""
 _LENGTH: Final = 0.08
 """Of the line [m]: the hammer in any heading stays in the workspace."""
 _BEFORE_LINE: Final = ("--tolerance-mm", 5)
@@ -48,7 +48,7 @@ _TIME_LIMIT: Final = 240.0
 """Of a goal [s]."""
 _TIMEOUT: Final = 60.0
 """Beyond that, for a command to end [s]."""
-_QUIET: Final = 30.0
+_PATIENCE: Final = 30.0
 """Longest time for the true pose [s]: it comes many times a second of simulated time."""
 _NO_TRUTH: Final = "the simulated cell tells no true pose"
 _CORRECTIONS: Final = "corrections of the last push"
@@ -73,12 +73,15 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         client.node.create_subscription(PoseStamped, "/sim_cell_node/ground_truth/pose", lambda msg: truth.append(_planar(msg)), 10)
         object_id = client.wait_for_object()
         seen = client.pose_at_rest(object_id, after=-np.inf)
-        client.wait(lambda: truth or None, _QUIET, _NO_TRUTH)
+        client.wait(lambda: truth or None, _PATIENCE, _NO_TRUTH)
         # Both frames are of the object: where the true one lies in that of perception.
         true_frame = compose(inverse(seen), truth[-1])
         if kind == _LINE:
-            _command("push", "--random", _EXPLORING, "--seed", case.model)
-            client.wait_for_map(object_id, 1)
+            said = _command("push", "--random", _EXPLORING, "--seed", case.model)
+            try:
+                client.wait_for_map(object_id, 1)
+            except CellTimeout as error:
+                raise PushIdentError(f"{error}; push --random said: {said[-300:]}") from None
             yaw = client.pose_at_rest(object_id, after=-np.inf)[2]
             x, y = -0.5 * _LENGTH * np.array([np.cos(yaw), np.sin(yaw)])
             _command("push-to", "--x", x, "--y", y, "--yaw", yaw, *_BEFORE_LINE, "--time-limit", _TIME_LIMIT)
@@ -95,7 +98,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         if not result.exists():
             raise PushIdentError(f"push-to wrote no result: {said[-300:]}")
         truth.clear()
-        client.wait(lambda: truth or None, _QUIET, _NO_TRUTH)
+        client.wait(lambda: truth or None, _PATIENCE, _NO_TRUTH)
         content: Json = json.loads(result.read_text(encoding="utf-8"))
         health = client.reasons()
         took = next((text for key, text in client.values_of("goal_pushing").items() if key.startswith(_CORRECTIONS)), "none")
