@@ -17,13 +17,14 @@ from push_ident.planning.contact_tracking import ContactTracker
 from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, face_of
 from push_ident.planning.curved_planner import CurvedPathPlanner, CurvedPush
 from push_ident.planning.model_weights import ModelWeights
-from push_ident.planning.path_follower import FollowStatus
+from push_ident.planning.path_follower import LOOK_AHEAD, FollowStatus
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathStatus
 from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 from push_ident_sim.studies.common.plate import plate
+from push_ident_sim.studies.common.random_objects import random_object
 
 SETTINGS = PushSettings(workspace=(-0.5, 0.5, -0.5, 0.5), pusher_radius=0.008, clearance=0.02)
 MODEL = plate(8, 3)
@@ -271,3 +272,12 @@ def test_models_that_do_not_explain_the_push_lose_their_weight_and_a_stretch_tha
         weights.work(all_of_it=True)
         assert (weights.best(1).models[0] is right) is not breaks
         assert np.ptp(weights.log_weight) == 0.0 if breaks else weights.log_weight[1] > np.sort(weights.log_weight)[1] + 1.0
+
+
+@pytest.mark.parametrize("seed", [2, 4, 5])
+def test_contact_is_judged_as_far_as_corrections_look(seed: int) -> None:
+    # With the heading beside the line no face holds these objects; over its first 30 mm a contact costs least for each metre.
+    line = PathGoal(np.array([[-0.12, 0.0, 0.5], [0.12, 0.0, 0.5]]), 0.05, 0.003, 0.035)
+    model = random_object(np.random.default_rng(seed))
+    push = CurvedPathPlanner(model.shape, SETTINGS).plan(Belief.certain(model), line.poses[0], line, 0.0)
+    assert push.status is PathStatus.PUSH and push.expected_done > LOOK_AHEAD and push.expected_error > 2.0

@@ -77,17 +77,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         # Both frames are of the object: where the true one lies in that of perception.
         true_frame = compose(inverse(seen), truth[-1])
         if kind == _LINE:
-            said = _command("push", "--random", _EXPLORING, "--seed", case.model)
-            try:
-                client.wait_for_map(object_id, 1)
-            except CellTimeout as error:
-                raise PushIdentError(f"{error}; push --random said: {said[-300:]}") from None
-            yaw = client.pose_at_rest(object_id, after=-np.inf)[2]
-            x, y = -0.5 * _LENGTH * np.array([np.cos(yaw), np.sin(yaw)])
-            _command("push-to", "--x", x, "--y", y, "--yaw", yaw, *_BEFORE_LINE, "--time-limit", _TIME_LIMIT)
-            file = Path(folder) / "line.csv"
-            _write_line(file, client.pose_at_rest(object_id, after=-np.inf))
-            options: tuple[object, ...] = ("--path", file)
+            options: tuple[object, ...] = ("--path", _line(client, object_id, case.model, Path(folder) / "line.csv"))
         elif kind == _POSE:
             x, y, yaw = *rng.uniform(-_REACH, _REACH, 2), rng.uniform(-np.pi, np.pi)
             options = ("--x", x, "--y", y, "--yaw", yaw, "--explore", _EXPLORING)
@@ -133,10 +123,19 @@ def _planar(msg: PoseStamped) -> Float64Array:
     return np.array([place.x, place.y, 2.0 * np.arctan2(turn.z, turn.w)])
 
 
-def _write_line(file: Path, pose: Float64Array) -> None:
-    """From where the object lies, in its heading."""
-    x, y, yaw = pose
+def _line(client: CellClient, object_id: str, seed: int, file: Path) -> Path:
+    """The object, explored and put before the middle; in the file, the line from there in its heading."""
+    said = _command("push", "--random", _EXPLORING, "--seed", seed)
+    try:
+        client.wait_for_map(object_id, 1)
+    except CellTimeout as error:
+        raise PushIdentError(f"{error}; push --random said: {said[-300:]}") from None
+    yaw = client.pose_at_rest(object_id, after=-np.inf)[2]
+    ahead = _LENGTH * np.array([np.cos(yaw), np.sin(yaw)])
+    _command("push-to", "--x", -0.5 * ahead[0], "--y", -0.5 * ahead[1], "--yaw", yaw, *_BEFORE_LINE, "--time-limit", _TIME_LIMIT)
+    x, y, yaw = client.pose_at_rest(object_id, after=-np.inf)
     write_whole(file, f"{x}, {y}, {yaw}\n{x + _LENGTH * np.cos(yaw)}, {y + _LENGTH * np.sin(yaw)}, {yaw}\n", "the line")
+    return file
 
 
 def _error(pose: Float64Array, goal: Float64Array) -> list[float]:
