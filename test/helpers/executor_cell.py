@@ -77,6 +77,7 @@ class Cell(Node):
         self.commands: list[tuple[float, JointTrajectory]] = []
         self.states: list[tuple[float, np.ndarray]] = []
         self._followed = Followed.hold(self.q)
+        self._lock = threading.Lock()  # a test places the arm while the thread of the node moves it
         self.tool: list[PoseStamped] = []
         self.pusher: list[PoseStamped] = []
         self.records: list[PushRecord] = []
@@ -117,9 +118,10 @@ class Cell(Node):
 
     def place_arm(self, q: np.ndarray) -> None:
         """Joint positions [rad], shape (7,), without a motion that would carry the box along."""
-        self.q = q
-        self._followed = Followed.hold(q)
-        self._tip = self.kinematics.forward(q)[:3, 3]
+        with self._lock:
+            self.q = q
+            self._followed = Followed.hold(q)
+            self._tip = self.kinematics.forward(q)[:3, 3]
 
     @property
     def holds(self) -> list[tuple[float, JointTrajectory]]:
@@ -148,17 +150,24 @@ class Cell(Node):
         order = [list(msg.joint_names).index(name) for name in self.kinematics.joint_names]
         times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in msg.points])
         position, velocity = (np.array([getattr(p, name) for p in msg.points])[:, order] for name in ("positions", "velocities"))
-        self._followed = Followed(times, position, velocity).from_state(received, *self._followed.sample(received))
+        with self._lock:
+            self._followed = Followed(times, position, velocity).from_state(received, *self._followed.sample(received))
         self.commands.append((received, msg))
 
     def _tick(self) -> None:
-        now = time.monotonic()
-        if self.commands:
-            self.q = self._followed.sample(now)[0]
+        with self._lock:
+            self._move(time.monotonic())
+        self._publish()
+
+    def _move(self, now: float) -> None:
+        """The arm goes on to `now` [s], with the box if it pushes it."""
+        self.q = self._followed.sample(now)[0]
         self.states.append((now, self.q))
         before, self._tip = self._tip, self.kinematics.forward(self.q)[:3, 3]
         if self.box_sticks and self._tip[2] < 0.05 and signed_distance(self._tip[None, :2], transform_points(self.box, BOX))[0] < RADIUS:
             self.box[:2] += self._tip[:2] - before[:2]
+
+    def _publish(self) -> None:
         stamp = self.get_clock().now().to_msg()
         if not self.silent:
             state = JointState(name=list(self.kinematics.joint_names), position=(self.q + self.offset).tolist())
