@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from push_ident.cli.demo_picture import PushPicture, draw_pushes, top_of
+from push_ident.cli.demo_picture import PushPicture, draw_pushes
 from push_ident.identification.ways import Way
 from push_ident.types import CameraIntrinsics, DepthFrame
 
@@ -26,22 +26,28 @@ def frame() -> DepthFrame:
     return DepthFrame(0.0, depth, CameraIntrinsics(320, 240, 300.0, 300.0, 160.0, 120.0))
 
 
+def picture(x: float = 0.0, y: float = 0.0) -> PushPicture:
+    """Before a push of a square that is thought to lie at a place [m]."""
+    return PushPicture(frame(), CAMERA, np.array([x, y, 0.0]), SQUARE)
+
+
 def test_height_is_that_of_the_pixels_within_the_outline() -> None:
-    assert abs(top_of(frame(), CAMERA, np.zeros(3), SQUARE) - HEIGHT) < 1e-3
-    assert top_of(frame(), CAMERA, np.array([5.0, 5.0, 0.0]), SQUARE) == 0.0
+    assert abs(picture().top - HEIGHT) < 1e-3
+    assert picture(5.0, 5.0).top == 0.0
 
 
 def test_a_panel_for_each_push_says_what_was_expected_and_what_came(tmp_path: Path) -> None:
-    first = PushPicture(frame(), CAMERA, np.zeros(3))
+    first = picture()
     ways = [Way(0.7, np.array([0.05, 0.0, 0.3])), Way(0.3, np.array([0.05, 0.0, -0.3]))]
-    second = PushPicture(frame(), CAMERA, np.zeros(3), ways, expected_m=0.0041)
+    second = picture()
+    second.ways, second.expected_m = ways, 0.0041
     assert first.caption(1) == "push 1: nothing known yet\n"
     assert second.caption(2) == "push 2: expected to 4.1 mm, 70% or 30%\n"
-    draw_pushes(tmp_path / "pushes.png", SQUARE, [first, second], title="before")
+    draw_pushes(tmp_path / "pushes.png", [first, second], title="before")
     before = cv2.imread(str(tmp_path / "pushes.png"))
     second.seen, second.error_m = np.array([0.05, 0.01, 0.2]), 0.002
     assert second.caption(2).endswith("was 2.0 mm off")
-    draw_pushes(tmp_path / "pushes.png", SQUARE, [first, second], title="before")
+    draw_pushes(tmp_path / "pushes.png", [first, second], title="before")
     after = cv2.imread(str(tmp_path / "pushes.png"))
     # What was predicted stays where it was, orange of the other way included.
     orange = np.array([0x00, 0x9F, 0xE6])

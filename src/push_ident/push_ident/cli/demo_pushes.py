@@ -31,6 +31,8 @@ __all__ = ["DemoPush", "DemoPushes"]
 _OK: Final = 0
 _NO_CONTACT: Final = -5
 _MAX_REFUSALS: Final = 10
+_DRAWS: Final = 10
+"""Random pushes that are drawn for one: a tenth of a second each, where pushing an object back takes as long as a push."""
 _LEARN: Final = 30.0
 """For a push to be learned [s]; a solve takes a second."""
 _PHASES: Final = ("planning", "approach", "pushing, identifying", "rest", "retreat", "re-centring")
@@ -105,6 +107,16 @@ class DemoPushes:
             self._due = known + 1
 
     def _planned(self) -> ExecutePush.Result | None:
+        """A random push that the arm can make, one that ends away from the edge if there is; None where the arm refused one."""
+        first = None
+        for _ in range(_DRAWS):
+            planned = self._drawn()
+            if planned is None or not self._ends_near_edge(planned):
+                return planned
+            first = first or planned
+        return first
+
+    def _drawn(self) -> ExecutePush.Result | None:
         """A random push that the arm can make; None where it refused this one."""
         from push_ident_msgs.action import ExecutePush
 
@@ -116,6 +128,11 @@ class DemoPushes:
             self._refused(result)
             return None
         return result
+
+    def _ends_near_edge(self, planned: ExecutePush.Result) -> bool:
+        """Whether the object, moved along a whole push, would have to be pushed back."""
+        way = planned.distance * np.array([np.cos(planned.direction), np.sin(planned.direction), 0.0])
+        return is_near_edge(self._client.shape(self._object_id), self._at_rest(-np.inf) + way, PushSettings())
 
     def _push(self, planned: ExecutePush.Result) -> bool:
         """Predict a planned push, make it and compare; whether it was made."""
@@ -198,12 +215,12 @@ class DemoPushes:
         missing = "no depth image, or no pose of the camera; is perception_node running?"
         self._client.wait(lambda: view.frame is not None and view.camera_in_table is not None, 20.0, missing)
         assert view.frame is not None and view.camera_in_table is not None
-        self._pictures.append(PushPicture(view.frame, view.camera_in_table, before))
+        outline = self._client.shape(self._object_id).outline
+        self._pictures.append(PushPicture(view.frame, view.camera_in_table, before, outline))
         return self._pictures[-1]
 
     def _draw(self) -> None:
-        outline = self._client.shape(self._object_id).outline
-        draw_pushes(self._folder / "pushes.png", outline, self._pictures, title="Each push is predicted from those before it, then made")
+        draw_pushes(self._folder / "pushes.png", self._pictures, title="Each push is predicted from those before it, then made")
 
     def _say(self, number: int, push: DemoPush) -> None:
         travel = f"push {number}: travel {millimetres(push.moved_m)}"
