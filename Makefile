@@ -42,7 +42,7 @@ experiments: setup  ## the paper's experiments on simulated ground truth (hours;
 	$(VENV)/push-ident experiment knocks --seed 52000 --models 5 --variants identified,truth --json docs/results/experiments/knocks.json
 	$(VENV)/push-ident experiment chain --seed 6200 --models 2 --json docs/results/experiments/chain.json
 	$(VENV)/push-ident experiment effects --seed 54000 --models 10 --goals 2 --json docs/results/experiments/effects.json
-	$(VENV)/push-ident experiment demo --seed 8200 --models 2 --json docs/results/experiments/demo.json
+	$(VENV)/push-ident experiment demo --seed 8745 --models 5 --json docs/results/experiments/demo.json
 	$(VENV)/push-ident experiment goals-live --seed 55100 --models 1 --json docs/results/experiments/goals-live.json
 	$(VENV)/push-ident experiment report
 
