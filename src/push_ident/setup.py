@@ -19,6 +19,7 @@ requires = [
     "rich>=15.0",
     "rosbags>=0.11",
     "scipy>=1.17",
+    "threadpoolctl>=3.8",
     "typer>=0.29",
 ]
 # Modules of each: push_ident/extras.py.

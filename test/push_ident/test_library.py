@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from IPython.core.formatters import HTMLFormatter
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import push_ident as pi
 from helpers.objects import hammer, random_records, square
+from push_ident.api.one_thread import in_one_thread
 from push_ident.bags.records import write_records
 from push_ident.errors import InputError
 from push_ident.identification.model_file import save_model
@@ -52,6 +54,22 @@ def test_every_name_that_is_offered_exists_and_is_documented() -> None:
         assert name == "__version__" or "Raises" in (getattr(pi, name).__doc__ or "") or name == "next_push", name
     with pytest.raises(AttributeError, match=r"no attribute 'identfy'; it offers diagnose, identify"):
         pi.identfy  # type: ignore[attr-defined]  # noqa: B018
+
+
+@pytest.mark.parametrize(("chosen", "used"), [(None, 1), ("2", 2)], ids=["by default", "as chosen"])
+def test_linear_algebra_has_one_thread_during_a_call(chosen: str | None, used: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    if chosen is None:
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    else:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", chosen)
+
+    def threads() -> set[int]:
+        return {found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"}
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        assert in_one_thread(threads)() == {used}
+        assert threads() == {2}
+    assert pi.identify.__wrapped__.__name__ == "identify"
 
 
 def test_package_says_that_it_is_typed() -> None:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from push_ident.api.one_thread import in_one_thread
 from push_ident.diagnosis.diagnose import diagnose as _diagnose
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
@@ -64,6 +65,7 @@ def load(*bags: str | PathLike[str], object_id: str = "", camera_in_table: Array
     return load_pushes([Path(bag) for bag in bags], object_id=object_id, camera_in_table=camera)
 
 
+@in_one_thread
 def identify(
     pushes: Sequence[PushRecord],
     *,
@@ -94,6 +96,7 @@ def identify(
     return _identify(list(pushes), known, method=method, effects=effects, budget=Budget(max_seconds=max_seconds), options=options)
 
 
+@in_one_thread
 def predict(model: Identification | ModelPosterior | str | PathLike[str], pushes: PushRecord | Sequence[PushRecord]) -> Comparison:
     """Predict recorded pushes from their first poses, and compare their ends with what was observed.
 
@@ -115,6 +118,7 @@ def predict(model: Identification | ModelPosterior | str | PathLike[str], pushes
     return compare_pushes(posterior, [pushes] if isinstance(pushes, PushRecord) else list(pushes))
 
 
+@in_one_thread
 def diagnose(
     pushes: Sequence[PushRecord],
     *,
@@ -146,6 +150,7 @@ def diagnose(
     return _diagnose(list(pushes), settings, earlier=earlier)
 
 
+@in_one_thread
 def next_push(model: Identification | ModelPosterior, pusher_radius: float) -> Proposal | None:
     """The push of an object, with free space around it, after which other pushes would be predicted best.
 
