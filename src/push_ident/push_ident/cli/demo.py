@@ -142,12 +142,12 @@ def _finish(outcome: _Outcome, run: Path, seconds: float, json: Path | None) -> 
         table.add_row(name, *(millimetres(float(f(errors))) for f in (np.mean, np.median, np.max)))
     console.print(table)
     model, truth = posterior.model, outcome.truth
-    name = "friction force per area [% / cm2]"
+    name = "share of the friction force [%/cm²]"
     panels = [(name, m.shape, _share(m)) for m in (truth, model)]
     relative = 100 * posterior.mass_friction_std / (model.mass * model.friction)
     draw_panels(
         run / "map.png",
-        [*panels, ("deviation [%]", model.shape, relative)],
+        [*panels, ("standard deviation of a cell [%]", model.shape, relative)],
         title="true (left) and identified (middle) after all pushes",
     )
     content = {

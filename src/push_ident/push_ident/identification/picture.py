@@ -90,7 +90,8 @@ def draw_panels(
         if centre is not None:
             ax.plot(*centre.centre_of_friction, marker="+", color="red", markersize=9)
         ax.set_title(name, fontsize=10)
-        figure.colorbar(patches, ax=ax, shrink=0.8).ax.tick_params(labelsize=7)
+        # Below: objects are often wide and low, and a scale beside them would be taller than they are.
+        figure.colorbar(patches, ax=ax, orientation="horizontal", shrink=0.8, aspect=30).ax.tick_params(labelsize=7)
     if title:
         figure.suptitle(figure_text(title), fontsize=11)
     _save(figure, path)
