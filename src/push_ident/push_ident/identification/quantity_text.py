@@ -10,7 +10,7 @@ __all__ = ["before_text", "value_text"]
 def value_text(quantity: Quantity) -> str:
     """Value and standard deviation after the pushes, with the unit: `27.6 ± 1.8 mm`."""
     scale, digits, unit = _scale(quantity)
-    return f"{scale * quantity.value:.{digits}f} ± {scale * quantity.std:.{digits}f}{unit}"
+    return f"{scale * quantity.value:z.{digits}f} ± {scale * quantity.std:.{digits}f}{unit}"
 
 
 def before_text(quantity: Quantity) -> str:
