@@ -154,6 +154,6 @@ STUDY = Experiment(
     tables=_tables,
     draw=_draw,
     needs_truth=False,
-    stages=("geometry", "pushing", "perception", "physics", "identification", "nodes"),
+    stages=("geometry", "pushing", "perception", "physics", "identification", "nodes", "cli"),
     one_at_a_time=True,
 )
