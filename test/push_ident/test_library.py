@@ -69,7 +69,8 @@ def test_linear_algebra_has_one_thread_during_a_call(chosen: str | None, used: i
     with threadpool_limits(limits=2, user_api="blas"):
         assert in_one_thread(threads)() == {used}
         assert threads() == {2}
-    assert pi.identify.__wrapped__.__name__ == "identify"
+    for call in (pi.identify, pi.predict, pi.diagnose, pi.next_push):
+        assert hasattr(call, "__wrapped__"), f"{call.__name__} is no call of one thread"
 
 
 def test_package_says_that_it_is_typed() -> None:

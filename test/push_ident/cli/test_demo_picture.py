@@ -53,3 +53,17 @@ def test_a_panel_for_each_push_says_what_was_expected_and_what_came(tmp_path: Pa
     orange = np.array([0x00, 0x9F, 0xE6])
     shown = [np.all(np.abs(picture.astype(int) - orange) < 40, axis=2) for picture in (before, after)]
     assert shown[0].sum() > 50 and shown[1].sum() > 50
+
+
+def test_an_object_that_was_hidden_takes_the_contrast_of_no_panel(tmp_path: Path) -> None:
+    def plain(*pushes: PushPicture) -> float:
+        """Share of the commonest grey in the first panel: nearly all where the object does not stand out."""
+        draw_pushes(tmp_path / "pushes.png", pushes, title="seen")
+        panel = cv2.imread(str(tmp_path / "pushes.png"), cv2.IMREAD_GRAYSCALE)[100:440, 20:360]
+        return float(np.bincount(panel.ravel()).max() / panel.size)
+
+    hidden = picture(0.02)
+    hidden.frame.depth[:] = np.nan
+    assert plain(picture()) < 0.8
+    assert plain(picture(), hidden) < 0.8
+    assert plain(hidden) > 0.9, "nothing is seen, and drawn without an error"

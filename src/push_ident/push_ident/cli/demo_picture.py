@@ -93,7 +93,7 @@ def draw_pushes(path: Path, pushes: Sequence[PushPicture], *, title: str) -> Non
 
     figure = Figure()
     panels = [figure.add_axes((0.0, 0.0, 1.0, 1.0)) for _ in pushes]
-    height = min(push.top for push in pushes)
+    height = min((push.top for push in pushes if push.top > 0.0), default=0.0)
     shown = np.vstack([_draw(ax, height, push) for ax, push in zip(panels, pushes, strict=True)])
     (left, top), (right, bottom) = shown.min(axis=0) - _MARGIN, shown.max(axis=0) + _MARGIN
     _place(figure, panels, (bottom - top) / (right - left))
@@ -123,7 +123,8 @@ def _place(figure: Figure, panels: Sequence[Axes], shape: float) -> None:
 
 def _draw(ax: Axes, height: float, push: PushPicture) -> Float64Array:
     """The picture of the camera, higher points darker, and the outlines at a height [m]; their pixels, shape (n, 2)."""
-    ax.imshow(push.heights, cmap="gray_r", vmin=-height, vmax=3.0 * height, interpolation="nearest", aspect="auto")
+    darkness = (-height, 3.0 * height) if height else (None, None)  # where no push saw its object, that of the picture
+    ax.imshow(push.heights, cmap="gray_r", vmin=darkness[0], vmax=darkness[1], interpolation="nearest", aspect="auto")
     poses = [("before", push.before, _BEFORE, "-", 1.2)]
     if push.seen is not None:
         poses.append(("seen after it", push.seen, _SEEN, "-", 2.5))
