@@ -193,8 +193,9 @@ def test_path_is_followed_with_corrections_that_the_executor_takes(cell: GoalCel
     sent = send(cell, kind=PushToGoal.Goal.KIND_PATH, path=path, position_tolerance=0.004, yaw_tolerance=0.05)
     result = sent.end(150.0)
     assert result.error_code == GoalCode.NONE, result.error_text
-    # How many depends on how fast this machine decides them; straight pushes are made where they come too late. A contact is given up
-    # some frames after two tolerances are expected.
+    # How many depends on how fast this machine decides them; straight pushes are made where they come too late. The box of this cell
+    # never slides along the tool and never turns, which no model expects: it is dragged aside by 1 to 7 mm. A contact is given up some
+    # frames after two tolerances are expected. How well real contacts are followed: `push-ident experiment paths` and `goals-live`.
     assert result.done == 1.0 and result.corrections >= 1 and result.rms_position < 2.5 * 0.004 and result.rms_yaw < 0.02
     assert (cell.box[:2] - first[:2]) @ along[:2] == pytest.approx(0.08, abs=0.008)
     made = [record for record in cell.records if record.error_code == 0]
