@@ -165,7 +165,11 @@ class Cell(Node):
         self.states.append((now, self.q))
         before, self._tip = self._tip, self.kinematics.forward(self.q)[:3, 3]
         if self.box_sticks and self._tip[2] < 0.05 and signed_distance(self._tip[None, :2], transform_points(self.box, BOX))[0] < RADIUS:
-            self.box[:2] += self._tip[:2] - before[:2]
+            self._carry_box(self._tip[:2], self._tip[:2] - before[:2])
+
+    def _carry_box(self, tip: np.ndarray, moved: np.ndarray) -> None:
+        """The tip, at `tip` [m], shape (2,), moved by `moved` [m], shape (2,), in contact: the box goes along and never turns."""
+        self.box[:2] += moved
 
     def _publish(self) -> None:
         stamp = self.get_clock().now().to_msg()

@@ -24,7 +24,7 @@ from helpers.executor_cell import BOX, LATCHED, Cell, Stalls, start_node, summar
 from helpers.node_process import NodeProcess
 from helpers.spinning import spinning
 from push_ident.geometry.outline import cells_in_outline
-from push_ident.geometry.se2 import quaternion_of_yaw, transform_points
+from push_ident.geometry.se2 import compose, inverse, quaternion_of_yaw, rotation, transform_points
 from push_ident.identification.result import prior_posterior
 from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_from_msg
 from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
@@ -41,6 +41,8 @@ pytestmark = pytest.mark.alone
 NEAR = (0.06, 0.02, 0.3)
 """A goal that one push along the box reaches."""
 FAR = (0.0, 0.14, 0.3)
+LEVER = float(np.linalg.norm(cells_in_outline(BOX, 0.002).centres, axis=1).mean())
+"""Largest moment of the box's friction over its largest force, where it presses evenly [m]."""
 OWN: dict[str, object] = {"workspace": [-0.1, 0.2, -0.25, 0.25], "learn_timeout": 0.5, "object_patience": 3.0, "push_speed": 0.1}
 """Parameters of the node; the workspace is that of the executor of these tests."""
 REACTION = 0.05
@@ -64,6 +66,17 @@ class GoalCell(Cell):
         self.edges: list[PolygonStamped] = []
         self.create_subscription(PolygonStamped, EDGE_TOPIC, self.edges.append, LATCHED)
         self.publish_model()
+
+    def _carry_box(self, tip: np.ndarray, moved: np.ndarray) -> None:
+        """As a quasi-static push of a tip that never slips, on a limit surface that is an ellipsoid (Lynch, Maekawa and Tanie 1992)."""
+        own, own_moved = transform_points(inverse(self.box), tip[None])[0], moved @ rotation(self.box[2])
+        contact = np.clip(own, BOX[0], BOX[2])
+        if (contact - own) @ own_moved <= 0.0:
+            return  # it leaves
+        square = LEVER**2
+        shift = (square * own_moved + contact * (contact @ own_moved)) / (square + contact @ contact)
+        turn = (contact[0] * shift[1] - contact[1] * shift[0]) / square
+        self.box[:] = compose(self.box, np.array([*shift, turn]))
 
     def _on_markers(self, msg: MarkerArray) -> None:
         self.drawings.append(goal_markers_from_msg(msg))
@@ -193,16 +206,16 @@ def test_path_is_followed_with_corrections_that_the_executor_takes(cell: GoalCel
     sent = send(cell, kind=PushToGoal.Goal.KIND_PATH, path=path, position_tolerance=0.004, yaw_tolerance=0.05)
     result = sent.end(150.0)
     assert result.error_code == GoalCode.NONE, result.error_text
-    # How many depends on how fast this machine decides them; straight pushes are made where they come too late. The box of this cell
-    # never slides along the tool and never turns, which no model expects: it is dragged aside by 1 to 7 mm. A contact is given up some
-    # frames after two tolerances are expected. How well real contacts are followed: `push-ident experiment paths` and `goals-live`.
-    assert result.done == 1.0 and result.corrections >= 1 and result.rms_position < 2.5 * 0.004 and result.rms_yaw < 0.02
-    assert (cell.box[:2] - first[:2]) @ along[:2] == pytest.approx(0.08, abs=0.008)
-    made = [record for record in cell.records if record.error_code == 0]
-    ahead = [record.direction == pytest.approx(0.3, abs=0.1) for record in made]
-    assert sum(record.distance for record, is_ahead in zip(made, ahead, strict=True) if is_ahead) == pytest.approx(0.08, abs=0.015)
-    # A box that came to the end of the path beside its last pose is pushed there, from wherever that is: short pushes.
-    assert all(is_ahead or record.distance < 0.02 for record, is_ahead in zip(made, ahead, strict=True))
+    # How many depends on how fast this machine decides them; straight pushes are made where they come too late. Nobody learns here what
+    # the box is, so that it moves over by 1 to 4 mm and turns by 0.02 to 0.13 rad (ten runs, quiet and busy); the bounds are far from
+    # that: control was lost. How well paths are followed: `push-ident experiment paths` and `goals-live`.
+    print(f"{1e3 * result.rms_position:.1f} mm, {result.rms_yaw:.3f} rad, {result.corrections} corrections in {result.pushes} pushes")
+    assert result.done == 1.0 and result.corrections >= 1
+    assert result.rms_position < 2 * 0.004 and result.rms_yaw < 5 * 0.05
+    # A box that came to the end of the path beside its last pose is pushed there.
+    assert result.position_error < 0.004 and result.yaw_error < 0.05
+    last = first + 0.08 * along
+    assert cell.box[:2] == pytest.approx(last[:2], abs=0.006) and cell.box[2] == pytest.approx(last[2], abs=0.06), "the box itself is there"
     # Shown: the path all the time, and the tool as it is steered.
     wait_for(lambda: cell.drawings and cell.drawings[-1] is None)
     shown = [drawing for drawing in cell.drawings[n_shown:] if drawing is not None]
@@ -232,7 +245,8 @@ WRONG = {
 
 
 def test_invalid_goals_are_named_and_the_running_one_goes_on(cell: GoalCell) -> None:
-    running = begin(cell, FAR)
+    # More exact than one push brings it: the wait for the unknown object, and a slow machine, take as long as a push.
+    running = begin(cell, FAR, position_tolerance=0.003, yaw_tolerance=0.02)
     for name, (fields, code, word) in WRONG.items():
         result = send(cell, **fields).end(5.0)  # type: ignore[arg-type]
         assert result.error_code == code, (name, result.error_text)

@@ -170,7 +170,9 @@ class PathPlanner:
         (n_models, n_strokes, n_lengths)."""
         place, error = path.error(compose(pose, motion), now, _AHEAD)
         square, place = _square(path, error), np.maximum(place, now)
-        way = np.cumsum(np.maximum(np.diff(place, axis=2, prepend=now), 0.0) * square, axis=2)
+        steps = np.maximum(np.diff(place, axis=2, prepend=now), 0.0)
+        # A motion that nobody knows is infinitely far from the path, also where it brings nothing.
+        way = np.cumsum(np.multiply(steps, square, out=np.zeros_like(square), where=steps > 0.0), axis=2)
         return _CONTACT + way + _CARRIED * square, place, square
 
 
