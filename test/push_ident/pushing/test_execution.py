@@ -158,6 +158,26 @@ def test_force_ends_the_push(bench: Bench, change: dict[str, float]) -> None:
     assert len(bench.cell.holds) == 1
 
 
+@pytest.mark.parametrize("at", ["fresh_state", "take_peak", "why_no_fist"])
+def test_process_that_stands_still_within_a_look_sends_nothing_more_and_says_why(bench: Bench, monkeypatch: Any, at: str) -> None:
+    """All sensors seem silent to it then; the arm has braked meanwhile."""
+    whole, n_pieces = getattr(bench.cell, at), []
+
+    def stands_still(*args: Any, **kwargs: Any) -> Any:
+        result = whole(*args, **kwargs)
+        if bench.execution.is_pushing and len(bench.cell.pieces) > 20 and not n_pieces:
+            bench.cell.felt = bench.cell.pose_received = bench.cell.time
+            bench.cell.is_hidden = True
+            bench.cell.sleep(1.5)
+            n_pieces.append(len(bench.cell.pieces))
+        return result
+
+    monkeypatch.setattr(bench.cell, at, stands_still)
+    outcome = bench.push()
+    assert code_of(outcome) == PushCode.TRACKING and "was not watched for 1.5 s" in str(outcome.error)
+    assert len(bench.cell.holds) == 1 and len(bench.cell.pieces) == n_pieces[0] + 1, "the hold is all that is sent after it"
+
+
 def test_arm_that_leaves_its_path_is_held(bench: Bench) -> None:
     bench.when_pushing(lambda cell: cell.offset.__iadd__(0.002))
     assert code_of(bench.push()) == PushCode.TRACKING

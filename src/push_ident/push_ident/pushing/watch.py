@@ -100,6 +100,10 @@ class _MotionClock:
         return self.latest
 
 
+def _unwatched(duration: float) -> PlanningError:
+    return PlanningError(PushCode.TRACKING, f"the motion was not watched for {duration:.1f} s, and the arm has stopped by itself.")
+
+
 class ArmWatch:
     """Starts motions and supervises them until they have ended, or something is wrong."""
 
@@ -193,14 +197,26 @@ class ArmWatch:
                 arrived = np.max(np.abs(state.q - motion.trajectory.position[-1])) <= limits.start_tolerance
                 if elapsed >= motion.duration and arrived:
                     return
+                if self._clock.monotonic() - now > _ABSENT:
+                    continue  # this process stood still since the check above: the next look says so, and nothing more is sent
                 if now - sent > limits.motion_horizon / _PIECES - 0.5 * _PERIOD and not pacing.is_complete:
                     sent = now
                     # Where the clock has gained on wall time the arm may be further behind than it seems: it gets that much longer.
                     time = clock.now()
                     link.move(pacing.piece(time, splice=SPLICE + clock.ahead), time if is_stamped else None)
-        except BaseException as fault:
+        except BaseException as error:
+            fault = self._cause(error, looked, limits)
             link.hold(self._last_piece(fault, pacing, clock))
-            raise
+            if fault is error:
+                raise
+            raise fault from error
+
+    def _cause(self, fault: BaseException, looked: float, limits: WatchLimits) -> BaseException:
+        """What ended a motion: to a process that stood still since it `looked` [s], all others seem to have been silent."""
+        unwatched = self._clock.monotonic() - looked
+        seems_silent = isinstance(fault, PlanningError) and fault.code in (PushCode.FORCE, PushCode.HAND, PushCode.OBJECT_LOST)
+        is_force = self.peak_force > limits.force_limit
+        return _unwatched(unwatched) if seems_silent and not is_force and unwatched > _ABSENT else fault
 
     def _last_piece(self, fault: BaseException, pacing: PathPacing, clock: _MotionClock) -> JointTrajectory:
         """An arm on its path brakes on it; one that has left it stands where it is."""
@@ -212,7 +228,7 @@ class ArmWatch:
     def _check_time(self, clock: _MotionClock, state: ArmState, unwatched: float) -> None:
         """Raise PlanningError TRACKING when it is not known how far the arm has come."""
         if unwatched > _ABSENT:
-            raise PlanningError(PushCode.TRACKING, f"the motion was not watched for {unwatched:.1f} s, and the arm has stopped by itself.")
+            raise _unwatched(unwatched)
         if (back := clock.set_back(state)) > 0.0:
             raise PlanningError(PushCode.TRACKING, f"time jumped back by {back + _CLOCK_JUMP:.2f} s during the motion.")
         if clock.ahead > _CLOCK_JUMP:
