@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -26,7 +27,7 @@ from trajectory_msgs.msg import JointTrajectory
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.convert import force_to_msg, planar_pose_to_msg, shape_to_msgs
+from push_ident.nodes.convert import force_to_msg, planar_pose_to_msg, shape_to_msgs, stamp_from_msg
 from push_ident.types import ObjectShape
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import HandStatus, PushRecord
@@ -55,6 +56,8 @@ QUICK = {
 }
 PAUSE = 1.0
 """Between the commands of two motions [s]; within one there is one every 20 ms, if the machine has time for it."""
+HORIZON = 0.08
+"""Of the commands that an arm is given ahead: motion_horizon [s]."""
 FIST = {"g_act": 1, "g_mod": 0, "g_gto": 1, "g_imc": 3, "g_sta": 2, "g_flt": 0, "g_pra": 255}
 
 
@@ -138,6 +141,11 @@ class Cell(Node):
             found[-1].append((received, msg))
         return found
 
+    def delays(self) -> float:
+        """By how much gaps between commands exceed half of what they give the arm ahead: for so long it may have stood [s]."""
+        gaps = [np.diff([received for received, _ in motion]) for motion in self.motions]
+        return float(sum(np.sum(np.maximum(gap - HORIZON / 2, 0.0)) for gap in gaps))
+
     def describe(self, urdf_xml: str) -> None:
         """Publish a description of the arm."""
         self._description.publish(String(data=urdf_xml))
@@ -199,6 +207,13 @@ class Call:
         return self.result.result().result
 
 
+def ask(node: Node, question: Callable[[], Any]) -> Any:
+    """What `question` gives in the thread that spins: in another one an answer may come before rclpy has noted the request, and be lost."""
+    task = node.executor.create_task(question)
+    wait_for(task.done)
+    return task.result()
+
+
 def is_hold(command: JointTrajectory) -> bool:
     return len(command.points) == 1 and not np.any(command.points[0].velocities)
 
@@ -208,6 +223,16 @@ def wait_for(condition: Callable[[], object], timeout: float = 20.0) -> None:
     while not condition():
         assert time.monotonic() < deadline, "timed out"
         time.sleep(0.002)
+
+
+def wait_until_ready(cell: Cell, timeout: float = 120.0) -> None:
+    """Until an executor that has just been started sees the box."""
+    started = time.time()
+
+    def sees_box(msg: DiagnosticArray) -> bool:
+        return stamp_from_msg(msg.header.stamp) > started and "objects: box" in summary(msg)  # the one before it may be heard still
+
+    wait_for(lambda: any(sees_box(msg) for msg in list(cell.diagnostics)), timeout)
 
 
 def begin_push(cell: Cell, **fields: object) -> Call:
@@ -220,11 +245,12 @@ def begin_push(cell: Cell, **fields: object) -> Call:
 
 def send(cell: Cell, **fields: object) -> Call:
     feedback: list[int] = []
-    sent = cell.client.send_goal_async(ExecutePush.Goal(**fields), feedback_callback=lambda m: feedback.append(int(m.feedback.phase)))
+    goal = ExecutePush.Goal(**fields)
+    sent = ask(cell, lambda: cell.client.send_goal_async(goal, feedback_callback=lambda m: feedback.append(int(m.feedback.phase))))
     wait_for(sent.done)
     handle = sent.result()
     assert handle.accepted
-    return Call(handle, handle.get_result_async(), feedback)
+    return Call(handle, ask(cell, handle.get_result_async), feedback)
 
 
 def start_node(domain: int, remap: tuple[str, str] | None = None, **parameters: object) -> subprocess.Popen[str]:

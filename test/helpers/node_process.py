@@ -14,6 +14,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.srv import ListParameters, SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -21,8 +22,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from helpers.bags import write_push
 from push_ident.bags.writer import BagWriter
+from push_ident_msgs.srv import SaveModel
 
 __all__ = ["NodeProcess", "Talker", "node_commands"]
+
+
+REPEATABLE = (ListParameters.Request, SetParameters.Request, SaveModel.Request)
+"""Requests that may be made twice."""
+AGAIN = 2.5
+"""After so long one of them is made again [s]."""
 
 
 def node_commands(folder: Path) -> dict[str, tuple[str, dict[str, object]]]:
@@ -73,7 +81,7 @@ class NodeProcess:
         if self.runs:
             self._process.send_signal(signal.SIGINT)
         try:
-            return self._process.wait(5.0)
+            return self._process.wait(30.0)
         finally:
             self._process.kill()
 
@@ -112,7 +120,7 @@ class Talker:
         own = [report for report in self._reports if node in report.name]
         return {value.key: value.value for report in own[-1:] for value in report.values}
 
-    def until(self, condition: Callable[[], object], meanwhile: Callable[[], object] = lambda: None, timeout: float = 60.0) -> None:
+    def until(self, condition: Callable[[], object], meanwhile: Callable[[], object] = lambda: None, timeout: float = 120.0) -> None:
         """Spin until `condition` is true, calling `meanwhile` again and again."""
         deadline = time.monotonic() + timeout
         while not condition():
@@ -120,9 +128,18 @@ class Talker:
             meanwhile()
             self._executor.spin_once(timeout_sec=0.05)
 
-    def ask(self, client: Any, request: object, timeout: float = 10.0) -> Any:
-        """The answer of a service."""
+    def ask(self, client: Any, request: object, timeout: float = 60.0) -> Any:
+        """The answer of a service.
+
+        A server that has not found the reading end of a client yet drops its answer: what may be asked twice is asked again.
+        """
         self.until(client.service_is_ready)
-        future = client.call_async(request)
-        self.until(future.done, timeout=timeout)
-        return future.result()
+        deadline, again = time.monotonic() + timeout, 0.0
+        futures: list[Any] = []
+        while not (answered := [future for future in futures if future.done()]):
+            assert time.monotonic() < deadline, f"no answer to {type(request)}; the node says {self._reports[-1:]}"
+            if not futures or (isinstance(request, REPEATABLE) and time.monotonic() > again):
+                futures.append(client.call_async(request))
+                again = time.monotonic() + AGAIN
+            self._executor.spin_once(timeout_sec=0.05)
+        return answered[0].result()

@@ -97,7 +97,7 @@ class Camera(Node):
         return {value.key: value.value for msg in self.diagnostics[-1:] for value in msg.status[0].values}
 
 
-def wait_for(condition: Callable[[], object], timeout: float = 10.0) -> None:
+def wait_for(condition: Callable[[], object], timeout: float = 60.0) -> None:
     deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline, "timed out"
@@ -124,7 +124,7 @@ def start(domain: int, *arguments: str) -> subprocess.Popen[str]:
 
 
 def send_until(camera: Camera, condition: Callable[[], object], **how: object) -> None:
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 120.0  # the node may have to start first
     while not condition():
         assert time.monotonic() < deadline, camera.values()
         camera.send(**how)  # type: ignore[arg-type]

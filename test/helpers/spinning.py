@@ -29,6 +29,6 @@ def spinning(make: Callable[[Context], AnyNode], domain: int) -> Iterator[AnyNod
         yield node
     finally:
         executor.shutdown()
-        thread.join(2.0)
+        thread.join(30.0)
         node.destroy_node()
         context.try_shutdown()

@@ -13,6 +13,7 @@ from contextlib import closing, contextmanager
 
 import pytest
 
+from helpers.executor_cell import Stalls
 from helpers.sockets import Socket, descendants, sockets_of
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.nodes.network import own_domain
@@ -20,7 +21,7 @@ from push_ident.nodes.network import own_domain
 pytestmark = pytest.mark.alone
 
 _PORTS = {"grpc_port": 19876, "web_port": 19090}
-_START_WITHIN = 60.0
+_START_WITHIN = 120.0
 
 
 @contextmanager
@@ -39,7 +40,7 @@ def viewer(**environ: str) -> Iterator[subprocess.Popen[str]]:
         yield node
     finally:
         node.send_signal(signal.SIGINT)
-        node.communicate(timeout=5.0)
+        node.communicate(timeout=30.0)
 
 
 def sockets_below(pid: int, *, until: set[int]) -> list[Socket]:
@@ -81,11 +82,12 @@ def test_the_server_of_the_viewer_ends_with_its_node() -> None:
         found = sockets_below(node.pid, until=set(_PORTS.values()))
         servers = {s.pid for s in found if s.port in _PORTS.values()} - {node.pid}
         assert len(servers) == 1
-        node.kill()
-        deadline = time.monotonic() + 2.0
-        while any(sockets_of(pid) for pid in servers):
-            assert time.monotonic() < deadline, "the server outlives its node"
-            time.sleep(0.02)
+        with Stalls() as stalls:
+            node.kill()
+            killed = time.monotonic()
+            while any(sockets_of(pid) for pid in servers):
+                assert time.monotonic() - killed < 2.0 + 4.0 * stalls.worst, "the server outlives its node"
+                time.sleep(0.02)
 
 
 def test_the_plain_address_of_the_viewer_leads_to_the_data() -> None:

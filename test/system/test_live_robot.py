@@ -23,7 +23,7 @@ pytestmark = pytest.mark.alone
 def await_plan(client: CellClient, goal: ExecutePush.Goal) -> None:
     """Wait until the executor can plan a push: it knows arm and object then."""
     goal.dry_run = True
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 60.0
     while (result := client.execute_push(goal)).error_code != ExecutePush.Result.NONE:
         assert time.monotonic() < deadline, result.error_text
         time.sleep(0.2)

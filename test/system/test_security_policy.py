@@ -83,6 +83,6 @@ def test_the_policy_allows_what_the_nodes_of_a_live_cell_do(tool: ModuleType, mo
 def test_enforced_security_without_keys_starts_no_node(tmp_path: Path) -> None:
     secure = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce", "ROS_SECURITY_KEYSTORE": str(tmp_path)}
     command = [sys.executable, "-m", "push_ident.nodes", "bag_recorder_node", "--ros-args", "--enclave", "/push_ident/bag_recorder_node"]
-    done = subprocess.run(command, env=os.environ | secure, capture_output=True, text=True, timeout=30, check=False)
+    done = subprocess.run(command, env=os.environ | secure, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 1
     assert "SECURITY ERROR" in done.stderr and "Traceback" not in done.stderr

@@ -42,8 +42,10 @@ def unchanged(image: Image, info: CameraInfo) -> None:
 
 
 @contextmanager
-def camera(topic: str = "depth/image_rect", change: Change = unchanged, *, info: bool = True, pose: bool = False) -> Iterator[Node]:
-    """A depth camera over a box, 20 images a second, each with an info beside it, as a driver of image_transport publishes them."""
+def camera(
+    topic: str = "depth/image_rect", change: Change = unchanged, *, info: bool = True, pose: bool = False, period: float = 0.05
+) -> Iterator[Node]:
+    """A depth camera over a box, an image each `period` [s] with an info beside it, as a driver of image_transport publishes them."""
     context = Context()
     rclpy.init(context=context)
     node = Node("camera", context=context)
@@ -64,7 +66,7 @@ def camera(topic: str = "depth/image_rect", change: Change = unchanged, *, info:
         if infos is not None:
             infos.publish(messages[1])
 
-    node.create_timer(0.05, send)
+    node.create_timer(period, send)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     thread = threading.Thread(target=executor.spin, daemon=True)
@@ -111,8 +113,9 @@ def test_what_ends_before_thirty_frames_is_surveyed_with_those_it_has(tmp_path: 
         if next(moved) % 2:
             image.height -= 1
 
-    with camera(change=some_are_cut):
-        done, content = look(tmp_path, "--seconds", 2.5)
+    # At most 25 whole ones; 2 also where the camera is found late.
+    with camera(change=some_are_cut, period=0.1):
+        done, content = look(tmp_path, "--seconds", 5)
     assert done.returncode == 0, done.stderr
     assert 2 <= content["n_frames"] < 30
     assert any("not usable and left out" in note for note in content["notes"])
@@ -120,9 +123,9 @@ def test_what_ends_before_thirty_frames_is_surveyed_with_those_it_has(tmp_path: 
 
 def test_no_publisher_is_named_with_the_topics_that_have_images(tmp_path: Path) -> None:
     with camera("/other/depth/image_raw"):
-        done, _ = look(tmp_path, "--seconds", 2)
+        done, _ = look(tmp_path, "--seconds", 10)  # the other camera may be found late
     assert done.returncode == 1
-    assert "/depth/image_rect has no publisher within 2 s" in done.stderr and "Topics with images: /other/depth/image_raw." in done.stderr
+    assert "/depth/image_rect has no publisher within 10 s" in done.stderr and "Topics with images: /other/depth/image_raw." in done.stderr
     done, _ = look(tmp_path, "--seconds", 0.5)
     assert done.returncode == 1 and "No other topic has images; check ROS_DOMAIN_ID" in done.stderr
 

@@ -6,7 +6,8 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,8 @@ from push_ident.cli.robot_live import find_live
 from push_ident.cli.robot_parameters import check_parameters
 from push_ident.cli.supervisor import node_commands, node_names
 from push_ident.nodes.network import own_domain
-from push_ident.pushing.robot.finding import Level
-from push_ident.pushing.robot.robot_file import read_robot
+from push_ident.pushing.robot.finding import Finding, Level
+from push_ident.pushing.robot.robot_file import Robot, read_robot
 
 COARSE = ("--spacing", 0.4, "--seconds", 0.5)
 
@@ -159,18 +160,30 @@ def test_nodes_of_a_real_cell_get_description_postures_and_topics_and_the_simula
     assert not any("robot_description_file" in word for word in commands["push_executor_node"])
 
 
+def await_findings(robot: Robot, is_expected: Callable[[list[Finding]], bool]) -> None:
+    """Until what is found is the expected, at most a minute: a busy machine may take more than the 2 s of one try to find the driver."""
+    deadline = time.monotonic() + 60.0
+    while not is_expected(findings := find_live(robot, None, 2.0)):
+        assert time.monotonic() < deadline, findings
+
+
+def are_wrong(findings: list[Finding], *texts: tuple[str, ...]) -> bool:
+    """Whether as many findings as `texts` are wrong, and each has all of its texts."""
+    wrong = [finding.text for finding in findings if finding.level is Level.WRONG]
+    return len(wrong) == len(texts) and all(part in text for text, parts in zip(wrong, texts, strict=True) for part in parts)
+
+
 def test_running_arm_and_camera_are_compared_with_the_file(driver: Driver) -> None:
     robot = read_robot(robot_path("ur5e"))
-    findings = find_live(robot, None, 2.0)
-    assert {(finding.about, finding.level) for finding in findings} == {("arm", Level.OK), ("camera", Level.OK)}, findings
+    well = {("arm", Level.OK), ("camera", Level.OK)}
+    await_findings(robot, lambda findings: {(finding.about, finding.level) for finding in findings} == well)
     driver.joints = JointState(name=["A1", "A2"], position=[0.0, 0.0])
     driver.frame = "camera_link"
-    wrong = [finding.text for finding in find_live(robot, None, 2.0) if finding.level is Level.WRONG]
-    assert len(wrong) == 2 and "no joint shoulder_pan_joint" in wrong[0] and "it has A1, A2" in wrong[0]
-    assert "its images are in the frame camera_link; expected camera.frame, camera_depth_optical_frame" in wrong[1]
+    joints = ("no joint shoulder_pan_joint", "it has A1, A2")
+    frame = ("its images are in the frame camera_link; expected camera.frame, camera_depth_optical_frame",)
+    await_findings(robot, lambda findings: are_wrong(findings, joints, frame))
 
 
 def test_controller_that_does_not_listen_is_wrong(driver: Driver, tmp_path: Path) -> None:
     robot = read_robot(changed(tmp_path, lambda c: c["topics"].update(joint_trajectory="/another/joint_trajectory")))
-    wrong = [finding.text for finding in find_live(robot, None, 2.0) if finding.level is Level.WRONG]
-    assert len(wrong) == 1 and "nobody listens to /another/joint_trajectory" in wrong[0]
+    await_findings(robot, lambda findings: are_wrong(findings, ("nobody listens to /another/joint_trajectory",)))

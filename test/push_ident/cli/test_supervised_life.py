@@ -141,7 +141,7 @@ def test_stopped_supervisor_changes_nothing(tmp_path: Path) -> None:
     assert is_alive(process)
     supervisor.send_signal(signal.SIGCONT)
     supervisor.send_signal(signal.SIGINT)
-    assert supervisor.wait(timeout=20.0) == 0
+    assert supervisor.wait(timeout=60.0) == 0
     assert not is_alive(process)
 
 
@@ -199,15 +199,26 @@ def supervised(node_name: str) -> NodeCommand:
 def test_stop_at_any_moment_of_a_supervised_node_is_quiet_and_quick(tmp_path: Path, node_name: str) -> None:
     rng = random.Random(node_name)
     for number in range(3):
-        supervisor = Supervisor([supervised(node_name)], log_dir=tmp_path)
-        supervisor.start()
-        time.sleep(rng.uniform(0.0, 3.0) if number else 0.0)
-        with Stalls() as stalls:
-            asked = time.monotonic()
-            assert supervisor.stop() == []
-            assert time.monotonic() - asked < 2.0 + 4.0 * stalls.worst
-        assert supervisor.exit_code(node_name) == 0
-        assert "Traceback" not in (tmp_path / f"{node_name}.log").read_text()
+        delay = rng.uniform(0.0, 3.0) if number else 0.0
+        # After 1.8 s a node ends itself by force: where the machine stalls for long meanwhile, the trial shows nothing of it.
+        for _ in range(5):
+            stubborn, code, stalled = stopped(node_name, delay, tmp_path)
+            if stalled < 0.3:
+                break
+        assert stubborn == [] and code == 0
+
+
+def stopped(node_name: str, delay: float, folder: Path) -> tuple[list[str], int | None, float]:
+    """Start a node and stop it after a delay [s]: what did not stop on SIGINT, its exit code, and the longest stall meanwhile [s]."""
+    supervisor = Supervisor([supervised(node_name)], log_dir=folder)
+    supervisor.start()
+    time.sleep(delay)
+    with Stalls() as stalls:
+        asked = time.monotonic()
+        stubborn, took = supervisor.stop(), time.monotonic() - asked
+    assert took < 2.0 + 4.0 * stalls.worst
+    assert "Traceback" not in (folder / f"{node_name}.log").read_text()
+    return stubborn, supervisor.exit_code(node_name), stalls.worst
 
 
 @pytest.mark.parametrize("command", ["up sim", "doctor"])

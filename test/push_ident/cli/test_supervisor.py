@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from helpers.executor_cell import Stalls
 from push_ident.cli.supervisor import NodeCommand, Supervisor, SupervisorError, config_file, node_commands
 from push_ident.errors import InputError
 
@@ -50,7 +51,7 @@ def command(name: str, code: str, may_end: bool = False) -> NodeCommand:
     return NodeCommand(name, (sys.executable, "-c", code), may_end)
 
 
-def wait_until(condition: Callable[[], bool], timeout: float = 20.0) -> None:
+def wait_until(condition: Callable[[], bool], timeout: float = 60.0) -> None:
     deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline, "waited too long"
@@ -95,10 +96,12 @@ def test_request_to_stop_stops_all_within_two_seconds(tmp_path: Path, number: si
     process = start_in_own_process(tmp_path, one=HAS_CHILD, two=SLEEP)
     child = child_in(tmp_path / "one.log")
     wait_for_line(tmp_path / "two.log", "ready")
-    start = time.monotonic()
-    process.send_signal(number)
-    _, error = process.communicate(timeout=30)
-    assert time.monotonic() - start < 2.0
+    with Stalls() as stalls:
+        start = time.monotonic()
+        process.send_signal(number)
+        _, error = process.communicate(timeout=30)
+        took = time.monotonic() - start
+    assert took < 2.0 + 4.0 * stalls.worst
     assert process.returncode == 0, error
     assert not is_alive(child)
 
@@ -108,9 +111,10 @@ def test_process_deaf_to_ctrl_c_is_ended_and_named(tmp_path: Path) -> None:
     supervisor.start()
     wait_for_line(tmp_path / "deaf.log", "ready")
     wait_for_line(tmp_path / "good.log", "ready")
-    start = time.monotonic()
-    assert supervisor.stop() == ["deaf"]
-    assert time.monotonic() - start < 4.0
+    with Stalls() as stalls:
+        start = time.monotonic()
+        stubborn, took = supervisor.stop(), time.monotonic() - start
+    assert stubborn == ["deaf"] and took < 4.0 + 4.0 * stalls.worst
     assert supervisor.exit_code("deaf") == -signal.SIGTERM
 
 
@@ -133,13 +137,13 @@ def test_no_process_remains_when_the_caller_is_terminated(tmp_path: Path, number
     process = subprocess.Popen([sys.executable, "-c", script, str(tmp_path), HAS_CHILD], stderr=subprocess.DEVNULL)
     child = child_in(tmp_path / "one.log")
     process.send_signal(number)
-    assert process.wait(timeout=10) != 0
+    assert process.wait(timeout=60) != 0
     assert not is_alive(child)
 
 
 def test_process_that_may_end_stops_nothing(tmp_path: Path) -> None:
     with Supervisor([command("player", "pass", may_end=True), command("one", SLEEP)], log_dir=tmp_path) as supervisor:
-        assert supervisor.wait_for("player", timeout=20.0) == 0
+        assert supervisor.wait_for("player", timeout=60.0) == 0
         assert supervisor.poll() is None and supervisor.exit_code("one") is None
 
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from helpers.diagnosis import gap_of, simulated_pushes
 from push_ident.diagnosis.fits import fit_base, fit_effects
-from push_ident.diagnosis.held_out import HeldOutFits, measure_gap
+from push_ident.diagnosis.held_out import HeldOutFits, measure_gap, noise_errors
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.physics.scenario import PushScenario
 
 
 def test_gap_is_measured_at_every_stage() -> None:
@@ -33,6 +36,22 @@ def test_gap_is_measured_at_every_stage() -> None:
     np.testing.assert_array_equal(again.before, gap.before)
     pairs = measure_gap(base, base, ValidationPolicy(max_folds=2))
     assert pairs.folds == ((0, 2), (1,)) and pairs.before.shape == (3,)
+
+
+def test_noise_of_a_push_is_no_more_than_its_object_may_move_by_errors_of_the_first_pose() -> None:
+    """A pusher that just touches a corner, or does not: the end of the push jumps by 20 mm over a hair's breadth of the first pose."""
+    base = fit_base(simulated_pushes(2, 1), DiagnosisSettings())
+    usual = noise_errors(base, 64)
+
+    class Grazing:
+        def simulate(self, scenario: PushScenario, **_: object) -> SimpleNamespace:
+            jump = 0.01 * np.tanh(1e5 * (scenario.pose_object_in_table[0] - first[0]))
+            return SimpleNamespace(pose=scenario.pose_object_in_table[None] + [jump, 0.0, 0.0])
+
+    first = base.problem.first_pose(base.x, 0)
+    grazing = SimpleNamespace(problem=base.problem, unknowns=SimpleNamespace(mechanics=lambda z: Grazing()), x=base.x, z=base.z)
+    assert usual.max() < 0.003
+    assert 0.003 < noise_errors(cast(Any, grazing), 64)[0] < 0.012
 
 
 def test_shrink_is_the_share_of_the_gap_above_noise_that_is_closed_and_not_a_number_without_one() -> None:

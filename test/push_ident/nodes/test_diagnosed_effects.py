@@ -45,7 +45,7 @@ class Cell(Talker):
 
     def answer(self, path: str) -> LoadModel.Response:
         """Of `load_diagnosis`."""
-        return self.ask(self.load, LoadModel.Request(object_id=OBJECT, path=path), timeout=60.0)
+        return self.ask(self.load, LoadModel.Request(object_id=OBJECT, path=path), timeout=300.0)
 
 
 @pytest.fixture(scope="module")
@@ -55,13 +55,13 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     own: dict[str, dict[str, object]] = {
         "gap_diagnosis_node": {"outline_from_camera": False},
         "identification_node": {"suggest_candidates": 0},
-        "bag_player_node": {"bag": str(folder / "bag"), "rate": 0.0, "listeners": 2, "wait": 60.0},
+        "bag_player_node": {"bag": str(folder / "bag"), "rate": 0.0, "listeners": 2, "wait": 300.0},
     }
     with Cell(domain) as cell:
         nodes = [NodeProcess(name, "push_ident.nodes", parameters, domain, folder) for name, parameters in own.items()]
         try:
-            cell.until(lambda: cell.models and cell.models[-1].n_pushes == N_PUSHES, timeout=300.0)
-            cell.until(lambda: cell.values("gap_diagnosis_node").get("pushes") == str(N_PUSHES), timeout=60.0)
+            cell.until(lambda: cell.models and cell.models[-1].n_pushes == N_PUSHES, timeout=600.0)
+            cell.until(lambda: cell.values("gap_diagnosis_node").get("pushes") == str(N_PUSHES))
             yield cell
         finally:
             for node in nodes:
@@ -70,7 +70,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 
 
 def result_of(cell: Cell, future: Any) -> Any:
-    cell.until(future.done, timeout=200.0)
+    cell.until(future.done, timeout=600.0)
     return future.result()
 
 

@@ -30,7 +30,7 @@ def as_arguments(*parameters: str) -> list[str]:
 
 def end(process: subprocess.Popen[str]) -> str:
     process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=5.0)
+    output, _ = process.communicate(timeout=30.0)
     assert "Traceback" not in output, output
     return output
 

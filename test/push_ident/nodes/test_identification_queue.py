@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
+from rclpy.context import Context
 from std_msgs.msg import Float32MultiArray
 
+from helpers.executor_cell import Stalls
 from helpers.node_process import Talker
 from helpers.spinning import spinning
 from push_ident.geometry.outline import cells_in_outline
 from push_ident.identification.session import ObjectSession
 from push_ident.nodes.convert import outline_std_to_msg, planar_pose_to_msg, shape_to_msgs
+from push_ident.nodes.identification import identification_node
 from push_ident.nodes.identification.identification_node import IdentificationNode
 from push_ident.nodes.identification.work_queue import Kind, WorkQueue
 from push_ident.nodes.network import own_domain
@@ -52,13 +57,31 @@ def test_only_the_latest_outline_of_an_object_waits_and_pushes_keep_their_place(
     assert queue.n_waiting(Kind.OUTLINE) == 0
 
 
+@pytest.mark.alone
+def test_node_that_loads_its_kernels_is_closed_without_waiting_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    may_load, context = threading.Event(), Context()
+    monkeypatch.setattr(identification_node, "compile_kernels", lambda **options: may_load.wait(60.0))
+    rclpy.init(context=context, domain_id=own_domain())
+    node = IdentificationNode(context=context)
+    try:
+        with Stalls() as stalls:
+            asked = time.monotonic()
+            node.close()
+            took = time.monotonic() - asked
+        assert took < 0.8 + 4.0 * stalls.worst
+    finally:
+        may_load.set()
+        node.destroy_node()
+        context.try_shutdown()
+
+
 @pytest.mark.live
 def test_a_better_outline_is_no_push_that_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The fit with it is held up, so that the status of the node is seen meanwhile."""
     domain, may_go_on, refine = own_domain(), threading.Event(), ObjectSession.refine_shape
 
     def held_up(session: ObjectSession, shape: ObjectShape) -> bool:
-        assert session.is_new or may_go_on.wait(60.0)
+        assert session.is_new or may_go_on.wait(300.0)
         return refine(session, shape)
 
     monkeypatch.setattr(ObjectSession, "refine_shape", held_up)

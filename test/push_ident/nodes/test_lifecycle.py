@@ -14,7 +14,7 @@ from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import ListParameters, SetParameters
 from rclpy.parameter import Parameter
 
-from helpers.executor_cell import CONTACT, Cell, send, start_node, summary, wait_for
+from helpers.executor_cell import CONTACT, Cell, send, start_node, wait_for, wait_until_ready
 from helpers.node_process import NodeProcess, Talker, node_commands
 from helpers.spinning import spinning
 from push_ident.nodes.executables import NODES
@@ -84,7 +84,7 @@ def test_transitions_in_the_middle_of_a_push_hold_the_arm_first(cell: Cell) -> N
     domain = cell.context.get_domain_id()
     process = start_node(domain)
     try:
-        wait_for(lambda: any("objects: box" in summary(m) for m in list(cell.diagnostics)), 60.0)
+        wait_until_ready(cell)
         with Lifecycle.of("push_executor_node", domain) as lifecycle:
             lifecycle.wait()
             for transition in ("deactivate", "shutdown"):
@@ -115,7 +115,7 @@ def test_an_interrupt_during_a_transition_ends_the_node_cleanly(cell: Cell) -> N
     domain = cell.context.get_domain_id()
     process = start_node(domain)
     try:
-        wait_for(lambda: any("objects: box" in summary(m) for m in list(cell.diagnostics)), 60.0)
+        wait_until_ready(cell)
         send(cell, **CONTACT)
         wait_for(lambda: cell.pusher)
         change = cell.create_client(ChangeState, "push_executor_node/change_state")

@@ -20,6 +20,7 @@ from shape_msgs.msg import SolidPrimitive
 from visualization_msgs.msg import Marker
 
 from helpers.depth_scene import CAMERA, HAMMER, INTRINSICS, Prism, rectangle, render
+from helpers.executor_cell import Stalls
 from helpers.played_camera import POSE, SECOND, THIRD, Camera, send_until, start, wait_for
 from helpers.spinning import spinning
 from push_ident.geometry.outline import polygon_area
@@ -50,16 +51,18 @@ def camera(domain: int) -> Iterator[Camera]:
 def node(domain: int, camera: Camera) -> Iterator[subprocess.Popen[str]]:
     process = start(domain, "-p", "rest_frames:=4", "-p", "rest_frame:=4")
     try:
-        wait_for(lambda: camera.diagnostics, 30.0)
+        wait_for(lambda: camera.diagnostics, 120.0)
         yield process
     finally:
-        process.send_signal(signal.SIGINT)
-        asked = time.monotonic()
-        try:
-            output, _ = process.communicate(timeout=3.0)
-        finally:
-            process.kill()
-    assert time.monotonic() - asked < 2.0
+        with Stalls() as stalls:
+            process.send_signal(signal.SIGINT)
+            asked = time.monotonic()
+            try:
+                output, _ = process.communicate(timeout=30.0)
+            finally:
+                process.kill()
+            took = time.monotonic() - asked
+    assert took < 2.0 + 4.0 * stalls.worst
     assert process.returncode == 0 and "Traceback" not in output, output
     assert "rest_frame is not one of perception_node and is ignored; did you mean rest_frames?" in output
 
@@ -100,10 +103,15 @@ def test_infos_that_come_before_their_images_are_paired_too(camera, node):
     send_until(camera, lambda: len(camera.poses) > before + 2, info_first=True)
 
 
-def refused(camera: Camera, key: str, change: Callable[[Image, CameraInfo], None]) -> str:
+def await_refusal(camera: Camera, key: str, change: Callable[[Image, CameraInfo], None], text: str) -> None:
+    """Until changed images are refused with this text: those of an earlier change may still wait for the node."""
     before = int(camera.values().get(key, 0))
-    send_until(camera, lambda: int(camera.values().get(key, 0)) > before, change=change)
-    return camera.values()["last_error"]
+
+    def is_refused() -> bool:
+        values = camera.values()
+        return int(values.get(key, 0)) > before and text in values["last_error"]
+
+    send_until(camera, is_refused, change=change)
 
 
 def test_wrong_images_are_counted_by_reason_and_the_node_goes_on(camera, node):
@@ -131,14 +139,17 @@ def test_wrong_images_are_counted_by_reason_and_the_node_goes_on(camera, node):
     def overflowing(image: Image, info: CameraInfo) -> None:
         image.width = info.width = image.height = info.height = 2**31
 
-    assert "'rgb8', expected one of 16UC1, 32FC1" in refused(camera, "frames_refused", wrong_encoding)
-    assert "expected step * height" in refused(camera, "frames_refused", cut)
-    assert "640 x 480, camera info 320 x 480" in refused(camera, "frames_refused", other_size)
-    assert "focal lengths > 0" in refused(camera, "frames_refused", without_focal_length)
-    assert "not rectified" in refused(camera, "frames_refused", distorted)
-    assert "pixels, expected 1 to" in refused(camera, "frames_refused", overflowing)
-    assert "'elsewhere'" in refused(camera, "frames_refused", other_frame)
-    assert f"0 valid of {INTRINSICS.width * INTRINSICS.height} pixels" in refused(camera, "frames_without_result", blind)
+    for change, text in (
+        (wrong_encoding, "'rgb8', expected one of 16UC1, 32FC1"),
+        (cut, "expected step * height"),
+        (other_size, "640 x 480, camera info 320 x 480"),
+        (without_focal_length, "focal lengths > 0"),
+        (distorted, "not rectified"),
+        (overflowing, "pixels, expected 1 to"),
+        (other_frame, "'elsewhere'"),
+    ):
+        await_refusal(camera, "frames_refused", change, text)
+    await_refusal(camera, "frames_without_result", blind, f"0 valid of {INTRINSICS.width * INTRINSICS.height} pixels")
     before = len(camera.poses)
     send_until(camera, lambda: len(camera.poses) > before)
 
@@ -150,7 +161,7 @@ def test_images_far_from_their_info_are_dropped_with_the_skew(camera, node):
     def old_info(image: Image, info: CameraInfo) -> None:
         info.header.stamp = stamp_to_msg(stamp_from_msg(image.header.stamp) - 0.3)
 
-    assert "ms apart, expected at most 50 ms" in refused(camera, "dropped_skew", old_info)
+    await_refusal(camera, "dropped_skew", old_info, "ms apart, expected at most 50 ms")
 
 
 def test_what_is_no_object_is_published_with_the_reason_and_its_outline(camera, node):
@@ -176,15 +187,17 @@ def test_images_of_a_second_camera_driver_are_refused_by_name(camera, node):
 
     restarts = camera.values().get("restarts")
     try:
-        assert "2 nodes publish images" in refused(camera, "frames_without_result", also_older)
+        await_refusal(camera, "frames_without_result", also_older, "2 nodes publish images")
+        latest = camera.stamp
+        send_until(camera, lambda: stamp_from_msg(camera.poses[-1].header.stamp) > latest)  # all older ones have come by then
     finally:
         camera.destroy_publisher(other)
     assert camera.values().get("restarts") == restarts
 
 
 def test_time_going_back_starts_anew(camera, node):
-    camera.stamp = 10.0
-    send_until(camera, lambda: int(camera.values().get("restarts", 0)) == 1)
+    before, camera.stamp = int(camera.values().get("restarts", 0)), 10.0
+    send_until(camera, lambda: int(camera.values().get("restarts", 0)) > before)
     send_until(camera, lambda: camera.poses and stamp_from_msg(camera.poses[-1].header.stamp) < 90.0)
 
 
@@ -263,7 +276,6 @@ def test_a_node_stops_while_a_better_outline_is_under_way_and_goes_on_or_begins_
         process = start(domain, "-p", "rest_frames:=4")
         try:
             lifecycle.wait()
-
             take_in_and_move(camera, rng)
             rest_for_long(camera)
             assert area_of_outline(camera) < 0.95 * 0.00712
@@ -278,7 +290,7 @@ def test_a_node_stops_while_a_better_outline_is_under_way_and_goes_on_or_begins_
             send_until(camera, lambda: camera.values().get("object_o1") == "tracked")
         finally:
             process.send_signal(signal.SIGINT)
-            output, _ = process.communicate(timeout=10.0)
+            output, _ = process.communicate(timeout=30.0)
         assert process.returncode == 0 and "Traceback" not in output, output
 
 
@@ -291,15 +303,18 @@ def test_accuracy_of_the_camera_is_published_and_again_when_it_changes(camera, n
     def is_stated_as(accuracy: float) -> None:
         send_until(camera, lambda: stated() == pytest.approx(accuracy))
 
+    def change(accuracy: float) -> None:
+        # The answer is not awaited: a node that has not found the reading end of the client yet drops it.
+        client.call_async(SetParameters.Request(parameters=[Parameter("camera_position_std", value=accuracy).to_parameter_msg()]))
+        is_stated_as(accuracy)
+
     is_stated_as(0.002)
+    wait_for(client.service_is_ready)
     try:
-        for accuracy in (0.005, 0.0):
-            asked = Parameter("camera_position_std", value=accuracy).to_parameter_msg()
-            wait_for(client.call_async(SetParameters.Request(parameters=[asked])).done)
-            is_stated_as(accuracy)
+        change(0.005)
+        change(0.0)
     finally:
-        asked = Parameter("camera_position_std", value=0.002).to_parameter_msg()
-        wait_for(client.call_async(SetParameters.Request(parameters=[asked])).done)
+        change(0.002)
 
 
 def test_where_nothing_was_measured_the_workspace_is_unknown(camera, node):
@@ -333,8 +348,12 @@ def test_a_clock_that_does_not_tick_is_reported_within_five_seconds(domain, came
     reader.start()
     try:
         # From when the node is there: the imports of its process take a while on a busy machine.
-        wait_for(lambda: ("perception_node", "/lonely") in camera.get_node_names_and_namespaces(), 30.0)
-        wait_for(lambda: any("nothing comes on /clock" in line for line in lines), 6.0)
+        wait_for(lambda: ("perception_node", "/lonely") in camera.get_node_names_and_namespaces(), 120.0)
+        with Stalls() as stalls:
+            began = time.monotonic()
+            wait_for(lambda: any("nothing comes on /clock" in line for line in lines))
+            took = time.monotonic() - began
+        assert took < 6.0 + 4.0 * stalls.worst
     finally:
         process.send_signal(signal.SIGINT)
-        process.wait(5.0)
+        process.wait(30.0)

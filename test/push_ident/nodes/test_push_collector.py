@@ -119,18 +119,19 @@ def cell() -> Iterator[Cell]:
 
 def test_push_without_an_end_record_is_not_learned_where_an_executor_is(cell: Cell) -> None:
     cell.play(TRAIN[0], 10.0)
-    wait_for(lambda: cell.n_pushes and cell.n_pushes[-1] == 1 and cell.values.get("pushes") == "1")
+    wait_for(lambda: cell.n_pushes and cell.n_pushes[-1] == 1 and cell.values.get("pushes") == "1", 60.0)
 
     records = cell.create_publisher(PushRecordMsg, "push_record", 10)
+    wait_for(records.get_subscription_count)
     time.sleep(1.0)
     cell.play(TRAIN[1], 40.0)
-    wait_for(lambda: cell.values.get("pushes without an end record, left out") == "1")
+    wait_for(lambda: cell.values.get("pushes without an end record, left out") == "1", 60.0)
     assert cell.values["pushes"] == "1" and "the executor ended in the middle" in cell.values["last error"]
     # What was estimated during that push is given up, too.
-    wait_for(lambda: cell.n_pushes[-1] == 1)
+    wait_for(lambda: cell.n_pushes[-1] == 1, 60.0)
 
     cell.play(TRAIN[2], 70.0, records)
-    wait_for(lambda: cell.values.get("pushes") == "2")
+    wait_for(lambda: cell.values.get("pushes") == "2", 60.0)
 
 
 def test_push_over_an_edge_that_only_a_goal_gave_is_left_out_and_said(cell: Cell) -> None:
@@ -139,9 +140,9 @@ def test_push_over_an_edge_that_only_a_goal_gave_is_left_out_and_said(cell: Cell
     latched = cell.create_publisher(PolygonStamped, EDGE_TOPIC, LATCHED)
     latched.publish(edge_to_msg(edge, stamp_to_msg(1.0)))
     cell.play(TRAIN[0], 10.0)
-    wait_for(lambda: cell.values.get("pushes refused") == "1")
+    wait_for(lambda: cell.values.get("pushes refused") == "1", 60.0)
     assert "overhung the edge of the table by 20 mm" in cell.values["last error"] and cell.values.get("pushes") is None
     # A later goal with another edge: the same push is on the table.
     latched.publish(edge_to_msg(TableEdge(edge.outward, edge.offset + 0.05, edge.span), stamp_to_msg(1.0)))
     cell.play(TRAIN[0], 40.0)
-    wait_for(lambda: cell.values.get("pushes") == "1")
+    wait_for(lambda: cell.values.get("pushes") == "1", 60.0)

@@ -31,8 +31,8 @@ from helpers.executor_cell import (
     is_hold,
     send,
     start_node,
-    summary,
     wait_for,
+    wait_until_ready,
 )
 from helpers.wrong_poses import wrong_poses
 from push_ident.errors import InputError
@@ -49,12 +49,15 @@ from push_ident_sim.cell.sim_hand_node import SimHandNode
 
 pytestmark = pytest.mark.alone
 
+NOWHERE = CONTACT | {"object_id": "nothing"}
+"""Refused at once for what it names, unless for what comes before."""
+
 
 @pytest.fixture(scope="module")
 def node(domain: int, the_cell: Cell) -> Iterator[subprocess.Popen[str]]:
     process = start_node(domain)
     try:
-        wait_for(lambda: any("objects: box" in summary(m) for m in list(the_cell.diagnostics)), 60.0)
+        wait_until_ready(the_cell)
         yield process
     finally:
         process.send_signal(signal.SIGINT)
@@ -69,7 +72,9 @@ def node(domain: int, the_cell: Cell) -> Iterator[subprocess.Popen[str]]:
 def cell(node: subprocess.Popen[str], the_cell: Cell) -> Cell:
     """At home, with nothing recorded yet."""
     the_cell.reset()
-    time.sleep(0.2)
+    tip = the_cell.kinematics.forward(np.array(PARKED))[:2, 3]
+    wait_for(lambda: the_cell.tool and np.hypot(*(tip - [the_cell.tool[-1].pose.position.x, the_cell.tool[-1].pose.position.y])) < 1e-6)
+    time.sleep(0.2)  # for the poses of the box
     return the_cell
 
 
@@ -116,8 +121,9 @@ def test_push_moves_the_object_and_is_recorded(cell: Cell, stalls: Stalls) -> No
     assert record.push_id == result.push_id and record.object_id == "box" and record.error_code == 0
     start, contact, stop, end = (stamp_from_msg(t) for t in (record.start, record.contact, record.stop, record.end))
     assert start < contact < stop < end
-    assert contact - start == pytest.approx(0.2 + 0.03 / 0.2 + 0.05, abs=0.1)
-    assert stop - contact == pytest.approx(0.06 / 0.2 + 0.05, abs=0.1)
+    later = 0.1 + 2 * stalls.worst + cell.delays()
+    assert -0.1 < contact - start - (0.2 + 0.03 / 0.2 + 0.05) < later
+    assert -0.1 < stop - contact - (0.06 / 0.2 + 0.05) < later
 
     stamps = np.array([stamp_from_msg(m.header.stamp) for m in cell.pusher])
     assert np.all((stamps > start - 0.2) & (stamps < end + 0.2))
@@ -137,8 +143,7 @@ def test_pusher_shape_is_latched(cell: Cell) -> None:
 
 
 def test_second_goal_is_refused_during_a_push_and_cancel_holds_within_100_ms(cell: Cell, stalls: Stalls) -> None:
-    call = send(cell, **CONTACT)
-    wait_for(lambda: cell.pusher and ExecutePush.Feedback.PHASE_PUSH in call.feedback)
+    call = begin_push(cell, speed=0.05)
     assert send(cell, **CONTACT).end().error_code == PushCode.BUSY
     assert cell.holds == []
     asked = time.monotonic()
@@ -151,7 +156,7 @@ def test_second_goal_is_refused_during_a_push_and_cancel_holds_within_100_ms(cel
     assert cell.records[0].error_code == PushCode.CANCELED
     time.sleep(0.3)
     assert cell.commands[-1][1] is hold and cell.q == pytest.approx(list(hold.points[0].positions), abs=1e-9)
-    assert np.ptp([m.pose.position.x for m in cell.tool[-5:]]) < 1e-9
+    wait_for(lambda: np.ptp([m.pose.position.x for m in cell.tool[-5:]]) < 1e-9)
 
     # The arm stands low beside the box: the next push first goes up from there.
     low = cell.kinematics.forward(cell.q)[:3, 3]
@@ -186,6 +191,8 @@ def test_arm_that_deviates_from_its_path_is_held(cell: Cell) -> None:
 
 
 def assert_held_once(cell: Cell) -> None:
+    wait_for(lambda: cell.holds)  # a result may be taken before the command that was sent before it
+    time.sleep(0.1)
     assert len(cell.holds) == 1 and is_hold(cell.commands[-1][1])
 
 
@@ -246,7 +253,7 @@ def test_arm_moved_by_hand_while_it_was_silent_starts_from_where_it_is_now(cell:
     moved = cell.q.copy()
     cell.box[:] = 0.0, 0.02, 0.3
     cell.silent = False
-    time.sleep(0.2)
+    time.sleep(1.0)
     assert send(cell, **CONTACT).end().error_code == 0
     assert len(cell.motions) == 1
     assert list(cell.commands[0][1].points[0].positions) == pytest.approx(moved, abs=5e-3)
@@ -254,18 +261,23 @@ def test_arm_moved_by_hand_while_it_was_silent_starts_from_where_it_is_now(cell:
 
 def test_hand_that_is_no_fist_refuses_a_push_and_holds_a_running_one(cell: Cell) -> None:
     cell.fist["g_pra"] = 0
-    time.sleep(0.3)
+    wait_for(lambda: "the hand is open" in said(cell))
     result = send(cell, **CONTACT).end()
     assert result.error_code == PushCode.HAND and "the hand is open" in result.error_text and cell.commands == []
     assert send(cell, dry_run=True, **CONTACT).end().error_code == 0
     cell.fist = dict(FIST)
-    time.sleep(0.3)
+    wait_for(lambda: "the hand is open" not in said(cell))
     call = begin_push(cell, distance=0.12, speed=0.1)
     cell.fist["g_flt"] = 0x0D
     result = call.end()
     assert result.error_code == PushCode.HAND and "0x0D" in result.error_text
     time.sleep(0.2)
     assert_held_once(cell)
+
+
+def said(cell: Cell) -> str:
+    """What the executor says of itself now; it looks each second."""
+    return cell.diagnostics[-1].status[0].message
 
 
 def test_recording_that_fails_holds_the_push_and_refuses_the_next(cell: Cell) -> None:
@@ -276,13 +288,12 @@ def test_recording_that_fails_holds_the_push_and_refuses_the_next(cell: Cell) ->
     assert_held_once(cell)
     assert send(cell, **CONTACT).end().error_code == PushCode.RECORDING and is_hold(cell.commands[-1][1])
     cell.recording.publish(DiagnosticStatus(level=DiagnosticStatus.OK))
-    time.sleep(0.2)
-    assert send(cell, dry_run=True, **CONTACT).end().error_code == 0
+    wait_for(lambda: send(cell, dry_run=True, **CONTACT).end().error_code == 0)
 
 
 def test_object_near_the_edge_is_first_pushed_back_to_the_middle_in_a_push_of_its_own_purpose(cell: Cell) -> None:
     cell.box[:] = 0.05, 0.20, 0.0
-    time.sleep(0.2)
+    time.sleep(1.0)  # for some thirty of its poses to come, which nobody acknowledges
     call = send(cell, mode=ExecutePush.Goal.MODE_RANDOM, seed=1)
     result = call.end(30.0)
     assert result.error_code == 0, result.error_text
@@ -297,7 +308,7 @@ def test_object_near_the_edge_is_first_pushed_back_to_the_middle_in_a_push_of_it
     for kept in (cell.records, cell.commands):
         kept.clear()
     cell.box[:] = 0.05, 0.20, 0.0
-    time.sleep(0.2)
+    time.sleep(1.0)
     assert send(cell, **(CONTACT | {"direction": 0.0})).end().error_code == PushCode.INVALID_GOAL
     in_table = {"object_id": "box", "contact_point": Point(x=0.05, y=0.23), "direction": -np.pi / 2}
     assert send(cell, **in_table).end().error_code == PushCode.LIMIT
@@ -362,11 +373,14 @@ def test_bad_goal_is_refused_with_its_code_and_nothing_moves(cell: Cell, change:
 def test_arm_that_another_node_commands_is_not_commanded(cell: Cell) -> None:
     rival = Node("rival", context=cell.context)
     rival.create_publisher(JointTrajectory, "joint_trajectory", 10)
-    time.sleep(0.5)
-    result = send(cell, **CONTACT).end()
-    rival.destroy_node()
+    try:
+        # Who it is comes after the news that there is one more.
+        wait_for(lambda: "/rival commands the arm" in send(cell, **NOWHERE).end().error_text)
+        result = send(cell, **CONTACT).end()
+    finally:
+        rival.destroy_node()
     assert result.error_code == PushCode.BUSY and "/rival commands the arm" in result.error_text and cell.commands == []
-    time.sleep(0.5)
+    wait_for(lambda: send(cell, **NOWHERE).end().error_code != PushCode.BUSY)
 
 
 def test_wrong_poses_in_the_middle_of_a_push_are_refused_and_end_neither_push_nor_node(cell: Cell, node: subprocess.Popen[str]) -> None:
@@ -399,14 +413,13 @@ def test_wrong_poses_in_the_middle_of_a_push_are_refused_and_end_neither_push_no
     assert values()["last refusal"].startswith("/objects/box/pose") and node.poll() is None
 
 
-def test_interrupt_in_the_middle_of_a_push_holds_the_arm_and_ends_cleanly(cell: Cell, node: subprocess.Popen[str]) -> None:
-    call = send(cell, **CONTACT)
-    wait_for(lambda: ExecutePush.Feedback.PHASE_PUSH in call.feedback)
+def test_interrupt_in_the_middle_of_a_push_holds_the_arm_and_ends_cleanly(cell: Cell, node: subprocess.Popen[str], stalls: Stalls) -> None:
+    begin_push(cell, distance=0.12, speed=0.1)
     node.send_signal(signal.SIGINT)
     asked = time.monotonic()
     wait_for(lambda: cell.holds)
-    assert cell.holds[0][0] - asked < 0.2
-    wait_for(lambda: node.poll() is not None, 2.0)
+    assert cell.holds[0][0] - asked < 0.2 + 2 * stalls.worst
+    wait_for(lambda: node.poll() is not None, 10.0)  # by itself: it ends by force, and not with 0, after 1.8 s
     assert node.returncode == 0
 
 
@@ -414,7 +427,7 @@ def test_of_two_executors_that_start_at_once_one_gets_the_arm_and_a_killed_one_l
     domain = own_domain()  # without a cell: the lease needs none
     both = [start_node(domain) for _ in range(2)]
     try:
-        wait_for(lambda: any(process.poll() is not None for process in both), 20.0)
+        wait_for(lambda: any(process.poll() is not None for process in both), 60.0)
         loser, winner = sorted(both, key=lambda process: process.poll() is None)
         output, _ = loser.communicate(timeout=5.0)
         assert loser.returncode == 1 and f"process {winner.pid}" in output and "Traceback" not in output

@@ -21,8 +21,8 @@ from helpers.executor_cell import (
     is_hold,
     send,
     start_node,
-    summary,
     wait_for,
+    wait_until_ready,
 )
 from push_ident.pushing.push import PushCode
 from push_ident_sim.cell.robot import robot_description
@@ -54,14 +54,14 @@ def node(domain: int, the_cell: Cell, processes: list[subprocess.Popen[str]]) ->
     if not processes or processes[-1].poll() is not None:
         the_cell.diagnostics.clear()
         processes.append(start_node(domain))
-        wait_for(lambda: any("objects: box" in summary(m) for m in list(the_cell.diagnostics)), 60.0)
+        wait_until_ready(the_cell)
     time.sleep(0.2)
     return processes[-1]
 
 
-def motion_after(cell: Cell, event: float) -> tuple[float, float, float]:
+def motion_after(all_states: list[tuple[float, np.ndarray]], event: float) -> tuple[float, float, float]:
     """Time until the arm stands [s], and the largest joint motion [rad] and speed [rad/s] after the time that it may move unasked."""
-    states = [(t, q) for t, q in list(cell.states) if t >= event - 0.05]
+    states = [(t, q) for t, q in all_states if t >= event - 0.05]
     time, q = np.array([t for t, _ in states]), np.array([q for _, q in states])
     moving = np.flatnonzero(np.max(np.abs(np.diff(q, axis=0)), axis=1) > 1e-9)
     still = time[moving[-1] + 1] - event if len(moving) else 0.0
@@ -70,8 +70,8 @@ def motion_after(cell: Cell, event: float) -> tuple[float, float, float]:
     return float(still), float(np.max(np.abs(q[-1] - q[min(first, len(q) - 1)]))), float(np.max(speed))
 
 
-def assert_stopped(cell: Cell, event: float, stalls: Stalls) -> None:
-    still, moved, speed = motion_after(cell, event)
+def assert_stopped(states: list[tuple[float, np.ndarray]], event: float, stalls: Stalls) -> None:
+    still, moved, speed = motion_after(states, event)
     braking = speed / ACCELERATION + 0.02  # the shortest braking
     assert still < UNASKED + braking + 2 * stalls.worst, f"stands after {1e3 * still:.0f} ms"
     # A uniform deceleration from `speed`, and what it makes in the time that the machine stood still.
@@ -86,12 +86,12 @@ def test_killed_executor_leaves_no_motion_beyond_a_tenth_of_a_second_and_braking
         node.send_signal(signal.SIGKILL)
         killed = time.monotonic()
         node.wait(5.0)
-        n_commands = len(cell.commands)
         time.sleep(0.6)
-    assert_stopped(cell, killed, stalls)
+    assert_stopped(list(cell.states), killed, stalls)
     box = cell.box.copy()
     time.sleep(0.2)
-    assert np.array_equal(cell.box, box) and len(cell.commands) <= n_commands + 1 and cell.records == []
+    assert np.array_equal(cell.box, box) and cell.records == []
+    assert cell.commands[-1][0] < killed + 0.1 + 2 * stalls.worst
 
 
 def test_executor_that_does_not_run_for_a_moment_goes_on_with_the_push(the_cell: Cell, node: subprocess.Popen[str]) -> None:
@@ -101,9 +101,10 @@ def test_executor_that_does_not_run_for_a_moment_goes_on_with_the_push(the_cell:
     with Stalls() as stalls:
         node.send_signal(signal.SIGSTOP)
         stopped = time.monotonic()
-        time.sleep(0.35)
-        assert_stopped(cell, stopped, stalls)
-    node.send_signal(signal.SIGCONT)
+        time.sleep(0.25)
+        states = list(cell.states)
+        node.send_signal(signal.SIGCONT)
+    assert_stopped(states, stopped, stalls)
     result = call.end()
     assert result.error_code == 0, result.error_text
     assert cell.holds == []
@@ -111,8 +112,8 @@ def test_executor_that_does_not_run_for_a_moment_goes_on_with_the_push(the_cell:
     record = cell.records[0]
     seconds = [t.sec + 1e-9 * t.nanosec for t in (record.start, record.contact, record.stop, record.end)]
     assert np.all(np.diff(seconds) > 0)
-    # As planned, with the pause in it.
-    assert seconds[2] - seconds[0] > QUICK["settle"] + (0.03 + SLOW_PUSH["distance"]) / SLOW_PUSH["speed"] + 0.15
+    # As planned, with the pause in it: it moved for the horizon of its last command.
+    assert seconds[2] - seconds[0] > QUICK["settle"] + (0.03 + SLOW_PUSH["distance"]) / SLOW_PUSH["speed"] + 0.1
     pushed = [(m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec, m.pose.position.x, m.pose.position.y) for m in cell.pusher]
     path = np.array([row[1:] for row in pushed])
     line = (path[-1] - path[0]) / np.linalg.norm(path[-1] - path[0])
@@ -129,7 +130,7 @@ def test_executor_that_has_just_started_waits_for_the_first_joint_states(
     the_cell.silent = True
     the_cell.diagnostics.clear()
     processes.append(start_node(domain))
-    wait_for(lambda: any("objects: box" in summary(m) for m in list(the_cell.diagnostics)), 60.0)
+    wait_until_ready(the_cell)
     call = send(the_cell, **CONTACT)
     time.sleep(1.5)  # longer than an arm that was heard before may be silent
     assert not call.result.done(), call.end()
@@ -148,7 +149,7 @@ def test_executor_takes_the_description_that_comes_after_the_first_request(
     processes.append(start_node(domain, remap=("robot_description", "later_description")))
     later = the_cell.create_publisher(String, "later_description", LATCHED)
     try:
-        wait_for(lambda: any("objects: box" in summary(m) for m in list(the_cell.diagnostics)), 60.0)
+        wait_until_ready(the_cell)
         call = send(the_cell, **CONTACT)
         time.sleep(1.0)
         assert not call.result.done(), call.end()

@@ -13,6 +13,7 @@ import pytest
 
 import push_ident.nodes.executables
 import push_ident_sim.executables
+from helpers.executor_cell import Stalls
 from helpers.paths import ROOT
 
 pytestmark = pytest.mark.alone
@@ -56,6 +57,17 @@ sys.exit(run_node(factory, n_threads=N))
 """
 
 
+def ended(process: subprocess.Popen[str], number: signal.Signals, within: float) -> str:
+    """Output of a process that a signal ends within a time [s], beside what this machine lets it wait."""
+    with Stalls() as stalls:
+        asked = time.monotonic()
+        process.send_signal(number)
+        output, _ = process.communicate(timeout=30.0)
+        took = time.monotonic() - asked
+    assert took < within + 4.0 * stalls.worst
+    return output
+
+
 def start(mode: str, n_threads: int = 1) -> subprocess.Popen[str]:
     script = f"MODE, N = {mode!r}, {n_threads}\n" + SCRIPT
     return subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -65,10 +77,7 @@ def start(mode: str, n_threads: int = 1) -> subprocess.Popen[str]:
 def test_a_signal_closes_the_node_while_it_can_still_publish(number, n_threads):
     process = start("idle", n_threads)
     assert process.stdout is not None and "ticking" in process.stdout.readline()
-    asked = time.monotonic()
-    process.send_signal(number)
-    output, _ = process.communicate(timeout=5.0)
-    assert time.monotonic() - asked < 2.0
+    output = ended(process, number, within=2.0)
     assert process.returncode == 0
     assert output.strip() == "held while the context is True"
 
@@ -76,16 +85,13 @@ def test_a_signal_closes_the_node_while_it_can_still_publish(number, n_threads):
 def test_a_callback_that_never_returns_does_not_keep_the_process():
     process = start("busy")
     assert process.stdout is not None and "ticking" in process.stdout.readline()
-    asked = time.monotonic()
-    process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=5.0)
-    assert time.monotonic() - asked < 2.2
+    output = ended(process, signal.SIGINT, within=2.2)
     assert process.returncode == 1 and "Traceback" not in output
     assert "ended by force" in output and " tick" in output
 
 
 def test_a_node_that_cannot_start_gives_the_reason_in_one_line():
-    output, _ = (process := start("refusing")).communicate(timeout=10.0)
+    output, _ = (process := start("refusing")).communicate(timeout=60.0)
     assert process.returncode == 1
     assert "speed is 9, expected 0 to 1." in output and "Traceback" not in output
 
@@ -109,7 +115,7 @@ def test_interrupt_while_a_node_is_loaded_ends_it_quietly(command, delay, tmp_pa
                 time.sleep(0.005)
             time.sleep(delay)
             process.send_signal(signal.SIGINT)
-            assert process.wait(timeout=5.0) == 0
+            assert process.wait(timeout=30.0) == 0
         finally:
             process.kill()
     assert "Traceback" not in said.read_text()

@@ -428,15 +428,19 @@ def test_node_without_camera_publishes_the_truth_replaces_the_object_and_reports
     user.create_subscription(OccupancyGrid, "objects/truth/cells", heard["cells"].append, latched)
     user.create_subscription(PoseWithCovarianceStamped, "objects/truth/pose", heard["pose"].append, 10)
     user.create_subscription(DiagnosticArray, "/diagnostics", heard["health"].append, 10)
+    # Long before they ask: a server that has not found the reading end of a client drops its answer.
+    services = {"reset": Trigger, "spawn": Trigger, "set_parameters": SetParameters}
+    clients = {name: user.create_client(kind, f"/sim_cell_node/{name}") for name, kind in services.items()}
 
     def wait(condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + 120.0
         while not condition():
             assert time.monotonic() < deadline and node.poll() is None, heard
             executor.spin_once(timeout_sec=0.1)
 
-    def ask(kind: type, name: str, request: object) -> object:
-        answer = user.create_client(kind, f"/sim_cell_node/{name}").call_async(request)
+    def ask(name: str, **fields: object) -> object:
+        wait(clients[name].service_is_ready)
+        answer = clients[name].call_async(services[name].Request(**fields))
         wait(answer.done)
         return answer.result()
 
@@ -447,11 +451,11 @@ def test_node_without_camera_publishes_the_truth_replaces_the_object_and_reports
         assert "table_tilt" in heard["health"][-1].status[0].message and "comes from the truth" in heard["health"][-1].status[0].message
         hammer = make_object("hammer")
         assert sum(v == 100 for v in heard["cells"][0].data) == len(hammer)
-        assert ask(Trigger, "reset", Trigger.Request()).success
+        assert ask("reset").success
         book = Parameter(name="object", value=ParameterValue(type=4, string_value="book"))
         there = Parameter(name="start_pose", value=ParameterValue(type=8, double_array_value=[0.05, -0.1, 0.5]))
-        assert all(r.successful for r in ask(SetParameters, "set_parameters", SetParameters.Request(parameters=[book, there])).results)
-        assert ask(Trigger, "spawn", Trigger.Request()).success
+        assert all(r.successful for r in ask("set_parameters", parameters=[book, there]).results)
+        assert ask("spawn").success
         wait(lambda: len(heard["cells"]) == 2)
         assert sum(v == 100 for v in heard["cells"][1].data) == len(make_object("book"))
         heard["pose"].clear()
@@ -469,16 +473,18 @@ def test_node_without_camera_publishes_the_truth_replaces_the_object_and_reports
 @pytest.mark.alone
 def test_node_stops_within_two_seconds_of_an_interrupt_without_a_traceback(tmp_path: Path) -> None:
     pytest.importorskip("rclpy")
+    from helpers.executor_cell import Stalls
     from helpers.node_process import NodeProcess, Talker
 
     domain = own_domain()
     node = NodeProcess("sim_cell_node", "push_ident_sim", {"object": "toolbox"}, domain, tmp_path)
     try:
         with Talker(domain) as talker:
-            talker.until(lambda: float(talker.values().get("images [1/s]", 0)) > 0)
-        asked = time.monotonic()
-        assert node.stop() == 0
-        assert time.monotonic() - asked < 2.5
+            talker.until(lambda: float(talker.values().get("images [1/s]", 0)) > 0, timeout=120.0)
+        with Stalls() as stalls:
+            asked = time.monotonic()
+            code, took = node.stop(), time.monotonic() - asked
+        assert code == 0 and took < 2.5 + 4.0 * stalls.worst
     finally:
         node.stop()
     assert "Traceback" not in node.output

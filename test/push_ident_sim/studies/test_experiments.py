@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import threading
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
@@ -214,10 +215,22 @@ def test_cases_of_live_nodes_run_one_at_a_time_however_many_processes_are_asked_
 
 def test_no_case_begins_after_the_time_is_up() -> None:
     counts: list[tuple[int, int]] = []
+    has_begun, may_end = threading.Event(), threading.Event()
+
+    def first() -> bool:
+        has_begun.set()
+        return may_end.wait(60.0)
+
+    def report(*count: int) -> None:
+        """The time is up once the first call has begun, and it ends only after that."""
+        assert has_begun.wait(60.0)
+        if counts:
+            may_end.set()
+        counts.append((count[0], count[1]))
+
     with ThreadPoolExecutor(1) as pool:
-        calls = [(time.sleep, (0.2,)), *[(time.sleep, (0.0,))] * 5]
-        done = runner.run_calls(pool, calls, lambda *count: counts.append(count), until=time.monotonic() + 0.05)
-    assert len(done) == 1 and counts[-1] == (1, 6)
+        done = runner.run_calls(pool, [(first, ()), *[(time.sleep, (0.0,))] * 5], report, until=time.monotonic())
+    assert done == [True] and counts[-1] == (1, 6)
 
 
 def test_long_variants_of_the_blind_check_are_spread_over_a_run(tmp_path: Path) -> None:

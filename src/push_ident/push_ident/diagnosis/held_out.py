@@ -16,7 +16,7 @@ from push_ident.identification.prediction import cell_errors, held_out_errors
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
 
-__all__ = ["Gap", "HeldOutFits", "folds_of", "measure_gap"]
+__all__ = ["Gap", "HeldOutFits", "folds_of", "measure_gap", "noise_errors"]
 
 Progress = Callable[[str], None]
 
@@ -175,7 +175,7 @@ def measure_gap(
     return Gap(
         before=errors[0],
         after=errors[-1],
-        noise=_noise_errors(fit, policy.noise_draws),
+        noise=noise_errors(fit, policy.noise_draws),
         log_density_gain=density[-1] - density[0],
         estimates=np.array([result.fit.effects.values for result in by_fit[-1]]),
         folds=tuple(map(tuple, folds)),
@@ -209,22 +209,27 @@ def _hold_out(fit: Fit, pushes: Sequence[int], earlier: EarlierFits) -> _HeldOut
     return _HeldOutFold(errors, fit.log_evidence - rest.log_evidence, rest)
 
 
-def _noise_errors(fit: Fit, n_draws: int) -> Float64Array:
-    """Cell error that the noise of the first and the last pose would make if the model were right [m], shape (n_pushes,)."""
+def noise_errors(fit: Fit, n_draws: int) -> Float64Array:
+    """Cell error that the noise of the first and the last pose would make if the model were right [m], shape (n_pushes,).
+
+    What an error of the first pose makes of the end is taken from pushes that begin a standard deviation to either side: where a pusher
+    just touches a corner the derivative is hundreds of times that.
+    """
     problem = fit.problem
     mechanics = fit.unknowns.mechanics(fit.z)
     normal = np.random.default_rng(0).normal(size=(len(problem.records), n_draws, 2, 3))
 
     def error(push: int) -> float:
         record, observation = problem.records[push], problem.observations[push]
-        motion = mechanics.simulate(
-            PushScenario(record.pusher, problem.first_pose(fit.x, push), observation.time[-1:], record.order),
-            settings=problem.settings_of(push),
-            jacobian=True,
-        )
-        by_first = motion.jacobian[-1, :, :3] @ np.linalg.cholesky(observation.first_covariance)
-        last_root = np.linalg.cholesky(observation.last_covariance)
-        draws = normal[push, :, 0] @ by_first.T + normal[push, :, 1] @ last_root.T
-        return float(np.median(cell_errors(record.shape.cells, motion.pose[-1], motion.pose[-1] + draws)))
+
+        def end(first: Float64Array) -> Float64Array:
+            scenario = PushScenario(record.pusher, first, observation.time[-1:], record.order)
+            return mechanics.simulate(scenario, settings=problem.settings_of(push)).pose[-1]
+
+        first, roots = problem.first_pose(fit.x, push), np.linalg.cholesky(observation.first_covariance).T
+        by_first = np.array([end(first + root) - end(first - root) for root in roots]) / 2.0
+        draws = normal[push, :, 0] @ by_first + normal[push, :, 1] @ np.linalg.cholesky(observation.last_covariance).T
+        expected = end(first)
+        return float(np.median(cell_errors(record.shape.cells, expected, expected + draws)))
 
     return np.array(map_in_threads(error, range(len(problem.records))))

@@ -11,6 +11,7 @@ from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
 from push_ident.geometry.path import nearest_on_path
 from push_ident.pushing.corridor import Corridor
+from push_ident.pushing.joint_limits import check_accelerations, check_positions, check_velocities, gentler
 from push_ident.pushing.posture_map import PostureMap
 from push_ident.pushing.push import PUSH_ACCELERATION, PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.tool_path import ToolMotion, ToolPath, rounded
@@ -31,6 +32,8 @@ _HEIGHT_NOISE = 5e-4
 """Tolerance of the height of a level path [m]."""
 _LEAST_ACCELERATION = 0.5
 """Of a tool that shall be corrected [m/s^2]: at 0.1 m/s it turns aside within 0.2 s and a centimetre."""
+_EASINGS, _EASED = 5, 0.98
+"""Attempts at ramps that all joints can follow, and the share of their limit that is aimed at [1]."""
 _LINE_TOLERANCE = 5e-4
 """Largest distance of the tool from its straight line between two solved points [m]."""
 
@@ -54,7 +57,7 @@ class MotionSettings:
     free_speed: float = 0.25
     """Tool speed up and down [m/s]."""
     acceleration: float = PUSH_ACCELERATION
-    """Tool acceleration at both ends of the push, and its limit on other straight moves [m/s^2]."""
+    """Largest tool acceleration at both ends of the push and on other straight moves [m/s^2]; less where a joint needs it."""
     settle: float = 0.3
     """Pause with the tool lowered, before the push [s]."""
     rest: float = 0.6
@@ -149,7 +152,7 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     LIMIT for a joint, velocity, acceleration or height limit; the text names joint, value and limit.
     """
     q_now = kinematics.check_configuration(q_now)
-    _check_positions(kinematics, q_now[None, :])
+    check_positions(kinematics, q_now[None, :])
     max_velocity = _max_velocity(kinematics, settings)
     start, end = push.tool_start(settings.clearance), push.tool_end
     approach = _approach(kinematics, q_now, start, settings)
@@ -158,8 +161,8 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     # A spinning tool would drag the object along its face, so the spin is held during the push.
     x_axis = kinematics.forward(settle.position[-1])[:3, 0]
     postures, length = _line(kinematics, settle.position[-1], _point(end, settings.push_height), TOOL_DOWN, x_axis)
-    pushing = path_at_speed(postures, length, push.speed, settings.acceleration)
-    ramp = push.speed / settings.acceleration
+    pushing, acceleration = _eased(kinematics, postures, length, push.speed, settings)
+    ramp = push.speed / acceleration
     if 0.5 * push.speed * ramp > settings.clearance:
         raise PlanningError(
             PushCode.LIMIT, f"{push.speed:.3f} m/s is not reached within the clearance of {settings.clearance:.3f} m; push slower."
@@ -174,7 +177,7 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     plan = ArmPlan(
         kinematics.joint_names,
         trajectory,
-        _checked_tip(kinematics, trajectory, max_velocity, settings),
+        _checked_tip(kinematics, trajectory, max_velocity, settings, "push slower"),
         _acceleration_limit(kinematics, settings),
         push,
         lowered,
@@ -187,6 +190,23 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     _check_height(plan.tip[trajectory.time > lowered - 1e-9], settings)
     _check_line(plan, settings)
     return plan
+
+
+def _eased(
+    kinematics: ArmKinematics, postures: Float64Array, length: float, speed: float, settings: MotionSettings
+) -> tuple[JointTrajectory, float]:
+    """Motion of a push along its line, and the acceleration of the tool [m/s^2]: less than asked for where a joint needs longer ramps, as
+    long as the tool is at its speed when it touches the object, and the line is long enough."""
+    acceleration, limit = settings.acceleration, _acceleration_limit(kinematics, settings)
+    least = speed**2 / min(2.0 * settings.clearance, length)
+    for _ in range(_EASINGS):
+        pushing = path_at_speed(postures, length, speed, acceleration)
+        share = float(np.max(np.abs(pushing.acceleration) / limit))
+        if share <= 1.0 or acceleration <= least:
+            break
+        # The part that the bend of the line makes at speed stays.
+        acceleration = max(_EASED * acceleration / share, least)
+    return path_at_speed(postures, length, speed, acceleration), acceleration
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +241,7 @@ class PathPlan(ArmPlan):
         first = int(np.searchsorted(self.trajectory.time, self.departure + self.tool.time[k] - 1e-6))
         changed = JointTrajectory(later.time - later.time[0], *self.postures.joints(later))
         tail = join([changed, stand_still(changed.position[-1], self.rest)])
-        _check_acceleration(self.joint_names, changed, self.acceleration_limit, self.acceleration)
+        check_accelerations(self.joint_names, changed, self.acceleration_limit, gentler(self.acceleration))
         before, at = self.trajectory, float(self.trajectory.time[first])
         own = zip((before.time, before.position, before.velocity), (tail.time + at, tail.position, tail.velocity), strict=True)
         places = np.vstack([later.position, np.tile(later.position[-1], (len(tail.time) - len(later.time), 1))])
@@ -253,7 +273,7 @@ def plan_path_push(
     place of the corridor within the workspace that the tool cannot be in, or not move in at the largest speed of a push.
     """
     q_now = kinematics.check_configuration(q_now)
-    _check_positions(kinematics, q_now[None, :])
+    check_positions(kinematics, q_now[None, :])
     max_velocity, acceleration_limit = _max_velocity(kinematics, settings), _acceleration_limit(kinematics, settings)
     approach = _approach(kinematics, q_now, path.position[0], settings)
     settle = stand_still(approach[-1].position[-1], settings.settle)
@@ -306,7 +326,7 @@ def plan_retreat(kinematics: ArmKinematics, q_now: ArrayLike, heading: ArrayLike
     `heading`, shape (2,), is the unit vector of that push in the table frame. Raises PlanningError as `plan_push`.
     """
     q_now = kinematics.check_configuration(q_now)
-    _check_positions(kinematics, q_now[None, :])
+    check_positions(kinematics, q_now[None, :])
     parts = _away(kinematics, q_now, np.asarray(heading, dtype=np.float64), settings)
     if not parts:
         parts = [stand_still(q_now, 0.0)]
@@ -435,31 +455,14 @@ def _free_move(kinematics: ArmKinematics, q_from: Float64Array, q_to: Float64Arr
     return move
 
 
-def _check_positions(kinematics: ArmKinematics, postures: Float64Array) -> None:
-    excess = np.maximum(kinematics.position_lower - postures, postures - kinematics.position_upper)
-    row, joint = np.unravel_index(int(np.argmax(excess)), excess.shape)
-    if excess[row, joint] > 1e-6:
-        raise PlanningError(
-            PushCode.LIMIT,
-            f"{kinematics.joint_names[joint]} would be at {postures[row, joint]:.3f} rad, limits "
-            f"{kinematics.position_lower[joint]:.3f}..{kinematics.position_upper[joint]:.3f} rad.",
-        )
-
-
 def _checked_tip(
-    kinematics: ArmKinematics, trajectory: JointTrajectory, max_velocity: Float64Array, settings: MotionSettings
+    kinematics: ArmKinematics, trajectory: JointTrajectory, max_velocity: Float64Array, settings: MotionSettings, remedy: str = ""
 ) -> Float64Array:
     """Tip at every sample [m], shape (n, 3), of a trajectory within the limits of the joints and above the table with every link."""
-    _check_positions(kinematics, trajectory.position)
-    share = np.abs(trajectory.velocity) / max_velocity
-    row, joint = np.unravel_index(int(np.argmax(share)), share.shape)
-    if share[row, joint] > 1.0 + 1e-3:
-        raise PlanningError(
-            PushCode.LIMIT,
-            f"{kinematics.joint_names[joint]} would turn at {abs(trajectory.velocity[row, joint]):.3f} rad/s, limit "
-            f"{max_velocity[joint]:.3f} rad/s; push slower.",
-        )
-    _check_acceleration(kinematics.joint_names, trajectory, _acceleration_limit(kinematics, settings), settings.acceleration)
+    check_positions(kinematics, trajectory.position)
+    check_velocities(kinematics.joint_names, trajectory, max_velocity)
+    limit = _acceleration_limit(kinematics, settings)
+    check_accelerations(kinematics.joint_names, trajectory, limit, remedy or gentler(settings.acceleration))
     tip = np.empty((len(trajectory.time), 3))
     for i, q in enumerate(trajectory.position):
         tip[i] = kinematics.forward(q)[:3, 3]
@@ -470,17 +473,6 @@ def _checked_tip(
                 f"{name} would be {height:.3f} m above the table, limit {settings.link_height:.3f} m; move the arm closer to home.",
             )
     return tip
-
-
-def _check_acceleration(joint_names: tuple[str, ...], trajectory: JointTrajectory, limit: Float64Array, of_tool: float) -> None:
-    acceleration = np.abs(trajectory.acceleration)
-    row, joint = np.unravel_index(int(np.argmax(acceleration / limit)), acceleration.shape)
-    if acceleration[row, joint] > limit[joint] * (1.0 + 1e-3):
-        raise PlanningError(
-            PushCode.LIMIT,
-            f"{joint_names[joint]} would accelerate at {acceleration[row, joint]:.2f} rad/s^2, limit {limit[joint]:.2f} rad/s^2 "
-            f"(joint_acceleration_limits); lower `acceleration` of the tool, {of_tool:.2f} m/s^2, or push slower.",
-        )
 
 
 def _check_height(tip: Float64Array, settings: MotionSettings, start: float = np.inf) -> None:

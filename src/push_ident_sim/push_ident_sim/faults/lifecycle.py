@@ -39,6 +39,8 @@ _WAY: Final = {
     ("inactive", "unconfigured"): "cleanup",
 }
 """The transition that leads from one state towards another."""
+_AGAIN: Final = 2.5
+"""A node that does not answer when it starts is asked again after this time [s]."""
 
 
 class Lifecycle:
@@ -50,7 +52,7 @@ class Lifecycle:
         patience: longest time to an answer [s].
     """
 
-    def __init__(self, node: Node, executor: SingleThreadedExecutor, name: str, *, patience: float = 10.0) -> None:
+    def __init__(self, node: Node, executor: SingleThreadedExecutor, name: str, *, patience: float = 60.0) -> None:
         self._executor, self._name, self._patience = executor, name, patience
         self._change = node.create_client(ChangeState, f"{name}/change_state")
         self._get = node.create_client(GetState, f"{name}/get_state")
@@ -73,12 +75,24 @@ class Lifecycle:
             node.destroy_node()
             context.try_shutdown()
 
-    def wait(self, timeout: float = 60.0) -> None:
-        """Until the node answers; raises PushIdentError when it does not."""
-        deadline = time.monotonic() + timeout
+    def wait(self, timeout: float = 120.0) -> None:
+        """Until the node answers; raises PushIdentError when it does not.
+
+        A node that has not found the reading end of a client yet drops its answer: the state is asked for again until it comes.
+        """
+        deadline, again = time.monotonic() + timeout, 0.0
+        answers: list[Any] = []
         while not (self._change.service_is_ready() and self._get.service_is_ready()):
             if time.monotonic() > deadline:
                 raise PushIdentError(f"{self._name} has no lifecycle services after {timeout:.0f} s; does it run?")
+            self._executor.spin_once(timeout_sec=0.05)
+        while not any(answer.done() for answer in answers):
+            now = time.monotonic()
+            if now > deadline:
+                raise PushIdentError(f"{self._name} has lifecycle services and does not answer within {timeout:.0f} s; see its log")
+            if now > again:
+                answers.append(self._get.call_async(GetState.Request()))
+                again = now + _AGAIN
             self._executor.spin_once(timeout_sec=0.05)
 
     def state(self) -> str:

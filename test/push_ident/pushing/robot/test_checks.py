@@ -121,7 +121,7 @@ def test_places_that_the_arm_cannot_push_at_are_told_and_drawn_and_a_smaller_wor
 
 
 def test_push_beyond_the_acceleration_of_the_joints_is_a_limit_and_not_out_of_reach(tmp_path: Path) -> None:
-    path = changed(tmp_path, lambda c: c["parameters"]["push_executor_node"].update(acceleration=2.0))
+    path = changed(tmp_path, lambda c: c["joints"].update(acceleration=[0.5]))
     reach = reach_of(path, 0.4)
     assert np.all(reach.outcome[0] == Outcome.LIMIT)
     assert not any(finding.level is Level.WRONG for finding in check_reach(reach, push_settings(read_robot(path)).workspace))

@@ -65,13 +65,14 @@ def test_tip_of_the_description_is_where_the_file_places_it(name: str) -> None:
 
 
 def test_nodes_get_one_value_from_one_place(tmp_path: Path) -> None:
-    nodes = node_parameters(read_robot(robot_path("ur5e")), tmp_path / "robot.urdf")
+    robot = read_robot(changed(tmp_path, lambda c: c["parameters"]["push_executor_node"].update(acceleration=1.0)))
+    nodes = node_parameters(robot, tmp_path / "robot.urdf")
     assert nodes["perception_node"]["robot_description_file"] == nodes["push_executor_node"]["robot_description_file"]
     assert nodes["perception_node"]["camera_position"] == nodes["bag_recorder_node"]["camera_position"] == [0.55, 0.0, 0.85]
     assert nodes["perception_node"]["tool_reach"] == [0.012, 0.132]
     assert nodes["push_executor_node"]["workspace"] == nodes["goal_pushing_node"]["workspace"]
     assert len(nodes["push_executor_node"]["home_posture"]) == 6 and nodes["push_executor_node"]["acceleration"] == 1.0
-    assert motion_settings(read_robot(robot_path("ur5e"))).acceleration == 1.0
+    assert motion_settings(robot).acceleration == 1.0
 
 
 def test_a_value_that_the_file_has_elsewhere_is_refused_among_the_further_parameters(tmp_path: Path) -> None:

@@ -130,6 +130,8 @@ class _Identification(Component):
         self._queue = WorkQueue()
         self._frames: dict[str, float] = {}  # objects with a new pose during a push, and when the pose came
         self._closing = False
+        self._is_loaded = threading.Event()
+        """Set when the worker has its kernels."""
         self._worker = threading.Thread(target=self._work, name="identify", daemon=True)
         # The update at a frame must not wait for results that are only displayed.
         self._advice = LatestJobs("advise", node.guard)
@@ -159,7 +161,8 @@ class _Identification(Component):
         with self._wake:
             self._closing = True
             self._wake.notify()
-        self._worker.join(timeout=1.0)
+        if self._is_loaded.is_set():
+            self._worker.join(timeout=1.0)  # while it loads kernels it cannot stop, and has nothing to finish
         self._advice.close(timeout=0.2)
 
     # ---- input
@@ -230,6 +233,7 @@ class _Identification(Component):
         with self._node.guard.watch("identify"):
             compile_kernels(effects=True)
             settle_memory()
+        self._is_loaded.set()
         while True:
             with self._wake:
                 self._wake.wait_for(lambda: self._closing or self._queue.first() or self._frames)
@@ -447,6 +451,7 @@ class _Identification(Component):
         else:
             level, text = DiagnosticStatus.OK, f"pushes by object: {pushes}"
         values |= {
+            "kernels": "loaded" if self._is_loaded.is_set() else "loading",
             "streams": "at rest" if self._collector.is_at_rest else "running",
             "pushes waiting": self._collector.n_ended + self._queue.n_waiting(Kind.PUSH),
             "outlines waiting": self._queue.n_waiting(Kind.OUTLINE),

@@ -46,6 +46,7 @@ from push_ident.nodes.perception.camera_publisher import CameraPublisher
 from push_ident.nodes.perception.depth_input import EVERY_POSE, DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
+from push_ident.nodes.perception.older_images import OlderImages
 from push_ident.nodes.perception.parameters import PARAMETERS, names_of_further_cameras, perception_settings
 from push_ident.nodes.run import run_node
 from push_ident.nodes.stamps import StampCheck
@@ -112,6 +113,7 @@ class _Perception(Component):
         self._frames_diagnosed = 0
         self._latencies: list[float] = []
         self._last_stamp = -np.inf
+        self._older = OlderImages(lambda: node.count_publishers(self._main.input.image_topic))
 
         self._object_publishers: dict[str, tuple[Publisher, ...]] = {}
         self._camera_publisher = CameraPublisher(self._node, _LATCHED)
@@ -210,7 +212,7 @@ class _Perception(Component):
                 return
             assert self._perception is not None
             if frame.stamp < self._last_stamp:
-                self._check_publishers(frame.stamp)
+                self._older.check(self._last_stamp - frame.stamp)
                 self._restart(frame.stamp)
                 self._perception.reset()
                 self._remember()
@@ -377,16 +379,6 @@ class _Perception(Component):
             else:
                 self._counter[f"{name}_views_used"] += 1
                 self._notes[f"camera_{name}"] = ""
-
-    def _check_publishers(self, stamp: float) -> None:
-        """Raises PerceptionError where time goes back because several nodes publish images: a bag that starts again is one."""
-        topic = self._main.input.image_topic
-        publishers = self._node.count_publishers(topic)
-        if publishers > 1:
-            raise PerceptionError(
-                f"{publishers} nodes publish images, and this one is {self._last_stamp - stamp:.3f} s older than the latest; "
-                "stop all but one"
-            )
 
     def _restart(self, stamp: float) -> None:
         """Time went back, as when a bag starts again: `Perception` forgets all objects, and so do the topics."""

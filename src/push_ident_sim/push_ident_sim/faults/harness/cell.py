@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -33,6 +34,8 @@ _ANSWER: Final = 3.0
 """Longest wait for the plan of a push [s]; after that it is requested again."""
 _TRIES: Final = 3
 """A push that fails before its fault is injected is requested so many times."""
+_SAID: Final = 6
+"""Of what the executor said in vain, the most frequent so many are reported."""
 _PUSH: Final = 60.0
 """Longest push [s]."""
 _MOVING: Final = 0.05
@@ -242,7 +245,7 @@ class Cell:
         """Until the executor can plan a push."""
         goal = self.goal() if OBJECT_POSE in self.plan.through else ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM)
         goal.dry_run = True
-        deadline, says = time.monotonic() + _STARTUP, ""
+        deadline, said = time.monotonic() + _STARTUP, Counter[str]()
         while time.monotonic() < deadline:
             for process in self.processes.values():
                 if not process.runs:
@@ -250,13 +253,19 @@ class Cell:
             try:
                 result = self.end(self.monitor.send(goal, _ANSWER), _ANSWER)
             except PushIdentError as error:  # the goal went to an executor that was killed
-                says = str(error)
+                said[str(error)] += 1
                 continue
             if result.error_code == 0:
                 return
-            says = result.error_text
+            said[result.error_text] += 1
             time.sleep(0.3)
-        raise PushIdentError(f"no push can be planned after {_STARTUP:.0f} s: {says}")
+        raise PushIdentError(f"no push can be planned after {_STARTUP:.0f} s: {_in_short(said)}{self._lost_ports()}")
+
+    def _lost_ports(self) -> str:
+        """Which processes still hold ports of shared memory that somebody removed: what is sent there reaches nobody."""
+        pids = {"this process": os.getpid()} | {process.name: process.pid for process in self.processes.values()}
+        found = {name: n for name, pid in pids.items() if (n := _n_lost_ports(pid))}
+        return "".join(f"; {name} holds {n} deleted ports of shared memory" for name, n in found.items())
 
     def set_parameter(self, node: str, name: str, value: float | int | bool | str) -> SetParametersResult:
         """Set a parameter of a running node."""
@@ -274,6 +283,21 @@ class Cell:
             process.interrupt(patience=3.0)
         self.proxy.close()
         self.monitor.close()
+
+
+def _in_short(said: Counter[str]) -> str:
+    """Different texts, each with how often it came."""
+    texts = [f"{text} ({n} times)" for text, n in said.most_common(_SAID)]
+    return "; ".join(texts) + (f"; {len(said) - _SAID} others" if len(said) > _SAID else "")
+
+
+def _n_lost_ports(pid: int) -> int:
+    """Mappings of removed files of Fast DDS's ports; 0 where the process has ended or the system does not tell."""
+    try:
+        lines = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return 0
+    return sum("fastrtps_port" in line and "(deleted)" in line for line in lines)
 
 
 def _parameter(name: str, value: float | int | bool | str) -> Parameter:
