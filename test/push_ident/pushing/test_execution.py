@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 import threading
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from helpers.memory_cell import PARKED, SETTINGS, Bench, Cell, code_of
+from helpers.memory_cell import CONTACT, PARKED, SETTINGS, Bench, Cell, code_of
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.executed_push import Purpose
 from push_ident.pushing.ports import Phase
 from push_ident.pushing.push import PushCode
-from push_ident.pushing.push_request import Mode, PushOutcome, PushRequest
+from push_ident.pushing.push_request import ExecutionSettings, Mode, PushOutcome, PushRequest
 from push_ident.types import Float64Array
 from push_ident_sim.cell.robot import HOME, robot_description
 
@@ -203,6 +204,20 @@ def test_lost_object_ends_the_push_and_the_arm_goes_home(bench: Bench) -> None:
     assert len(bench.cell.holds) == 1 and len(bench.cell.commands) == 2
     assert bench.cell.q == pytest.approx(PARKED, abs=1e-3)
     assert bench.client.phases[-1] == Phase.RETREAT
+
+
+def test_object_that_the_arm_hides_for_the_better_part_of_a_push_is_not_lost_by_default(bench: Bench) -> None:
+    hidden: list[float] = []
+
+    def hide(cell: Cell) -> None:
+        hidden.append(cell.time)
+        cell.is_hidden = 0.3 < cell.time - hidden[0] < 2.4
+
+    bench.when_pushing(hide)
+    default = next(field.default for field in fields(ExecutionSettings) if field.name == "lost_timeout")
+    settings = replace(SETTINGS, lost_timeout=default)
+    outcome = bench.push(replace(CONTACT, distance=0.1, speed=0.05), settings)
+    assert code_of(outcome) == PushCode.NONE, outcome.error
 
 
 def test_object_pushed_out_of_the_workspace_is_lost(bench: Bench) -> None:

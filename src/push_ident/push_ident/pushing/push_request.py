@@ -62,8 +62,9 @@ class ExecutionSettings:
     """Where a request gives none [m/s]."""
     pose_timeout: float = 1.0
     """Oldest object pose, by time of receipt, that a push may start from [s]."""
-    lost_timeout: float = 1.0
-    """An object whose last pose was received longer ago during a push is lost [s]."""
+    lost_timeout: float = 3.0
+    """An object whose last pose was received longer ago during a push is lost [s]: an arm that pushes from the side of the camera hides it
+    for the better part of the push."""
     min_object_shift: float = 0.002
     """Smaller shifts of the object count as no contact [m]."""
     min_object_turn: float = 0.0175

@@ -335,9 +335,9 @@ STUDY = Experiment(
         "Does the arm stop when a node is killed in the middle of a push, and is a push learned that was not made to its end? The "
         "simulated cell and the nodes, each a process, in real time. A node gets SIGKILL, or the executor SIGSTOP, at a random moment "
         "between the lowered tool and the planned end of the push; `whole` counts pushes with a record, `learned` those in the maps. "
-        "Without perception the executor holds the arm once poses have been missing for a second; identification and diagnosis do not "
-        "command the arm, and the push goes on. The time until the arm stands counts on the clock of the arm; 100 ms and braking is what "
-        "the acceleration limits of the joints need from their speed at the kill."
+        "Without perception the executor holds the arm once poses have been missing for `lost_timeout`; identification and "
+        "diagnosis do not command the arm, and the push goes on. The time until the arm stands counts on the clock of the arm; 100 ms "
+        "and braking is what the acceleration limits of the joints need from their speed at the kill."
     ),
     variants=tuple(_KILLED),
     run=_run,
