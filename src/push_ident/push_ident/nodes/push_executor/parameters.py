@@ -85,7 +85,7 @@ PARAMETERS: Final = (
         "commands say when they start, for arms whose controller and joint_states have one clock, as in ros2_control; else on receipt",
     ),
     Parameter("pose_timeout", 1.0, "oldest object pose, by time of receipt, that a push may start from [s]", 0.05, 60.0),
-    Parameter("lost_timeout", 3.0, "longest time without a pose of the object in a straight push: the arm may hide it [s]", 0.05, 60.0),
+    Parameter("lost_timeout", 3.0, "longest time without a pose of the object during a push; the arm may hide it [s]", 0.05, 60.0),
     Parameter("force_limit", 60.0, "largest horizontal force on pusher/wrench; beyond, the arm is held [N]", 0.5, 1000.0),
     Parameter("wrench_timeout", 0.5, "longest silence of pusher/wrench during a motion, where it spoke at the start [s]", 0.02, 10.0),
     Parameter(
