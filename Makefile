@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo docs bench experiments blind recordings endurance faults fuzz test test-long lint format dist dist-check changelog release clean
+.PHONY: help setup demo docs bench experiments blind recordings endurance states faults fuzz test test-long lint format dist dist-check changelog release clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */  make \1\t/' | expand -t 16
@@ -62,6 +62,10 @@ recordings: setup  ## recordings of others, set by set, DATA=FOLDER of them (goe
 endurance: setup  ## the live cell for an hour while its nodes are killed at random (an hour and a half in all), then the page
 	$(VENV)/push-ident experiment endurance --minutes 60 --seed 1 --models 1 --json docs/results/experiments/endurance.json
 	$(VENV)/push-ident experiment report
+
+STREAMS ?= 10000
+states: setup  ## pushes under STREAMS=10000 random streams of joint states that lie: no command may break a limit (an hour)
+	STREAMS=$(STREAMS) OMP_NUM_THREADS=1 $(VENV)/pytest -q -n 2 test/push_ident/pushing/test_corrupted_states.py
 
 faults: setup  ## the fault suite against live nodes (twenty minutes; root for full disks and the like), then docs/results/faults.md
 	$(VENV)/push-ident faults --out log/faults --json docs/results/faults.json

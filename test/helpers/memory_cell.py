@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 
 import numpy as np
 
-from push_ident.errors import PlanningError
+from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.geometry.se2 import transform_points
+from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.executed_push import ExecutedPush
 from push_ident.pushing.execution import PushExecution
-from push_ident.pushing.motion import ArmMotion, MotionSettings
+from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.ports import ArmState, ExecutionPorts, Phase, TrackedObject
 from push_ident.pushing.push import PushCode, PushSettings
 from push_ident.pushing.push_request import ExecutionSettings, Mode, PushOutcome, PushRequest
+from push_ident.pushing.state_check import StateCheck
+from push_ident.pushing.state_intake import StateIntake
 from push_ident.pushing.trajectory import JointTrajectory
-from push_ident.pushing.watch import WatchLimits
+from push_ident.pushing.watch_limits import WatchLimits
 from push_ident.types import Float64Array, ObjectShape
 from push_ident_sim.cell.robot import HOME
 from push_ident_sim.cell.trajectory import JointTrajectory as Followed
 
 RADIUS = 0.018
 BOX = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
+SHAPE = ObjectShape(cells_in_outline(BOX, 0.01), BOX)
 PARKED = (0.5, *HOME[1:])
 SETTINGS = ExecutionSettings(
     push=PushSettings(workspace=(-0.1, 0.2, -0.25, 0.25), pusher_radius=RADIUS),
@@ -42,7 +46,8 @@ class Cell:
     `events` are called at each step of 10 ms with the cell; they play the faults.
     """
 
-    state: ArmState | None = None
+    is_simulated = False
+    is_there = True
 
     def __init__(self, kinematics: ArmKinematics) -> None:
         self.planner = kinematics
@@ -51,9 +56,13 @@ class Cell:
         self.box = np.array([0.0, 0.02, 0.3])
         self.tip = kinematics.forward(self.q)[:3, 3]
         self.followed = Followed.hold(self.q)
-        self.commands: list[ArmMotion] = []
         self.pieces: list[JointTrajectory] = []
         self.holds: list[Float64Array] = []
+        speed = np.minimum(kinematics.velocity_limit, 5.0)
+        self.intake = StateIntake(StateCheck(kinematics.position_lower, kinematics.position_upper, speed), kinematics.forward)
+        self.clock = ArmClock()
+        self.corrupt: Callable[[float, Float64Array], list[tuple[float, Float64Array]]] = lambda stamp, q: [(stamp, q)]
+        """What is reported of stamp [s] and joints [rad] of a state: none, one or more of them."""
         self.events: list[Callable[[Cell], None]] = []
         self.is_silent = self.is_hidden = self.is_box_fixed = self.is_deaf = False
         self.offset = np.zeros(7)
@@ -65,6 +74,7 @@ class Cell:
         self.pose_received = 100.0
         self.pose = self.box.copy()
         self.pose_std = np.zeros(3)
+        self.pose_offset = np.zeros(3)
         self.rng = np.random.default_rng(0)
         self.step()
 
@@ -83,10 +93,12 @@ class Cell:
         if touches and not self.is_box_fixed:
             self.box[:2] += self.tip[:2] - before[:2]
         if not self.is_silent:
-            q = self.q + self.offset
-            self.state = ArmState(self.time, q, self.planner.forward(q), self.time)
+            for stamp, q in self.corrupt(self.time, self.q + self.offset):
+                with suppress(InputError):
+                    if self.intake.take(self.time, stamp, q) is not None:
+                        self.clock.observe(self.time, stamp)
         if not self.is_hidden:
-            self.pose, self.pose_received = self.box + self.pose_std * self.rng.normal(size=3), self.time
+            self.pose, self.pose_received = self.box + self.pose_offset + self.pose_std * self.rng.normal(size=3), self.time
 
     # ---- clock
 
@@ -103,6 +115,10 @@ class Cell:
 
     # ---- arm
 
+    @property
+    def state(self) -> ArmState | None:
+        return self.intake.latest
+
     def fresh_state(self, timeout: float, *, is_late: bool = False) -> ArmState:
         if self.state is None or self.time - self.state.received > timeout - 0.03:
             raise PlanningError(PushCode.ARM_SILENT, "no joint states.")
@@ -115,17 +131,21 @@ class Cell:
     def rivals(self) -> tuple[str, ...]:
         return self.rivals_found
 
-    def stamp_now(self) -> float:
-        return self.time
+    def stamp_now(self) -> tuple[float, bool]:
+        return self.clock.at(self.time)
 
     def in_use(self) -> nullcontext[None]:
         return nullcontext()
 
-    def open(self, motion: ArmMotion) -> Cell:
-        self.commands.append(motion)
-        return self
+    def take_states(self) -> list[ArmState]:
+        return self.intake.take_waiting()
 
-    def move(self, piece: JointTrajectory, start: float | None) -> None:
+    def impossible_state(self, since: float) -> str:
+        return self.intake.impossible(since)
+
+    def send(self, joint_names: tuple[str, ...], piece: JointTrajectory, start: float | None) -> None:
+        if len(piece.time) == 1:
+            self.holds.append(piece.position[-1])
         if self.delay > 0.0:
             self.on_the_way.append((self.time + self.delay - 1e-9, piece))
         elif not self.is_deaf:
@@ -135,10 +155,6 @@ class Cell:
         state = self.followed.sample(self.time) if self.pieces else (self.q, np.zeros(7))
         self.followed = Followed(piece.time, piece.position, piece.velocity).from_state(self.time, *state)
         self.pieces.append(piece)
-
-    def hold(self, piece: JointTrajectory) -> None:
-        self.holds.append(piece.position[-1])
-        self.move(piece, None)
 
     # ---- hand, force, recorder
 
@@ -164,8 +180,7 @@ class Cell:
             raise PlanningError(PushCode.UNKNOWN_OBJECT, f"no object `{object_id}`.")
         if self.time - self.pose_received > max_age:
             raise PlanningError(PushCode.UNKNOWN_OBJECT, "the pose is too old.")
-        shape = ObjectShape(cells_in_outline(BOX, 0.01), BOX)
-        return TrackedObject("box", shape, self.pose_received, self.pose, np.diag(self.pose_std**2))
+        return TrackedObject("box", SHAPE, self.pose_received, self.pose, np.diag(self.pose_std**2))
 
     def outlines_of_others(self, object_id: str) -> list[Float64Array]:
         return []
@@ -177,6 +192,10 @@ class Client:
         self.phases: list[Phase] = []
         self.progress: list[float] = []
         self.begun: list[tuple[int, float]] = []
+
+    @property
+    def why_over(self) -> str:
+        return "canceled on request" if self.is_cancel_requested else ""
 
     def feedback(self, phase: Phase, progress: float) -> None:
         self.phases.append(phase)

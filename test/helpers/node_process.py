@@ -76,6 +76,11 @@ class NodeProcess:
         """All it has printed."""
         return self._log.read_text(errors="replace")
 
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+        self._process.wait()
+
     def stop(self) -> int:
         """Interrupt it; its exit code."""
         if self.runs:

@@ -34,8 +34,9 @@ CASES = {
 OTHER_MACHINE = 1e-2
 """Relative tolerance where processor or libraries are not those of the stored answers: sums are then rounded differently. With kernels
 compiled for any x86-64 processor and OpenBLAS for Haswell, a log evidence near zero changed by 1.3e-3, the rest by less than 4e-5."""
-SIGN_OF_EIGENVECTORS = frozenset({"combinations", "cell_error_std_m", "within_90"})
-"""Not compared there: combinations of unknowns have an arbitrary sign, and predictions draw models along them."""
+OTHERWISE_THERE = frozenset({"combinations", "cell_error_std_m", "within_90", "first_push"})
+"""Not compared there: combinations of unknowns have an arbitrary sign, predictions draw models along them, and the best of many pushes may
+be another one of those that are nearly as good."""
 PROGRAM = """
 import json, sys
 from numba.core import event
@@ -113,7 +114,7 @@ def without(keys: frozenset[str], answer: Any) -> Any:
 
 def comparable(answer: Any) -> Any:
     """What another machine answers as well: rivals of equal evidence may change places."""
-    answer = without(SIGN_OF_EIGENVECTORS, answer)
+    answer = without(OTHERWISE_THERE, answer)
     if answer["content"] and "ranking" in answer["content"]:
         answer["content"]["ranking"].sort(key=lambda entry: entry["name"])
     return answer

@@ -44,7 +44,7 @@ def test_object_is_pushed_out_over_the_edge_and_held(tmp_path: Path, monkeypatch
         client.wait(lambda: client.values_of("identification").get("pushes refused", "0") != "0", 150.0, left_out)
         outline, pose = client.shape(object_id).outline, client.poses(object_id)[-1][1]
     content = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert content["code"] == "NONE" and content["object_id"] == object_id
+    assert content["code"] == "SUCCESS" and content["object_id"] == object_id
     # Whatever the nodes say: it overhangs, and a cell that has lost its object would publish no pose.
     over = float(transform_points(pose, outline)[:, 0].max()) - END
     assert 0.01 < over < 0.05 and over == pytest.approx(content["overhang_m"], abs=0.003)

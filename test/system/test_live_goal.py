@@ -23,7 +23,7 @@ def test_unknown_object_is_pushed_to_a_goal_in_the_live_simulated_cell(tmp_path:
     done = run("demo", "--goal", goal, "--n-train", 1, "--out", tmp_path, "--json", tmp_path / "goal.json", timeout=400.0)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     content = json.loads((tmp_path / "goal.json").read_text())
-    assert content["reached"] and content["code"] == "NONE"
+    assert content["reached"] and content["code"] == "SUCCESS"
     assert content["position_error_m"] < 0.02 and content["yaw_error_rad"] < 0.1
     pushes = content["pushes"]
     assert 1 <= len(pushes) == content["n_pushes"]

@@ -107,9 +107,13 @@ def make_folder(path: Path, *, private: bool = False) -> None:
 def read_regular(path: Path, most: int = LIMITS.TEXT_FILE.value) -> bytes:
     """Content of a regular file of at most `most` bytes.
 
-    Raises OSError: it cannot be read, is a pipe, a device or a folder, or is larger. Such a file could block, or never end.
+    Raises OSError: no file has such a name, it cannot be read, is a pipe, a device or a folder, or is larger. Such a file could block, or
+    never end.
     """
-    number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except ValueError as error:  # a name with a null byte, or one that cannot be encoded
+        raise OSError(errno.EINVAL, f"no file has such a name ({error})", str(path)) from None
     with os.fdopen(number, "rb") as file:
         if not stat.S_ISREG(os.fstat(number).st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))

@@ -68,6 +68,14 @@ class LIMITS:
         "the table frame has its origin in the middle of the workspace; beyond, a covariance in single precision loses the millimetre",
     )
     FORCE: Final = Limit(100_000, "N", "a force is", "far above the force of any arm")
+    MASS: Final = Limit(10_000, "kg", "a mass is", "what the largest force just moves at a friction coefficient of 1")
+    FRICTION: Final = Limit(
+        100,
+        "times the normal force",
+        "a friction coefficient is",
+        "tyres of dragsters reach 5; from 10 on a contact sticks at any push, so a fit may overshoot",
+    )
+    YAW: Final = Limit(100, "rad", "a yaw is", "16 turns of an object in one push; messages have it within half a turn")
 
     # ---- pushes
     PUSHES: Final = Limit(2_000, "pushes", "number of pushes is", "a push each 15 s for 8 hours")

@@ -66,7 +66,7 @@ def test_a_push_that_misses_is_followed_by_the_next_and_a_silent_arm_ends_all(ex
     assert done.returncode == 1 and "1 of 4 pushes could be planned" in done.stderr
     assert "push 1: NO_CONTACT" in done.stderr and "push 2: touched at" in done.stdout and "push 3: ARM_SILENT" in done.stderr
     content = json.loads((tmp_path / "pushes.json").read_text())
-    assert [push["code"] for push in content["pushes"]] == ["NO_CONTACT", "NONE", "ARM_SILENT"] and content["n_done"] == 1
+    assert [push["code"] for push in content["pushes"]] == ["NO_CONTACT", "SUCCESS", "ARM_SILENT"] and content["n_done"] == 1
     assert all(goal.dry_run for goal in executor.asked) and [g.seed for g in executor.asked] == [g.seed for g in random_goals(4, 2)][:3]
 
 

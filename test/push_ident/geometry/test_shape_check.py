@@ -75,3 +75,15 @@ def test_vertices_rounded_to_single_precision_do_not_cross() -> None:
 def test_radius_that_no_pusher_has_is_refused(radius: float) -> None:
     with pytest.raises(InputError):
         check_pusher_radius(radius)
+
+
+@pytest.mark.parametrize("grown", [1.05, 2.0])
+def test_cells_that_overlap_are_refused(grown: float) -> None:
+    cells = shape_in(TRIANGLE).cells
+    with pytest.raises(InputError, match="apart, expected at least their size"):
+        check_shape(ObjectShape(CellGrid(cells.centres, grown * cells.size), TRIANGLE))
+
+
+def test_cells_that_cover_another_area_than_the_outline_are_refused() -> None:
+    with pytest.raises(InputError, match="expected about the"):
+        check_shape(ObjectShape(CellGrid(shape_in(TRIANGLE).cells.centres, 0.006), TRIANGLE))

@@ -37,7 +37,7 @@ def test_model_whose_effects_had_another_prior_is_refused(tmp_path: Path) -> Non
     written |= {"effects": ["outline_error"], "effect_values": [4e-4], "z": [*written["z"][:at], 1.0, *written["z"][at:]]}
     written["covariance"] = np.eye(n + 1).tolist()
     (tmp_path / "model.json").write_text(json.dumps(written))
-    with pytest.raises(ModelFileError, match="other values of its effects"):
+    with pytest.raises(ModelFileError, match="`effect_values` states 0.0004, expected"):
         load_model(tmp_path / "model.json")
     written["effect_values"] = [2e-3]
     (tmp_path / "model.json").write_text(json.dumps(written))

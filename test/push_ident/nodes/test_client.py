@@ -1,27 +1,55 @@
-"""The client of a cell waits for a push as long as the executor sends feedback."""
+"""The client of a cell waits for a push as long as the executor sends feedback, and no message ends its thread."""
 
 from __future__ import annotations
 
+import random
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 
+import numpy as np
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.action import ActionClient, ActionServer
 from rclpy.action.server import ServerGoalHandle
 from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident.nodes.client import CellClient, CellTimeout
+from push_ident.nodes.convert import planar_pose_to_msg, stamp_to_msg
+from push_ident.nodes.guard import is_guarded
 from push_ident.nodes.network import process_domain
 from push_ident_msgs.action import ExecutePush
+from push_ident_msgs.msg import MassFrictionMap
+from push_ident_sim.fuzz.mutate_message import mutate_message
+from push_ident_sim.fuzz.traffic import OBJECT, shape_messages
 
 pytestmark = pytest.mark.alone
 
 SILENCE = 0.6
 """[s]"""
+SERVER = """
+import time
+import rclpy
+from rclpy.action import ActionServer
+from push_ident_msgs.action import ExecutePush
+
+def execute(goal):
+    goal.publish_feedback(ExecutePush.Feedback())
+    time.sleep(60.0)
+
+rclpy.init()
+node = rclpy.create_node("executor")
+server = ActionServer(node, ExecutePush, "execute_push", execute)
+rclpy.spin(node)
+"""
+"""Begins a push, and does not end it."""
 
 
 class Executor(Node):
@@ -50,25 +78,40 @@ class Executor(Node):
         self._idle.wait(1.0)
 
 
-@pytest.fixture
-def client(monkeypatch: pytest.MonkeyPatch) -> Iterator[CellClient]:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(process_domain()))
+@contextmanager
+def serving() -> Iterator[Executor]:
     context = Context()
     rclpy.init(context=context)
     node = Executor(context)
-    executor = MultiThreadedExecutor(2, context=context)
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin, daemon=True)
+    spinning = MultiThreadedExecutor(2, context=context)
+    spinning.add_node(node)
+    thread = threading.Thread(target=spinning.spin, daemon=True)
     thread.start()
     try:
-        with CellClient() as own:
-            yield own
+        yield node
     finally:
         node.close()
-        executor.shutdown(timeout_sec=1.0)
+        spinning.shutdown(timeout_sec=1.0)
         node.destroy_node()
         rclpy.try_shutdown(context=context)
         thread.join(timeout=2.0)
+
+
+@pytest.fixture(autouse=True)
+def domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(process_domain()))
+
+
+@pytest.fixture
+def executor() -> Iterator[Executor]:
+    with serving() as node:
+        yield node
+
+
+@pytest.fixture
+def client(executor: Executor) -> Iterator[CellClient]:
+    with CellClient() as own:
+        yield own
 
 
 def test_client_waits_for_a_long_push_while_feedback_comes(client: CellClient) -> None:
@@ -87,9 +130,9 @@ def test_feedback_that_comes_after_the_result_is_not_heard(client: CellClient, m
     callbacks: list[Callable[[object], None]] = []
     send = ActionClient.send_goal_async
 
-    def noting(action: ActionClient, goal: object, feedback_callback: Callable[[object], None]) -> object:
+    def noting(action: ActionClient, goal: object, feedback_callback: Callable[[object], None], goal_uuid: object) -> object:
         callbacks.append(feedback_callback)
-        return send(action, goal, feedback_callback=feedback_callback)
+        return send(action, goal, feedback_callback=feedback_callback, goal_uuid=goal_uuid)
 
     monkeypatch.setattr(ActionClient, "send_goal_async", noting)
     client.execute_push(ExecutePush.Goal(speed=0.2, distance=2.0), on_feedback=lambda feedback: progress.append(feedback.progress))
@@ -103,3 +146,41 @@ def test_executor_that_falls_silent_is_given_up(client: CellClient) -> None:
     with pytest.raises(CellTimeout, match=r"sent no feedback for 1 s .* push_executor_node"):
         client.execute_push(ExecutePush.Goal(speed=10.0), silence=SILENCE)
     assert time.monotonic() - started < 8.0
+
+
+def test_executor_that_was_started_again_meanwhile_has_no_such_push() -> None:
+    with subprocess.Popen([sys.executable, "-c", SERVER]) as server, ExitStack() as stack:
+
+        def start_again(feedback: ExecutePush.Feedback) -> None:
+            server.kill()
+            server.wait()
+            stack.enter_context(serving())
+
+        with CellClient() as client, pytest.raises(CellTimeout, match=r"push_executor_node was started again .* no result"):
+            client.execute_push(ExecutePush.Goal(), on_feedback=start_again)
+
+
+def test_messages_of_any_content_end_no_client_and_are_one_line(
+    client: CellClient, executor: Executor, capfd: pytest.CaptureFixture[str]
+) -> None:
+    status = DiagnosticStatus(name="identification", values=[KeyValue(key="streams", value="at rest")])
+    traffic = [
+        *shape_messages(),
+        (f"/objects/{OBJECT}/pose", planar_pose_to_msg(stamp_to_msg(1.0), np.zeros(3), 1e-6 * np.eye(3))),
+        (f"/objects/{OBJECT}/mass_friction_map", MassFrictionMap(mass=[0.1], friction=[0.3])),
+        ("/diagnostics", DiagnosticArray(status=[status])),
+    ]
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publishers = [executor.create_publisher(type(msg), topic, latched) for topic, msg in traffic]
+    rng = random.Random(0)
+    client.wait(client.object_ids, 10.0, "the object was not found")
+    client.wait(lambda: all(publisher.get_subscription_count() for publisher in publishers), 10.0, "not discovered")
+    for _ in range(60):
+        for publisher, (_, msg) in zip(publishers, traffic, strict=True):
+            publisher.publish(mutate_message(msg, rng)[0])
+        time.sleep(0.005)
+    client.wait(lambda: client.node.guard.refused > 60, 10.0, "fewer were refused")
+    callbacks = [entity.callback for entity in (*client.node.subscriptions, *client.node.timers)]
+    assert callbacks and all(is_guarded(callback) for callback in callbacks)
+    assert client.execute_push(ExecutePush.Goal(speed=0.2, distance=2.0)).push_id == 7
+    assert capfd.readouterr().err.count("[push_ident_client]") == 1

@@ -19,6 +19,7 @@ from geometry_msgs.msg import Point, PolygonStamped, PoseStamped
 from nav_msgs.msg import Path as PathMsg
 from rclpy.action import ActionClient
 from rclpy.context import Context
+from unique_identifier_msgs.msg import UUID
 from visualization_msgs.msg import MarkerArray
 
 from helpers.executor_cell import BOX, LATCHED, Cell, Stalls, ask, start_node, summary, wait_for
@@ -31,6 +32,7 @@ from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_from
 from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
 from push_ident.nodes.convert_table import EDGE_TOPIC, edge_from_msg
 from push_ident.nodes.goal_pushing.convert_goal import planar_pose_msg
+from push_ident.nodes.keep_alive import KeepAlive
 from push_ident.planning.goal_code import GoalCode
 from push_ident.planning.goal_ports import GoalState
 from push_ident.types import ObjectShape
@@ -121,6 +123,7 @@ def send(
     *,
     frame: str = "table",
     on_feedback: Callable[[PushToGoal.Feedback], None] = lambda msg: None,
+    number: UUID | None = None,
     **fields: object,
 ) -> Sent:
     goal = PushToGoal.Goal(**fields)
@@ -134,7 +137,7 @@ def send(
         feedback.append(msg.feedback)
         on_feedback(msg.feedback)
 
-    sent = ask(cell, lambda: cell.goal_client.send_goal_async(goal, feedback_callback=take))
+    sent = ask(cell, lambda: cell.goal_client.send_goal_async(goal, feedback_callback=take, goal_uuid=number))
     wait_for(sent.done)
     handle = sent.result()
     assert handle.accepted
@@ -408,6 +411,17 @@ def test_model_of_another_shape_is_not_planned_with(cell: GoalCell) -> None:
         cell.publish_model()
 
 
+def test_goal_whose_client_falls_silent_is_canceled_and_the_arm_holds(cell: GoalCell) -> None:
+    signs = KeepAlive(cell, "push_to_goal")
+    number = signs.begin()
+    sent = begin(cell, FAR, number=number)
+    n_holds = len(cell.holds)
+    signs.end(number)
+    result = sent.end()
+    assert result.error_code == GoalCode.CANCELED and result.error_text.startswith("its client has been silent for 1.")
+    assert len(cell.holds) > n_holds
+
+
 def test_node_that_is_stopped_in_the_middle_of_a_push_holds_the_arm(cell: GoalCell, node: NodeProcess) -> None:
     sent = begin(cell, FAR)
     n_holds = len(cell.holds)
@@ -438,3 +452,31 @@ def test_executor_that_dies_in_the_middle_of_a_push_is_said(
         assert result.error_code == GoalCode.ARM_SILENT and "push_executor_node" in result.error_text
     finally:
         assert node.stop() == 0
+
+
+def test_arm_holds_soon_after_the_node_was_killed(
+    executor: subprocess.Popen[str], node: NodeProcess, the_goal_cell: GoalCell, domain: int, tmp_path: Path
+) -> None:
+    """It is the client of the executor."""
+    cell = the_goal_cell
+    executor.kill()
+    node.stop()
+    cell.reset()
+    cell.diagnostics.clear()
+    slow = NodeProcess("goal_pushing_node", "push_ident.nodes", OWN | {"push_speed": 0.02}, domain, tmp_path)
+    own = start_node(domain)  # not as patient as the one before
+    try:
+        wait_for(lambda: any(msg.status[0].message == "ready" for msg in reports(cell, "goal_pushing")), 60.0)
+        wait_for(lambda: any("objects: box" in summary(msg) for msg in reports(cell, "executor")), 60.0)
+        begin(cell, FAR)
+        with Stalls() as stalls:
+            slow.kill()
+            killed = time.monotonic()
+            wait_for(lambda: cell.holds)
+        held = cell.holds[0][0] - killed
+        print(f"held {held:.2f} s after SIGKILL")
+        assert held < 1.3 + REACTION + 4 * stalls.worst  # client_timeout, looked at every 0.1 s
+    finally:
+        slow.kill()
+        own.kill()
+        own.communicate()

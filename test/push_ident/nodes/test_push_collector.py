@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -132,6 +133,30 @@ def test_push_without_an_end_record_is_not_learned_where_an_executor_is(cell: Ce
 
     cell.play(TRAIN[2], 70.0, records)
     wait_for(lambda: cell.values.get("pushes") == "2", 60.0)
+
+
+def test_push_whose_pose_jumps_is_left_out_and_said_and_an_excursion_is_not_learned(cell: Cell) -> None:
+    def displaced(push: PushRecord, frames: slice) -> PushRecord:
+        pose = push.poses.pose.copy()
+        pose[frames] += [0.2, 0.15, 0.0]
+        return replace(push, poses=replace(push.poses, pose=pose))
+
+    middle = len(TRAIN[0].poses.time) // 2
+    cell.play(displaced(TRAIN[0], slice(middle, None)), 10.0)
+    wait_for(lambda: cell.values.get("pushes with impossible poses, left out") == "1", 60.0)
+    assert "no push can have made its poses: its pose moves by 25" in cell.values["last error"]
+    # What was estimated before the jump is given up, too.
+    wait_for(lambda: cell.n_pushes and cell.n_pushes[-1] == 0, 60.0)
+    assert cell.values.get("pushes") is None and cell.values["impossible poses, left out"] == "0"
+
+    cell.play(displaced(TRAIN[1], slice(middle, middle + 12)), 40.0)
+    wait_for(lambda: cell.values.get("pushes") == "1", 60.0)
+    assert cell.values["impossible poses, left out"] == "12" and "12 of" in cell.values["last error"]
+    assert cell.values.get("pushes not explained") is None
+
+    cell.play(TRAIN[2], 70.0)
+    wait_for(lambda: cell.values.get("pushes") == "2", 60.0)
+    assert cell.values["pushes with impossible poses, left out"] == "1" and cell.values["impossible poses, left out"] == "12"
 
 
 def test_push_over_an_edge_that_only_a_goal_gave_is_left_out_and_said(cell: Cell) -> None:

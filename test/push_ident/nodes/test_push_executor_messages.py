@@ -16,7 +16,8 @@ def test_modes_phases_purposes_and_codes_are_those_of_the_messages() -> None:
     assert {mode: getattr(ExecutePush.Goal, f"MODE_{mode.name}") for mode in Mode} == {mode: mode.value for mode in Mode}
     assert {phase: getattr(ExecutePush.Feedback, f"PHASE_{phase.name}") for phase in Phase} == {phase: phase.value for phase in Phase}
     assert {why: getattr(PushRecord, f"PURPOSE_{why.name}") for why in Purpose} == {why: why.value for why in Purpose}
-    assert {code: getattr(ExecutePush.Result, code.name) for code in PushCode} == {code: code.value for code in PushCode}
+    codes = {name: int(code) for name, code in PushCode.__members__.items() if name != "SUCCESS"}  # the action says NONE: no error
+    assert codes == {name: getattr(ExecutePush.Result, name) for name in codes}
 
 
 def test_every_setting_of_the_execution_comes_from_a_parameter() -> None:

@@ -83,7 +83,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     write_report(folder / "identification.html", result, *errors, Provenance("o1", sources), 0.01)
     tilted = diagnose(simulated_pushes(8, 1, {"table_tilt": [0.02, 0.0]}))
     write_diagnosis(folder / "diagnosis.html", tilted, object_id="o1", sources=sources)
-    write_goal_page(folder / "goal.html", goal_content("NONE", 4) | AT_EDGE)
+    write_goal_page(folder / "goal.html", goal_content("SUCCESS", 4) | AT_EDGE)
     write_goal_page(folder / "broken_off.html", goal_content("CANCELED", 1))
     write_index(folder / "fleet.html", fleet(result, *errors))
     look(folder)
@@ -170,9 +170,9 @@ def goal_content(code: str, n_pushes: int) -> dict[str, object]:
         for k in range(1, n_pushes + 1)
     ]
     return {
-        "reached": code == "NONE",
+        "reached": code == "SUCCESS",
         "code": code,
-        "text": "" if code == "NONE" else "broken off before it ended: the arm holds.",
+        "text": "" if code == "SUCCESS" else "broken off before it ended: the arm holds.",
         "object_id": "o1",
         "goal": [0.05, 0.06, 0.6],
         "tolerance_m": 0.02,

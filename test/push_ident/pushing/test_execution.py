@@ -49,7 +49,7 @@ def test_push_carries_the_box_along_and_reports_each_phase(bench: Bench) -> None
 def test_dry_run_plans_and_moves_nothing(bench: Bench) -> None:
     outcome = bench.push(PushRequest(Mode.RANDOM, dry_run=True, seed=3))
     assert code_of(outcome) == PushCode.NONE and outcome.plan is not None
-    assert outcome.push_id == 0 and bench.cell.commands == [] and bench.pushes == []
+    assert outcome.push_id == 0 and bench.cell.pieces == [] and bench.pushes == []
 
 
 def test_same_seed_gives_the_same_random_push(bench: Bench) -> None:
@@ -70,7 +70,7 @@ def test_no_push_begins_on_equipment_that_is_not_ready(bench: Bench, fault: dict
     for name, value in fault.items():
         setattr(bench.cell, name, value)
     assert code_of(bench.push()) == code
-    assert bench.cell.commands == [] and bench.pushes == []
+    assert bench.cell.pieces == [] and bench.pushes == []
 
 
 def test_request_in_an_unknown_frame_or_mode_is_refused(bench: Bench) -> None:
@@ -118,6 +118,7 @@ def test_arm_that_missed_pieces_goes_on_from_where_it_stands(bench: Bench) -> No
 
 def test_arm_that_is_slow_to_begin_has_missed_nothing(bench: Bench) -> None:
     paths = []
+    assert code_of(bench.push(replace(CONTACT, dry_run=False, distance=0.01))) == PushCode.NONE, "the first push takes the arm over"
     for delay in (0.0, 0.12):
         bench.cell.delay = delay
         began = bench.cell.time
@@ -138,7 +139,7 @@ def test_cancel_halts_the_arm_on_its_path(bench: Bench) -> None:
 
 
 def assert_on_path(bench: Bench, q: Float64Array) -> None:
-    (motion,) = bench.cell.commands
+    motion = bench.pushes[0].plan
     tip = bench.cell.planner.forward(q)[:3, 3]
     assert motion.deviation(tip, 0.0, motion.duration) < 1e-4
 
@@ -194,14 +195,14 @@ def test_arm_moved_between_plan_and_start_is_planned_for_again(bench: Bench) -> 
         times.append(times[-1] + 0.01)
     bench.cell.events.append(nudge)
     assert code_of(bench.push()) == PushCode.NONE
-    assert bench.cell.commands[0].trajectory.position[0] == pytest.approx(np.array(PARKED) + 0.05)
+    assert bench.pushes[0].plan.trajectory.position[0] == pytest.approx(np.array(PARKED) + 0.05)
 
 
 def test_lost_object_ends_the_push_and_the_arm_goes_home(bench: Bench) -> None:
     bench.when_pushing(lambda cell: setattr(cell, "is_hidden", True))
     outcome = bench.push()
     assert code_of(outcome) == PushCode.OBJECT_LOST and "The arm went home." in str(outcome.error)
-    assert len(bench.cell.holds) == 1 and len(bench.cell.commands) == 2
+    assert len(bench.cell.holds) == 1
     assert bench.cell.q == pytest.approx(PARKED, abs=1e-3)
     assert bench.client.phases[-1] == Phase.RETREAT
 
@@ -262,5 +263,15 @@ def test_stop_holds_the_arm_and_refuses_requests(bench: Bench) -> None:
     bench.when_pushing(lambda cell: bench.execution.stop(0.0))
     assert code_of(bench.push()) == PushCode.CANCELED
     assert len(bench.cell.holds) == 1
+    n_pieces = len(bench.cell.pieces)
     assert code_of(bench.push()) == PushCode.CANCELED
-    assert len(bench.cell.commands) == 1
+    assert len(bench.cell.pieces) == n_pieces
+
+
+@pytest.mark.parametrize("jump", [(0.25, 0.0, 0.0), (0.0, 0.12, 0.0)], ids=["aside", "ahead"])
+def test_pose_that_no_push_can_have_made_is_no_success(bench: Bench, jump: tuple[float, float, float]) -> None:
+    bench.when_pushing(lambda cell: setattr(cell, "pose_offset", np.array(jump)))
+    settings = replace(SETTINGS, push=replace(SETTINGS.push, workspace=(-0.5, 0.5, -0.5, 0.5)))
+    outcome = bench.push(CONTACT, settings)
+    assert code_of(outcome) == PushCode.OBJECT_LOST and "cannot be where its pose says" in str(outcome.error)
+    assert bench.pushes[0].error is outcome.error

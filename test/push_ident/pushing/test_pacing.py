@@ -53,7 +53,7 @@ def regular(until: float) -> list[float]:
 
 
 def at(path_time: Float64Array) -> Float64Array:
-    return np.array([PLAN.at(s) for s in path_time])
+    return PLAN.follow(path_time)[0]
 
 
 def test_pieces_in_time_make_the_planned_motion() -> None:
@@ -78,7 +78,7 @@ def test_without_another_piece_the_arm_stands_on_its_path_within_the_horizon_and
     assert still < HORIZON + slowest + 2 * ONE_SAMPLE
     # On the path: the end is a posture of the plan.
     assert np.abs(PLAN.position - q[-1]).max(axis=1).min() < 1.3 * ONE_SAMPLE
-    assert q[-1] == pytest.approx(PLAN.at(pacing.path_time(math.inf)), abs=1e-3)
+    assert q[-1] == pytest.approx(PLAN.follow(np.array([pacing.path_time(math.inf)]))[0][0], abs=1e-3)
 
 
 @given(st.floats(0.0, 1.0))

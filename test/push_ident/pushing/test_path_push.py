@@ -47,7 +47,7 @@ def check_motion(kinematics: ArmKinematics, plan: PathPlan) -> None:
     """Joints and tool say the same, and the joints keep their limits and go on without a jump."""
     trajectory = plan.trajectory
     np.testing.assert_allclose(tips(kinematics, trajectory.position[::7]), plan.tip[::7], atol=5e-5)
-    assert np.all(np.abs(trajectory.acceleration) <= plan.acceleration_limit * 1.001)
+    assert np.all(np.abs(trajectory.acceleration) <= plan.limits.acceleration * 1.001)
     # A cubic through the samples: positions are what the velocities make of them.
     step = np.diff(trajectory.time)[:, None]
     mean = 0.5 * (trajectory.velocity[1:] + trajectory.velocity[:-1])

@@ -35,13 +35,24 @@ def test_jump_is_refused_and_the_next_true_state_is_taken() -> None:
     check.check(1.02, 1.02, np.array([1.02, 0.0]))
 
 
-def test_arm_that_was_moved_meanwhile_is_believed_at_the_third_state() -> None:
+def test_arm_that_was_moved_meanwhile_is_believed_after_a_second_of_states_that_agree() -> None:
     check = moving()
-    for i in range(2):
+    for i in range(100):
         with pytest.raises(InputError):
             check.check(1.0 + 0.01 * i, 1.0 + 0.01 * i, np.array([-1.0, 2.0]))
-    check.check(1.02, 1.02, np.array([-1.0, 2.0]))
-    check.check(1.03, 1.03, np.array([-1.0, 2.01]))
+    check.check(2.0, 2.0, np.array([-1.0, 2.0]))
+    check.check(2.01, 2.01, np.array([-1.0, 2.01]))
+
+
+def test_wrong_states_among_true_ones_are_never_believed() -> None:
+    check = moving()
+    for i in range(300):
+        q = [1.0, 0.0] if i % 5 == 0 else [-1.0 if i % 2 else -2.0, 2.0]
+        if i % 5:
+            with pytest.raises(InputError):
+                check.check(1.0 + 0.01 * i, 1.0 + 0.01 * i, np.array(q))
+        else:
+            check.check(1.0 + 0.01 * i, 1.0 + 0.01 * i, np.array(q))
 
 
 def test_states_that_a_busy_node_takes_in_together_are_judged_by_their_stamps() -> None:

@@ -21,9 +21,6 @@ from push_ident_sim.cell.world import CellWorld
 from push_ident_sim.objects import Part, object_from_picture
 from push_ident_sim.recordings.truth import true_model
 
-_RATE = 1e-4
-"""Step of the difference that gives a velocity [s]."""
-
 
 @pytest.mark.parametrize("name", NAMES)
 def test_arm_of_a_robot_file_pushes_as_planned(name: str) -> None:
@@ -35,13 +32,14 @@ def test_arm_of_a_robot_file_pushes_as_planned(name: str) -> None:
     plan = plan_push(arm, arm_in_cell.start, push, motion_settings(robot))
     # From the lowered tool on: the way there and back is the same for every push.
     begin = plan.departure - 0.05
-    world = CellWorld(thing, robot=replace(arm_in_cell, start=tuple(plan.trajectory.at(begin))))
+    (start,), _ = plan.trajectory.follow(np.array([begin]))
+    world = CellWorld(thing, robot=replace(arm_in_cell, start=tuple(start)))
     try:
         deviation = 0.0
         while begin + world.time < plan.stop + 0.1:
             time = begin + world.time + world.config.time_step
-            position = plan.trajectory.at(time)
-            world.set_joint_targets(position, (plan.trajectory.at(time + _RATE) - plan.trajectory.at(time - _RATE)) / (2 * _RATE))
+            (position,), (velocity,) = plan.trajectory.follow(np.array([time]))
+            world.set_joint_targets(position, velocity)
             world.step()
             deviation = max(deviation, float(np.max(np.abs(world.joint_state()[0] - position))))
         assert deviation < 1e-3

@@ -14,7 +14,7 @@ from push_ident_sim.studies.registry import EXPERIMENTS
 STUDY = EXPERIMENTS["goals-live"]
 REACHED: Json = {
     "reached": True,
-    "code": "NONE",
+    "code": "SUCCESS",
     "text": "",
     "pushes": 4,
     "time_s": 40.0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -121,7 +122,7 @@ def storage_of(path: Path) -> Path:
 
     Raises BagError when there is no bag at `path`.
     """
-    if not path.exists():
+    if not os.path.exists(path):  # unlike that of Path it raises for no name
         raise BagError(f"{path}: there is no such bag; give a bag folder or a {', '.join(_STORAGE)} file.")
     if path.name == "metadata.yaml":
         path = path.parent

@@ -46,7 +46,7 @@ def writable_folder(path: Path | None) -> Path | None:
 def writable_file(path: Path | None) -> Path | None:
     """Callback of an option: a file that can be written or replaced; or none."""
     if path is not None:
-        if path.is_dir():
+        if os.path.isdir(path):  # unlike that of Path it raises for no name
             raise InputError(f"{plain_text(str(path))} is a folder, expected the name of a file.")
         _probe(path.parent, path)
     return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -43,10 +44,10 @@ def export_command(
         raise InputError(f"The format `{format_name}` is unknown, expected one of {', '.join(SUFFIXES)}.")
     if cells not in _CELLS:
         raise InputError(f"`--cells {cells}` is unknown, expected one of {', '.join(_CELLS)}.")
-    path = out or model.with_suffix(SUFFIXES[format_name])
-    if path.resolve() == model.resolve():
-        raise InputError(f"{path} is the model itself; name another file with --out.")
     object_id, posterior = load_model(model)
+    path = out or model.with_suffix(SUFFIXES[format_name])
+    if os.path.exists(path) and os.path.samefile(path, model):
+        raise InputError(f"{path} is the model itself; name another file with --out.")
     if failure := failure_of_model(model):
         warn(f"! the model is only the prior: {failure}")
     thing = describe(

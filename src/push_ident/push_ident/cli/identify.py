@@ -102,7 +102,7 @@ def identify_command(
         def report(text: str) -> None:
             progress.update(task, description=text)
 
-        loaded = _load(bags, object_id, camera, report)
+        loaded = _load(bags, object_id, camera, prior, report)
         chosen = _chosen(numbers, len(loaded.records))
         report(f"identifying from {len(chosen)} pushes")
         result = identify(
@@ -141,12 +141,12 @@ def prior_of_options(weighed: float | None, nominal_mass: float, friction: float
     return Prior(total_mass=weighed, total_mass_std=0.0, friction=friction, pusher_friction=pusher_friction)
 
 
-def _load(bags: Sequence[Path], object_id: str, camera: Path | None, report: Callable[[str], None]) -> LoadedPushes:
+def _load(bags: Sequence[Path], object_id: str, camera: Path | None, prior: Prior, report: Callable[[str], None]) -> LoadedPushes:
     """The pushes. Kernels are loaded meanwhile, most of which needs no interpreter; the first time they are compiled, in a minute."""
     in_table = read_camera(camera)
     with ThreadPoolExecutor(1) as pool:
         kernels = pool.submit(compile_kernels, gradients=False)
-        loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, on_progress=report)
+        loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, possible_with=prior, on_progress=report)
         report("loading the kernels")
         kernels.result()
     return loaded

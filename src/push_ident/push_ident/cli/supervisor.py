@@ -9,10 +9,10 @@ import signal
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from rich.console import Console
 from rich.text import Text
@@ -22,7 +22,7 @@ from push_ident.cli.processes import LAST_LINES, NodeCommand, NodeExit, NodeProc
 from push_ident.cli.restart import Backoff, RestartPolicy
 from push_ident.errors import InputError, PushIdentError
 from push_ident.limits import printable
-from push_ident.nodes.lifetime import LIFETIME
+from push_ident.nodes.lifetime import LIFETIME, stopping_in_order
 
 __all__ = ["Kind", "NodeCommand", "NodeExit", "Supervisor", "SupervisorError", "config_file", "node_command", "node_commands", "node_names"]
 
@@ -92,7 +92,7 @@ class Supervisor:
         self._log_dir = log_dir
         self._console = console
         self._processes: dict[str, NodeProcess] = {}
-        self._handlers: dict[signal.Signals, Any] = {}
+        self._stopping = ExitStack()
         self._lifeline: tuple[int, int] | None = None
         self._backoffs = {name: Backoff(restart) for name in names} if restart is not None else {}
         self._due: dict[str, float] = {}
@@ -256,27 +256,15 @@ class Supervisor:
         return bool(self._due) or any(process.poll() is None for process in self._processes.values())
 
     def __enter__(self) -> Supervisor:
-        self._handlers = {number: signal.signal(number, _leave) for number in (signal.SIGTERM, signal.SIGHUP)}
-        try:
+        with ExitStack() as stopping:
+            stopping.enter_context(stopping_in_order())
             self.start()
-        except BaseException:
-            self._restore_handlers()
-            raise
+            self._stopping = stopping.pop_all()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        try:
+        with self._stopping:
             self.stop()
-        finally:
-            self._restore_handlers()
-
-    def _restore_handlers(self) -> None:
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
-
-
-def _leave(number: int, frame: FrameType | None) -> None:
-    raise SystemExit(128 + number)
 
 
 @contextmanager

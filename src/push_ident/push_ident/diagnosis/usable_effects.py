@@ -16,8 +16,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.errors import InputError
+from push_ident.identification.checked_json import Listed, parse_checked, read_checked
 from push_ident.identification.known_effects import KnownEffect
-from push_ident.identification.model_file import read_checked
 from push_ident.limits import LIMITS, plain_text
 from push_ident.physics.effect import OnPusherFriction
 from push_ident.physics.effects import EFFECTS
@@ -39,14 +39,14 @@ class _Effect(BaseModel):
 
 
 class _Gap(BaseModel):
-    before_per_push_m: list[float | None]
+    before_per_push_m: Listed[float | None]
 
 
 class _Content(BaseModel):
     """What counts here of a diagnosis as JSON."""
 
     verdict: str
-    effects: list[_Effect]
+    effects: Listed[_Effect]
     probabilities: dict[str, float] | None
     gap: _Gap
 
@@ -71,10 +71,7 @@ def usable_effects_of_file(path: Path) -> UsableEffects:
 def usable_effects_of_text(text: str, what: str) -> UsableEffects:
     """As `usable_effects`, of JSON; `what` names where it comes from."""
     LIMITS.TEXT_FILE.check(len(text), what)
-    try:
-        return _usable(_Content.model_validate_json(text))
-    except ValidationError as error:
-        raise InputError(f"{what} is not a diagnosis: {_first(error)}; {_REMEDY}.") from None
+    return _usable(parse_checked(text, _Content, f"{what} is not a diagnosis", _REMEDY, error=InputError))
 
 
 def usable_effects(content: Mapping[str, Any]) -> UsableEffects:
@@ -86,12 +83,9 @@ def usable_effects(content: Mapping[str, Any]) -> UsableEffects:
     try:
         return _usable(_Content.model_validate(content))
     except ValidationError as error:
-        raise InputError(f"This is not a diagnosis: {_first(error)}; {_REMEDY}.") from None
-
-
-def _first(error: ValidationError) -> str:
-    first = error.errors()[0]
-    return f"{'.'.join(map(str, first['loc'])) or 'the text'}: {first['msg']}"
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "all of it"
+        raise InputError(f"This is not a diagnosis: {where}: {first['msg']}; {_REMEDY}.") from None
 
 
 def _usable(content: _Content) -> UsableEffects:

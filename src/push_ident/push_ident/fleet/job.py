@@ -87,7 +87,7 @@ def identify_bag(bag: Path, options: FleetOptions) -> Outcome:
     started = time.monotonic()
     outcome: Outcome = {"bag": str(bag), "state": "failed", "error": "", "host": platform.node(), "process": os.getpid()}
     try:
-        loaded = load_pushes([bag], object_id=options.object_id)
+        loaded = load_pushes([bag], object_id=options.object_id, possible_with=options.prior)
         n, every = len(loaded.records), options.held_out
         train = [i for i in range(n) if not every or i % every != every - 1]
         budget = Budget(max_seconds=options.max_seconds)

@@ -59,6 +59,8 @@ class KnownEffect:
                 raise InputError(f"{self.name} has {parameter.name} = {own}, expected a number from {parameter.low} to {parameter.high}.")
             if not (np.isfinite(deviation) and deviation > 0):
                 raise InputError(f"{self.name} has the standard deviation {deviation} of {parameter.name}, expected a positive number.")
+        if not 0 <= self.share <= 1:
+            raise InputError(f"The share of the pushes that showed {self.name} is {self.share}, expected 0 to 1.")
         for name, numbers in (("value", value), ("std", std)):
             numbers.setflags(write=False)
             object.__setattr__(self, name, numbers)

@@ -6,63 +6,65 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TypeVar
+from typing import Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import Field
 
 from push_ident import __version__
 from push_ident.errors import InputError, ModelFileError
 from push_ident.files import read_regular, write_whole
+from push_ident.geometry.shape_check import check_shape
+from push_ident.identification.checked_json import CheckedContent, Listed, Numbers, Points, Rows, parse_checked, read_checked
+from push_ident.identification.posterior_check import check_posterior, check_prior
 from push_ident.identification.prior import Prior
 from push_ident.identification.result import Estimate, ModelPosterior
 from push_ident.identification.unknowns import Unknowns
-from push_ident.limits import LIMITS, plain_text
+from push_ident.limits import LIMITS, check_coordinates, plain_text
 from push_ident.types import CellGrid, Float64Array, ObjectShape, SolveStatus
 
 __all__ = [
-    "ModelContent", "failure_of_model", "is_model_file", "load_model", "model_content", "model_of_text", "model_text", "posterior_of",
-    "prior_of", "read_checked", "save_model",
+    "ModelContent", "array_of", "failure_of_model", "is_model_file", "load_model", "model_content", "model_of_text", "model_text",
+    "posterior_of", "prior_of", "save_model",
 ]  # fmt: skip
 
-_FORMAT = "push_ident/model/1"
+_FORMAT: Final = "push_ident/model/1"
 
-_Content = TypeVar("_Content", bound=BaseModel)
+_ROUNDING: Final = 1e-6
+"""Relative difference of what a file states twice: machines differ in the last of 16 digits, and exponentials enlarge it [-]."""
 
 
-class ModelContent(BaseModel):
+class ModelContent(CheckedContent):
     """Content of a model file."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     format: str
     version: str
     object_id: str
-    sources: list[str]
+    sources: Listed[str]
     """Bags and pushes that the model was fitted to."""
     status: str = ""
     """How the fit ended, as in the JSON of `identify`; empty where it is not known."""
     cell_size: float
-    cells: list[tuple[float, float]]
-    outline: list[tuple[float, float]]
-    outline_std: list[float] | None = None
+    cells: Points = Field(max_length=LIMITS.CELLS.value)
+    outline: Points = Field(max_length=LIMITS.VERTICES.value)
+    outline_std: Numbers | None = None
     """Of each edge along its normal [m], where a camera traced the outline."""
     prior: dict[str, float]
-    modes: list[list[float]]
+    modes: Rows
     """Of the maps, one row per cell. Kept, since eigenvectors differ between machines."""
-    effects: list[str] = []
+    effects: Listed[str] = Field(default_factory=list)
     """Names of the effects that were fitted beside the maps."""
-    effect_values: list[float] = []
+    effect_values: Numbers = Field(default_factory=list)
     """Of their parameters; they follow from `z`."""
-    z: list[float]
-    covariance: list[list[float]]
+    z: Numbers
+    covariance: Rows
     total_mass: float
     total_mass_std: float
     total_mass_identifiable: bool
     pose_noise_factor: float | None = None
     """On the stated noise of poses that no other frame checks, where the pushes set it."""
-    mass: list[float]
-    friction: list[float]
+    mass: Numbers
+    friction: Numbers
     pusher_friction: float
     """The last three follow from the other fields; they are there for readers of the file."""
 
@@ -117,7 +119,7 @@ def load_model(path: Path) -> tuple[str, ModelPosterior]:
         ModelFileError: no such file, or not one written by `save_model`.
     """
     content = _read(path)
-    return content.object_id, posterior_of(content, path)
+    return content.object_id, posterior_of(content, plain_text(str(path)))
 
 
 def model_text(posterior: ModelPosterior, object_id: str, sources: Sequence[str] = (), status: SolveStatus | None = None) -> str:
@@ -128,21 +130,12 @@ def model_text(posterior: ModelPosterior, object_id: str, sources: Sequence[str]
 def model_of_text(text: str, what: str) -> ModelPosterior:
     """The posterior of a text that `model_text` made; `what` names where it comes from. Raises ModelFileError where it is none."""
     LIMITS.TEXT_FILE.check(len(text), what, error=ModelFileError)
-    try:
-        content = ModelContent.model_validate_json(text)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the text"
-        raise ModelFileError(f"{what} is not a model: {where}: {first['msg']}; is identification_node of this version?") from None
-    LIMITS.CELLS.check(len(content.cells), what, error=ModelFileError)
-    LIMITS.VERTICES.check(len(content.outline), what, error=ModelFileError)
-    return posterior_of(content, Path(what))
+    return posterior_of(parse_checked(text, ModelContent, f"{what} is not a model", "is identification_node of this version?"), what)
 
 
 def failure_of_model(path: Path) -> str:
     """Why the fit of a model failed, so that its maps are the prior; empty where it did not. Raises ModelFileError as `load_model`."""
-    name = _read(path).status.upper()
-    status = SolveStatus[name] if name in SolveStatus.__members__ else None
+    status = SolveStatus.__members__.get(_read(path).status.upper())
     return status.value if status is not None and status.is_failure else ""
 
 
@@ -159,51 +152,74 @@ def is_model_file(path: Path) -> bool:
     return isinstance(content, dict) and content.get("format") == _FORMAT
 
 
-def read_checked(path: Path, content: type[_Content], what: str, remedy: str) -> _Content:
-    """Read JSON of a known form. Raises ModelFileError: missing, too large, or of another form."""
-    try:
-        return content.model_validate_json(read_regular(path))
-    except OSError as error:
-        raise ModelFileError(f"Cannot read {plain_text(str(path))}: {error.strerror}; {remedy}.") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise ModelFileError(f"{path} is not {what}: {where}: {first['msg']}; {remedy}.") from None
-
-
-def posterior_of(content: ModelContent, path: Path) -> ModelPosterior:
-    """The posterior of a file. Raises ModelFileError where its parts contradict each other."""
+def posterior_of(content: ModelContent, where: str, remedy: str = "identify again with this version") -> ModelPosterior:
+    """The posterior of a file; `where` names it. Raises ModelFileError where its numbers are none of a model, or contradict each other."""
     if content.format != _FORMAT:
-        raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; identify again with this version.")
+        raise ModelFileError(f"{where} has the format `{plain_text(content.format)}`, expected `{_FORMAT}`; {remedy}.")
     try:
-        std = None if content.outline_std is None else np.array(content.outline_std)
-        shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline), std)
-        unknowns = Unknowns(shape, prior_of(content.prior), modes=np.array(content.modes), effects=content.effects)
-    except (InputError, ValueError) as error:
-        raise ModelFileError(f"{path} does not describe an object: {error}") from None
-    z, covariance = np.array(content.z), np.array(content.covariance)
-    if z.shape != (unknowns.size,) or covariance.shape != (unknowns.size, unknowns.size):
-        raise ModelFileError(f"{path} has {z.shape[0]} unknowns, expected {unknowns.size} for its cells; the file is damaged.")
-    if content.effect_values and not _equal(unknowns.effects_at(z).values, content.effect_values):
-        raise ModelFileError(f"{path} states other values of its effects than its unknowns give; identify again with this version.")
+        LIMITS.STRING.check(len(content.object_id), "Object id")
+        if content.status and content.status.upper() not in SolveStatus.__members__:
+            raise InputError(f"`status` is {content.status!r}, expected one of {', '.join(SolveStatus.__members__).lower()}.")
+        # What overflows is refused as not finite.
+        with np.errstate(all="ignore"):
+            posterior = check_posterior(_posterior(content))
+            _check_stated(content, posterior)
+    except InputError as error:
+        raise ModelFileError(f"{where} holds no model: {plain_text(str(error)).rstrip('.')}; {remedy}.") from None
+    return posterior
+
+
+def _posterior(content: ModelContent) -> ModelPosterior:
+    for name, points in (("Cells", content.cells), ("Outline", content.outline)):
+        check_coordinates(points, name)
+    std = None if content.outline_std is None else np.array(content.outline_std)
+    cells = CellGrid(np.array(content.cells).reshape(-1, 2), content.cell_size)
+    shape = check_shape(ObjectShape(cells, np.array(content.outline).reshape(-1, 2), std))
+    modes = array_of(content.modes, "modes")
     return ModelPosterior(
-        unknowns=unknowns,
-        z=z,
-        covariance=covariance,
+        unknowns=Unknowns(shape, prior_of(content.prior), modes=modes, effects=content.effects),
+        z=np.array(content.z),
+        covariance=array_of(content.covariance, "covariance"),
         total_mass=Estimate(content.total_mass, content.total_mass_std),
         total_mass_identifiable=content.total_mass_identifiable,
         pose_noise_factor=content.pose_noise_factor,
     )
 
 
-def _equal(values: Float64Array, stated: Sequence[float]) -> bool:
-    return len(values) == len(stated) and np.allclose(values, stated, rtol=1e-9, atol=1e-15)
+def array_of(rows: Sequence[Sequence[float]], name: str) -> Float64Array:
+    """The matrix of its rows, shape (n_rows, n_columns). Raises InputError where they have different lengths."""
+    lengths = {len(row) for row in rows}
+    if len(lengths) > 1:
+        raise InputError(f"`{name}` has rows of {min(lengths)} to {max(lengths)} numbers, expected as many in each.")
+    return np.array(rows, dtype=np.float64).reshape(len(rows), max(lengths, default=0))
+
+
+def _check_stated(content: ModelContent, posterior: ModelPosterior) -> None:
+    """Raise InputError where what follows from the unknowns is stated otherwise."""
+    model = posterior.model
+    for name, own, stated in (
+        ("effect_values", posterior.effects.values, content.effect_values),
+        ("mass", model.mass, content.mass),
+        ("friction", model.friction, content.friction),
+        ("pusher_friction", np.array([model.pusher_friction]), [content.pusher_friction]),
+    ):
+        if name == "effect_values" and not stated:  # of files written before they were stated
+            continue
+        if len(own) != len(stated):
+            raise InputError(f"`{name}` has {len(stated)} values, expected {len(own)}.")
+        differs = ~np.isclose(stated, own, rtol=_ROUNDING, atol=1e-15)
+        if np.any(differs):
+            first = int(np.argmax(differs))
+            raise InputError(f"`{name}` states {stated[first]:.6g}, expected {own[first]:.6g} as the unknowns `z` give it.")
 
 
 def prior_of(values: dict[str, float]) -> Prior:
-    """The prior of a file; fields that this version does not have are ignored."""
+    """The prior of a file; fields that this version does not have are ignored. Raises InputError where it is none."""
     known = {name: value for name, value in values.items() if name in Prior.__dataclass_fields__}
     known.setdefault("pressure_map_std", 0.0)  # of files written before there was such a map
     for name in ("max_modes", "feet"):
-        known[name] = int(known.get(name, getattr(Prior(), name)))
-    return Prior(**known)  # type: ignore[arg-type]
+        number = known.get(name, getattr(Prior(), name))
+        if number != int(number):
+            raise InputError(f"Prior.{name} is {number}, expected a whole number.")
+        known[name] = int(number)
+    return check_prior(Prior(**known))  # type: ignore[arg-type]

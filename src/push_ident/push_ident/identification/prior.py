@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident.limits import LIMITS
 from push_ident.types import CameraAccuracy, Float64Array, PushRecord
 
 __all__ = ["MapPrior", "Prior"]
@@ -22,6 +23,16 @@ _EVEN_FRICTION_STD: Final = 0.05
 """Of the friction of a cell of an object on feet: all feet slide on one table [-]."""
 _FORCE_OFFSET_STD: Final = 0.1
 """Of a force sensor that was tared: what drift and cables leave [N]."""
+_MOST: Final = {
+    "total_mass": LIMITS.MASS,
+    "friction": LIMITS.FRICTION,
+    "pusher_friction": LIMITS.FRICTION,
+    "camera_position_std": LIMITS.COORDINATE,
+    "camera_heading_std": LIMITS.YAW,
+    "force_offset_std": LIMITS.FORCE,
+    "max_modes": LIMITS.CELLS,
+    "feet": LIMITS.CELLS,
+}
 _MAPS: Final = ("mass_map_std", "pressure_map_std", "friction_map_std")
 
 
@@ -94,6 +105,10 @@ class Prior:
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"Prior.{name} is {value}, expected a number >= 0.")
+        for name, most in _MOST.items():
+            most.check(getattr(self, name), f"Prior.{name}", remedy="Give SI units.")
+        if self.max_modes < 0:
+            raise InputError(f"Prior.max_modes is {self.max_modes}, expected a number >= 0.")
         if self.feet < 0 or self.feet == 1:
             raise InputError(f"Prior.feet is {self.feet}, expected 0 (the whole base bears the load) or at least 2.")
 

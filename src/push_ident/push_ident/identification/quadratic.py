@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from push_ident.errors import InputError
 from push_ident.types import Float64Array
 
 __all__ = ["Quadratic"]
@@ -29,7 +30,14 @@ class Quadratic:
 
     @classmethod
     def beyond_unit_normal(cls, mean: Float64Array, covariance: Float64Array) -> Quadratic:
-        """Cost of a normal prior of `mean`, shape (n,), and `covariance`, shape (n, n), less that of a unit normal one."""
+        """Cost of a normal prior of `mean`, shape (n,), and `covariance`, shape (n, n), less that of a unit normal one.
+
+        Raises InputError where the covariance is singular.
+        """
+        try:
+            np.linalg.cholesky(covariance)
+        except np.linalg.LinAlgError:
+            raise InputError("The covariance of the model is singular, expected a positive definite one; identify again.") from None
         return cls(mean, -mean, np.linalg.inv(covariance) - np.eye(len(mean)))
 
     def scaled(self, unit: Float64Array) -> Quadratic:

@@ -13,6 +13,7 @@ from push_ident.identification.known_effects import KnownEffect, check_agreement
 from push_ident.identification.next_push import PlannedPush, RankingOptions, UnwantedError, candidate_pushes, rank_pushes, reference_pushes
 from push_ident.identification.observation import NoiseModel, observe_push
 from push_ident.identification.online import FrameUpdate, OnlineIdentifier, OnlineState
+from push_ident.identification.possible_poses import CheckedPoses, ImpossiblePosesError, check_poses, why_no_object_ends_there
 from push_ident.identification.prediction import Prediction, predict
 from push_ident.identification.prior import Prior
 from push_ident.identification.result import ModelPosterior
@@ -74,6 +75,8 @@ class ObjectSession:
         self.sources: list[str] = []
         """Names of the latest pushes."""
         self.record = RunningRecord()
+        self.checked: CheckedPoses | None = None
+        """What of the latest finished push is possible."""
         self.n_known_again = 0
         """Number of pushes that arrived a second time (a bag played in a loop, or again after a killed process) and were ignored."""
         self._known = _KnownPushes()
@@ -188,8 +191,9 @@ class ObjectSession:
         return _key(record) in self._known
 
     def update(self, partial: PushRecord) -> FrameUpdate | None:
-        """Estimate from the push so far; None where the pusher does not touch the object yet, or the push is known already."""
-        return None if self.knows(partial) else self.online.update(partial)
+        """Estimate from the push so far; None before contact, where the push is known already, and while poses contradict each other."""
+        checked = check_poses(partial)
+        return None if self.knows(partial) or checked.why else self.online.update(checked.record)
 
     def drop_update(self) -> bool:
         """Forget what was estimated from a push that is not finished; whether there was anything."""
@@ -198,16 +202,27 @@ class ObjectSession:
     def finish(self, record: PushRecord) -> PushScore | None:
         """Score the prediction of a finished push, add the push to the estimate, and keep the state; None where it adds nothing.
 
+        Poses that no push can have made are left out; see `checked`.
+
         Raises:
+            ImpossiblePosesError: no push can have made its poses.
             ModelFileError: the state cannot be written. The estimate has changed nevertheless.
         """
+        self.checked = None
         if self.knows(record):
             self.n_known_again += 1
             self.drop_update()
             return None
-        if not observe_push(record, self.options.noise).touched:
+        self.checked = checked = check_poses(record)
+        record, why = checked.record, checked.why
+        if not why:
+            if not observe_push(record, self.options.noise).touched:
+                self.drop_update()
+                return None
+            why = why_no_object_ends_there(record, self.online.state.posterior, self.online.state.prior)
+        if why:
             self.drop_update()
-            return None
+            raise ImpossiblePosesError(f"no push can have made its poses: {why}")
         records = self.online.state.records
         # Pushes that count no more were made all the same.
         record = replace(record, order=max(self.n_pushes, records[-1].order + 1 if records else 0))

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Final, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from push_ident.errors import InputError, ModelFileError
 from push_ident.files import write_whole
+from push_ident.identification.checked_json import CheckedContent, Listed, Numbers, Points, Rows, read_checked
 from push_ident.identification.known_effects import KnownEffect
-from push_ident.identification.model_file import ModelContent, model_content, posterior_of, prior_of, read_checked
+from push_ident.identification.model_file import ModelContent, array_of, model_content, posterior_of, prior_of
 from push_ident.identification.online import OnlineState
-from push_ident.identification.prior import MapPrior
+from push_ident.identification.posterior_check import check_information, check_start
+from push_ident.identification.prior import MapPrior, Prior
 from push_ident.identification.quadratic import Quadratic
-from push_ident.identification.result import WarmStart
+from push_ident.identification.record_check import check_record
+from push_ident.identification.result import ModelPosterior, WarmStart
 from push_ident.identification.scoring import PushScore, RunningRecord
 from push_ident.identification.summary import Summary
+from push_ident.identification.unknowns import Unknowns
+from push_ident.limits import LIMITS, plain_text
 from push_ident.types import CameraAccuracy, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, WrenchTrack
 
 __all__ = ["KeptState", "load_state", "save_state"]
@@ -29,80 +34,98 @@ _EARLIER = "push_ident/state/2"
 """Its starts of the next solve are of a solver that is no more; the rest is as now."""
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+_REMEDY: Final = "remove it to start again"
+_Count = Annotated[int, Field(ge=0, le=1_000_000_000)]
+"""Far above the pushes of any object, and a number that messages have."""
+_Row3 = tuple[float, float, float]
 
 
-class _Push(_Part):
+def _at_least_zero(value: float) -> float:
+    if value < 0:
+        raise ValueError("Input should be 0 or more, or not a number")
+    return value
+
+
+_Scored = Annotated[float, AfterValidator(_at_least_zero)]
+"""NaN where a push could not be simulated."""
+
+
+class _Push(CheckedContent):
     source: str
-    order: int
-    pose_time: list[float]
-    pose: list[tuple[float, float, float]]
-    pose_covariance: list[list[list[float]]]
+    order: _Count
+    pose_time: Numbers
+    pose: Listed[_Row3]
+    pose_covariance: Listed[tuple[_Row3, _Row3, _Row3]]
     camera: tuple[float, float] = (0.0, 0.0)
-    pusher_time: list[float]
-    pusher: list[tuple[float, float]]
+    pusher_time: Numbers
+    pusher: Points
     radius: float
-    polygon: list[tuple[float, float]] | None
-    yaw: list[float] | None
-    wrench_time: list[float] | None
-    force: list[tuple[float, float]] | None
+    polygon: Points | None
+    yaw: Numbers | None
+    wrench_time: Numbers | None
+    force: Points | None
 
 
-class _Past(_Part):
-    n_pushes: int
-    point: list[float]
-    gradient: list[float]
-    hessian: list[list[float]]
-    log_forces: list[float] = []
+class _Past(CheckedContent):
+    n_pushes: _Count
+    point: Numbers
+    gradient: Numbers
+    hessian: Rows
+    log_forces: Numbers = Field(default_factory=list)
     """Of earlier versions, which kept forces beside the unknowns; not used."""
     has_prior: bool = False
 
 
-class _Known(_Part):
+class _Known(CheckedContent):
     name: str
-    value: list[float]
-    std: list[float]
+    value: Numbers
+    std: Numbers
     share: float
 
 
-class _Start(_Part):
+class _Start(CheckedContent):
     name: str
-    x: list[float]
-    map_prior: tuple[float, float, float, float] | None
+    x: Numbers
+    map_prior: tuple[PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat] | None
 
 
-class _Score(_Part):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=True, ser_json_inf_nan="constants", populate_by_name=True)
+class _Score(CheckedContent):
+    model_config = ConfigDict(allow_inf_nan=True, ser_json_inf_nan="constants", populate_by_name=True)
 
-    number: int
+    number: _Count
     source: str
-    start: float
-    cell_error: float = Field(alias="error")
-    expected_cell_error: float = Field(alias="expected")
-    mahalanobis2: float = Field(alias="distance2")
-    uniform_cell_error: float = Field(alias="uniform")
+    start: float = Field(ge=-LIMITS.STAMP.value, le=LIMITS.STAMP.value)
+    cell_error: _Scored = Field(alias="error")
+    expected_cell_error: _Scored = Field(alias="expected")
+    mahalanobis2: _Scored = Field(alias="distance2")
+    uniform_cell_error: _Scored = Field(alias="uniform")
     explained: bool = True
 
 
-class _Record(_Part):
-    n: int
-    sums: tuple[float, float, float, float]
-    latest: list[_Score]
+class _Record(CheckedContent):
+    n: _Count
+    sums: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat, NonNegativeFloat]
+    latest: Listed[_Score]
+
+    @model_validator(mode="after")
+    def _means_are_possible(self) -> Self:
+        if max(self.sums) > LIMITS.COORDINATE.value * self.n:
+            raise ValueError(f"Sums of {self.n} errors should be at most {LIMITS.COORDINATE.value} m for each")
+        return self
 
 
-class _State(_Part):
+class _State(CheckedContent):
     format: str
     model: ModelContent
     prior: dict[str, float]
-    pushes: list[_Push]
+    pushes: Listed[_Push] = Field(max_length=LIMITS.PUSHES.value)
     past: _Past | None
-    starts: list[_Start | list[float]]
+    starts: Listed[_Start | Numbers]
     status: str | None
     record: _Record
-    keys: list[tuple[float, float, float]]
+    keys: Listed[_Row3]
     """When and where each known push began [s, m, m]."""
-    known: list[_Known] = []
+    known: Listed[_Known] = Field(default_factory=list)
     """Of effects from elsewhere."""
 
 
@@ -159,33 +182,53 @@ def save_state(
 
 def load_state(path: Path) -> KeptState:
     """Read a state. Raises ModelFileError: no such file, or not one written by `save_state`."""
-    content = read_checked(path, _State, "a state of the identification", "remove it to start again")
+    where, content = plain_text(str(path)), read_checked(path, _State, "a state of the identification", _REMEDY)
     if content.format not in (_FORMAT, _EARLIER):
-        raise ModelFileError(f"{path} has the format `{content.format}`, expected `{_FORMAT}`; remove it to start again.")
-    posterior = posterior_of(content.model, path)
-    unknowns, past = posterior.unknowns, None
+        raise ModelFileError(f"{where} has the format `{plain_text(content.format)}`, expected `{_FORMAT}`; {_REMEDY}.")
+    posterior = posterior_of(content.model, where, _REMEDY)
     try:
-        if content.past:
-            point, gradient, hessian = (np.array(v) for v in (content.past.point, content.past.gradient, content.past.hessian))
-            if point.shape != gradient.shape or hessian.shape != (unknowns.size, unknowns.size) or point.shape != (unknowns.size,):
-                raise ModelFileError(f"{path} sums up pushes in {len(point)} unknowns, expected {unknowns.size}; the file is damaged.")
-            cost = Quadratic(point, gradient, hessian)
-            past = Summary(content.past.n_pushes, unknowns.modes, cost, unknowns.prior.feet, content.past.has_prior)
-        state = OnlineState(
-            shape=unknowns.shape,
-            prior=prior_of(content.prior),
-            records=tuple(_record(push, content.model.object_id, unknowns.shape) for push in content.pushes),
-            past=past,
-            warm_starts=tuple(_warm_start(start) for start in content.starts if isinstance(start, _Start)),
-            posterior=posterior,
-            status=SolveStatus[content.status] if content.status else None,
-            known=tuple(KnownEffect(own.name, np.array(own.value), np.array(own.std), own.share) for own in content.known),
-        )
-    except (InputError, KeyError, ValueError) as error:
-        raise ModelFileError(f"{path} does not hold pushes of one object: {error}; remove it to start again.") from None
+        state = _state(content, posterior)
+    except InputError as error:
+        raise ModelFileError(f"{where} does not hold pushes of one object: {plain_text(str(error)).rstrip('.')}; {_REMEDY}.") from None
     latest = tuple(PushScore(**score.model_dump()) for score in content.record.latest)
     record = RunningRecord(content.record.n, content.record.sums, latest)
     return KeptState(content.model.object_id, state, tuple(content.model.sources), record, tuple(content.keys))
+
+
+def _state(content: _State, posterior: ModelPosterior) -> OnlineState:
+    unknowns = posterior.unknowns
+    if content.status and content.status not in SolveStatus.__members__:
+        raise InputError(f"Its `status` is {content.status!r}, expected one of {', '.join(SolveStatus.__members__)}.")
+    prior = prior_of(content.prior)
+    _check_same_unknowns(prior, unknowns)
+    return OnlineState(
+        shape=unknowns.shape,
+        prior=prior,
+        records=tuple(_record(push, content.model.object_id, unknowns.shape) for push in content.pushes),
+        past=_summary(content.past, unknowns) if content.past else None,
+        warm_starts=tuple(_warm_start(start) for start in content.starts if isinstance(start, _Start)),
+        posterior=posterior,
+        status=SolveStatus[content.status] if content.status else None,
+        known=tuple(KnownEffect(own.name, np.array(own.value), np.array(own.std), own.share) for own in content.known),
+    )
+
+
+def _check_same_unknowns(prior: Prior, unknowns: Unknowns) -> None:
+    """Raise InputError where a prior has other unknowns than the estimate under it: pushes that are summed up count in these."""
+    own = unknowns.prior
+    same = replace(prior.on_feet(own.feet), pressure_map_std=prior.pressure_map_std if own.pressure_map_std > 0 else 0.0)
+    n = Unknowns(unknowns.shape, same, modes=unknowns.modes, effects=unknowns.effects.names).size
+    if n != unknowns.size:
+        raise InputError(f"Its prior has {n} unknowns, expected the {unknowns.size} of its estimate.")
+
+
+def _summary(past: _Past, unknowns: Unknowns) -> Summary:
+    n, hessian = unknowns.size, array_of(past.hessian, "hessian")
+    if not len(past.point) == len(past.gradient) == n or hessian.shape != (n, n):
+        raise InputError(f"It sums up pushes in {len(past.point)} unknowns with a `hessian` of {hessian.shape}, expected {n} and {(n, n)}.")
+    cost = Quadratic(np.array(past.point), np.array(past.gradient), hessian)
+    check_information(cost, unknowns)
+    return Summary(past.n_pushes, unknowns.modes, cost, unknowns.prior.feet, past.has_prior)
 
 
 def _push(record: PushRecord) -> _Push:
@@ -212,15 +255,19 @@ def _listed(values: Float64Array | None) -> Any:
 
 
 def _record(push: _Push, object_id: str, shape: ObjectShape) -> PushRecord:
-    polygon, yaw = (None if v is None else np.array(v) for v in (push.polygon, push.yaw))
-    return PushRecord(
-        object_id=object_id,
-        shape=shape,
-        poses=PoseTrack(np.array(push.pose_time), np.array(push.pose), np.array(push.pose_covariance), CameraAccuracy(*push.camera)),
-        pusher=PusherPath(np.array(push.pusher_time), np.array(push.pusher), push.radius, polygon, yaw),
-        wrench=None if push.wrench_time is None else WrenchTrack(np.array(push.wrench_time), np.array(push.force)),
-        source=push.source,
-        order=push.order,
+    polygon, yaw, force = (None if v is None else np.array(v) for v in (push.polygon, push.yaw, push.force))
+    if (push.wrench_time is None) != (force is None):
+        raise InputError("A push has forces without their times, or times without forces; expected both or none.")
+    return check_record(
+        PushRecord(
+            object_id=object_id,
+            shape=shape,
+            poses=PoseTrack(np.array(push.pose_time), np.array(push.pose), np.array(push.pose_covariance), CameraAccuracy(*push.camera)),
+            pusher=PusherPath(np.array(push.pusher_time), np.array(push.pusher), push.radius, polygon, yaw),
+            wrench=None if force is None else WrenchTrack(np.array(push.wrench_time), force),
+            source=push.source,
+            order=push.order,
+        )
     )
 
 
@@ -231,4 +278,4 @@ def _start(start: WarmStart) -> _Start:
 
 
 def _warm_start(start: _Start) -> WarmStart:
-    return WarmStart(start.name, np.array(start.x), MapPrior(*start.map_prior) if start.map_prior else None)
+    return check_start(WarmStart(start.name, np.array(start.x), MapPrior(*start.map_prior) if start.map_prior else None))

@@ -21,13 +21,11 @@ from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.arrivals import Arrivals
 from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.parameters import Parameter
-from push_ident.nodes.recording_port import RECORDING_QOS, RECORDING_TOPIC
+from push_ident.nodes.recording_port import RECORDING_PERIOD, RECORDING_QOS, RECORDING_TOPIC, REPEATED
 from push_ident.nodes.run import run_node
 
 __all__ = ["PARAMETERS", "BagRecorderNode", "main"]
 
-_CHECK_PERIOD: Final = 0.5
-"""Time between two checks of the free disk [s]."""
 _MESSAGES: Final = 1000
 """Messages of a topic that may wait for the disk: 1 s at 1 kHz."""
 _IMAGES: Final = 60
@@ -46,10 +44,10 @@ PARAMETERS: Final = (
 class BagRecorderNode(CellNode):
     """Subscribes to every topic of the contract that appears and writes its messages unchanged.
 
-    It publishes its status on the latched topic `recording`. When it cannot write any more, it closes the bag at once, which stays
-    readable, and an executor that receives the status stops pushing. A node that is deactivated keeps its bag open; cleaned up, it closes
-    the bag, and configured again it begins the next one: `bag`, `bag_2`, `bag_3`. So does a node that is started again after its death, if
-    it is `numbered`.
+    It publishes its status on the latched topic `recording`, twice a second: an executor that heard it stops pushing when it falls silent.
+    When it cannot write any more, it closes the bag at once, which stays readable, and says so. A node that is deactivated keeps its bag
+    open; cleaned up, it closes the bag, and configured again it begins the next one: `bag`, `bag_2`, `bag_3`. So does a node that is
+    started again after its death, if it is `numbered`.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -87,13 +85,18 @@ class _BagRecorder(Component):
         self._arrivals: dict[str, Arrivals] = {}
         self._failed = ""
         self._recording = node.create_publisher(DiagnosticStatus, RECORDING_TOPIC, RECORDING_QOS)
-        node.create_timer(_CHECK_PERIOD, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(RECORDING_PERIOD, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
         node.get_logger().info(f"recording to {path}")
 
     def resume(self) -> None:
         """Subscribe to what there is, and publish that it is written."""
         self._discover()
         self._recording.publish(self._status())
+
+    def pause(self) -> None:
+        """Publish that nothing more is written."""
+        if not self._failed:
+            self._recording.publish(DiagnosticStatus(level=DiagnosticStatus.STALE, message="not active"))
 
     def close(self) -> None:
         """Finish the bag."""
@@ -110,6 +113,7 @@ class _BagRecorder(Component):
             self._fail(self._node.guard.explain(error))
         else:
             self._discover()
+            self._recording.publish(self._status())
 
     def _check_disk(self) -> None:
         free, least = shutil.disk_usage(self._disk).free >> 20, self._settings["min_free_mib"]
@@ -188,6 +192,8 @@ class _BagRecorder(Component):
     def _status(self) -> DiagnosticStatus:
         health, name = self.health(), self._node.get_fully_qualified_name()
         values = [KeyValue(key=key, value=str(value)) for key, value in health.values.items()]
+        if not self._failed:
+            values.append(KeyValue(key=REPEATED, value=str(RECORDING_PERIOD)))
         return DiagnosticStatus(level=health.level, name=name, message=health.message, hardware_id="push_ident", values=values)
 
 

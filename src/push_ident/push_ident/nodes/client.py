@@ -4,34 +4,39 @@ from __future__ import annotations
 
 import threading
 import time
-import uuid
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from functools import partial
 from types import TracebackType
 from typing import Any, Final, TypeVar
 
 import numpy as np
 import rclpy
+from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.action import ActionClient
-from rclpy.exceptions import InvalidHandle
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
+from unique_identifier_msgs.msg import UUID
 
 from push_ident.errors import PushIdentError
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.nodes.convert import cylinder_radius_from_msg, planar_pose_from_msg, shape_from_msgs
+from push_ident.nodes.convert import cylinder_radius_from_msg, planar_pose_from_msg
 from push_ident.nodes.discovery import ObjectTopics
+from push_ident.nodes.executors import make_executor
+from push_ident.nodes.guard import Guard
+from push_ident.nodes.keep_alive import KeepAlive, ServerWatch, cancellation
+from push_ident.nodes.lifetime import stopping_in_order
 from push_ident.nodes.network import COMMAND_LINE
+from push_ident.nodes.shapes import ShapeInput
 from push_ident.types import Float64Array, ObjectShape
 from push_ident_msgs.action import DiagnoseGap, ExecutePush, PushToGoal
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
@@ -42,14 +47,14 @@ __all__ = ["CellClient", "CellTimeout"]
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _ANY: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_AVAILABLE)
 _POLL: Final = 0.02
-_ASK_AGAIN: Final = 0.5
-"""Time for an answer before a server is asked again [s]; one that was discovered answers within milliseconds."""
+_WAIT: Final = 0.05
+"""Between two looks whether the client is over, in the thread that spins [s]."""
+_ANSWER: Final = 20.0
+"""For a server to be there, to discover this node, and to accept a goal [s]."""
 _CANCEL: Final = 1.0
 """For the answer to a cancellation [s]; the arm holds within 50 ms."""
 _SERVICE: Final = 90.0
 """For an answer of identification [s]: the first solve of an installation compiles its kernels, some 50 s of one core."""
-_DISCOVERY: Final = 20.0
-"""Longest time for a server to discover this node [s], as for the answers to requests."""
 T = TypeVar("T")
 
 
@@ -57,8 +62,42 @@ class CellTimeout(PushIdentError):
     """A node did not answer in time; the text names the node and a remedy."""
 
 
+class _OneLine:
+    """Logger of a guard on the command line: the first refusal is shown, the others are counted."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._has_spoken = node, False
+
+    def warning(self, text: str) -> None:
+        if not self._has_spoken:
+            self._has_spoken = True
+            self._node.get_logger().warning(text)
+
+    def debug(self, text: str) -> None:
+        self._node.get_logger().debug(text)
+
+
+class _ClientNode(Node):  # type: ignore[misc]
+    """A node whose callbacks all go through `guard`, as those of a `CellNode`."""
+
+    def __init__(self, name: str, is_alive: Callable[[], bool]) -> None:
+        logger = _OneLine(self)
+        self.guard = Guard(lambda: logger, is_alive)
+        super().__init__(name)
+
+    def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **kwargs: Any) -> Any:
+        """As of rclpy, guarded."""
+        return super().create_subscription(msg_type, topic, self.guard.callback(topic, callback), qos_profile, **kwargs)
+
+    def create_timer(self, timer_period_sec: float, callback: Any, *args: Any, **kwargs: Any) -> Any:
+        """As of rclpy, guarded."""
+        return super().create_timer(timer_period_sec, self.guard.callback("timer", callback), *args, **kwargs)
+
+
 class CellClient:
-    """A client of the nodes of one cell. Use it as a context manager; its callbacks run in their own thread.
+    """A client of the nodes of one cell. Use it as a context manager; its callbacks run in a thread of its own, which no message ends.
+
+    In the main thread, SIGTERM and SIGHUP end the context as Ctrl-C does, by `SystemExit`: what is under way is cancelled.
 
     Args:
         check: called while waiting; may raise to end the wait (such as the check of a supervisor for dead nodes).
@@ -70,12 +109,13 @@ class CellClient:
             rclpy.init(args=["--ros-args", "--enclave", COMMAND_LINE], signal_handler_options=SignalHandlerOptions.NO)
         except RuntimeError as error:
             raise PushIdentError(f"ROS does not start: {error}; check the variables ROS_*.") from None
-        self.node = Node("push_ident_client")
+        self._is_over = threading.Event()
+        self.node = _ClientNode("push_ident_client", lambda: not self._is_over.is_set())
         self._poses: dict[str, deque[tuple[float, Float64Array]]] = {}
         self._maps: dict[str, MassFrictionMap] = {}
         self._map_received = time.monotonic()
-        self._cells: dict[str, OccupancyGrid] = {}
-        self._outlines: dict[str, PolygonStamped] = {}
+        self._shape_input, self._outlined = ShapeInput(), set[str]()
+        self._shapes: dict[str, ObjectShape] = {}
         self.pusher_radius = 0.0
         self.diagnostics: dict[str, DiagnosticStatus] = {}
         self._diagnosed = -np.inf
@@ -84,7 +124,8 @@ class CellClient:
         self._push = ActionClient(self.node, ExecutePush, "execute_push")
         self._diagnose = ActionClient(self.node, DiagnoseGap, "diagnose_gap")
         self._push_to = ActionClient(self.node, PushToGoal, "push_to_goal")
-        # After the actions: whoever answers these has discovered the ends of the actions as well.
+        self._keep_alive = {name: KeepAlive(self.node, name) for name in ("execute_push", "push_to_goal")}
+        # Last: whoever answers these has discovered the ends of the actions as well.
         self._probes = {
             name: self.node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
             for name in ("execute_push", "diagnose_gap", "push_to_goal")
@@ -93,31 +134,28 @@ class CellClient:
         self._save = self.node.create_client(SaveModel, "save_model")
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self.node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED)
-        self._is_over = False
-        self._executor = SingleThreadedExecutor()
+        self._stopping = ExitStack()
+        self._executor = make_executor(1)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name="client", daemon=True)
         self._thread.start()
 
     def __enter__(self) -> CellClient:
+        self._stopping.enter_context(stopping_in_order())
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._is_over = True
+        self._is_over.set()
         self._executor.shutdown(timeout_sec=0.5)
         self._thread.join(timeout=1.0)
         self.node.destroy_node()
         rclpy.try_shutdown()
+        self._stopping.close()
 
     def _spin(self) -> None:
-        try:
-            self._executor.spin()
-        except ExternalShutdownException:
-            return
-        except InvalidHandle:
-            # On a busy machine a message may still be handled when the executor has ended.
-            if not self._is_over:
-                raise
+        while not self._is_over.is_set() and self.node.context.ok():
+            with self.node.guard.watch("client"):
+                self._executor.spin_once(timeout_sec=_WAIT)
 
     def wait(self, what: Callable[[], T | None], timeout: float, missing: str, last_heard: Callable[[], float] | None = None) -> T:
         """Wait until `what` returns something else than None or False.
@@ -142,7 +180,7 @@ class CellClient:
         """Id of the first object with poses and cells."""
 
         def complete() -> str | None:
-            return next((i for i in sorted(self._poses) if self._poses[i] and i in self._cells and i in self._outlines), None)
+            return next((i for i in sorted(self._poses) if self._poses[i] and self.is_known(i)), None)
 
         try:
             return self.wait(complete, timeout, "")
@@ -174,11 +212,11 @@ class CellClient:
 
     def is_known(self, object_id: str) -> bool:
         """Whether cells and outline of an object were received."""
-        return object_id in self._cells and object_id in self._outlines
+        return object_id in self._shapes
 
     def shape(self, object_id: str) -> ObjectShape:
         """Cells and outline of an object that `wait_for_object` returned, or that `is_known`."""
-        return shape_from_msgs(self._cells[object_id], self._outlines[object_id])
+        return self._shapes[object_id]
 
     def latched_text(self, topic: str, timeout: float = 10.0) -> str:
         """The last text published on a latched topic."""
@@ -259,7 +297,7 @@ class CellClient:
             silence: longest time without feedback [s], wall time; planning sends none and a simulated cell may be slow.
 
         Raises:
-            CellTimeout: The action is not served, the goal was refused, or the executor sent no more feedback.
+            CellTimeout: The action is not served, the goal was refused, or the executor is gone or sent no more feedback.
         """
         return self._carry_out(self._push, goal, "execute_push", "push_executor_node", silence, on_feedback)
 
@@ -271,56 +309,81 @@ class CellClient:
         Args:
             goal: of the action.
             silence: longest time without feedback [s], wall time; the node sends some ten times a second.
-            on_feedback: called with each feedback, in the client's own thread.
+            on_feedback: called with each feedback, in the thread of the caller.
 
         Raises:
-            CellTimeout: The action is not served, the goal was refused, or its node sent no more feedback.
+            CellTimeout: The action is not served, the goal was refused, or its node is gone or sent no more feedback.
         """
         return self._carry_out(self._push_to, goal, "push_to_goal", "goal_pushing_node", silence, on_feedback)
 
     def _carry_out(
         self, action: ActionClient, goal: Any, name: str, server: str, silence: float, on_feedback: Callable[[Any], None] | None
     ) -> Any:
-        self.wait(action.server_is_ready, 20.0, f"the action {name} is not served; is {server} running?")
-        self._discover(name)
-        heard, is_over, one_at_a_time = time.monotonic(), False, threading.Lock()
+        watch, number = self._find(action, name, server), self._keep_alive[name].begin()
+        heard, news, results = time.monotonic(), deque[Any](), list[Future]()
 
-        def feedback(msg: Any) -> None:
+        def take(msg: Any) -> None:
             nonlocal heard
             heard = time.monotonic()
-            # Feedback and result come on two topics: the caller must not hear of what was under way once it has the result.
-            with one_at_a_time:
-                if on_feedback is not None and not is_over:
-                    on_feedback(msg.feedback)
+            watch.heard()
+            news.append(msg.feedback)
 
-        handle = self._answer(lambda: action.send_goal_async(goal, feedback_callback=feedback), 20.0, f"{name} did not answer within 20 s")
-        if not handle.accepted:
-            raise CellTimeout(f"{name} refused the goal")
-        heard = time.monotonic()
-        missing = f"{name} sent no feedback for {silence:.0f} s and no result; see the log of {server}"
+        def look() -> None:
+            while news:
+                feedback = news.popleft()
+                if on_feedback is not None:
+                    on_feedback(feedback)
+            _check_there(watch, name, server)
+
+        def ask_result() -> None:
+            results.append(handle.get_result_async())
+
+        def first_result() -> Any:
+            look()
+            return next((asked.result() for asked in results if asked.done()), None)
+
         try:
-            return self._answer(handle.get_result_async, silence, missing, lambda: heard).result
+            handle = self._answer(
+                lambda: action.send_goal_async(goal, feedback_callback=take, goal_uuid=number),
+                _ANSWER,
+                f"{name} did not answer within {_ANSWER:.0f} s",
+                look,
+            )
+            if not handle.accepted:
+                raise CellTimeout(f"{name} refused the goal")
+            heard, watch.after_silence = time.monotonic(), ask_result
+            self._executor.create_task(ask_result)
+            missing = f"{name} sent no feedback for {silence:.0f} s and no result; see the log of {server}"
+            response = self.wait(first_result, silence, missing, lambda: heard)
+            if response.status == GoalStatus.STATUS_UNKNOWN:
+                raise CellTimeout(f"{server} was started again meanwhile, so {name} gives no result; see its log, and ask anew")
+            return response.result
         except BaseException:
             # Nobody waits for it any more: the arm holds.
-            with suppress(PushIdentError):
-                self._answer(handle.cancel_goal_async, _CANCEL, f"{name} did not answer the cancellation")
+            self._cancel(name, number, watch)
             raise
         finally:
-            with one_at_a_time:
-                is_over = True
+            self._keep_alive[name].end(number)
+
+    def _cancel(self, name: str, goal: UUID, server: ServerWatch) -> None:
+        """Sent from this thread: the one that spins may be stuck. A server that is gone gives no answer."""
+        answer = self._probes[name].call_async(cancellation(goal))
+        with suppress(PushIdentError):
+            self.wait(lambda: answer.done() or bool(server.why_gone()), _CANCEL, f"{name} did not answer the cancellation")
 
     def diagnose_gap(self, goal: DiagnoseGap.Goal, *, timeout: float = 600.0) -> DiagnoseGap.Result:
         """Diagnose the pushes so far.
 
         Raises:
-            CellTimeout: The action is not served, refused the goal, or took longer than `timeout` [s].
+            CellTimeout: The action is not served, refused the goal, took longer than `timeout` [s], or its node is gone.
         """
-        self.wait(self._diagnose.server_is_ready, 20.0, "the action diagnose_gap is not served; is gap_diagnosis_node running?")
-        self._discover("diagnose_gap")
-        handle = self._answer(lambda: self._diagnose.send_goal_async(goal), 20.0, "diagnose_gap did not answer within 20 s")
+        name, server = "diagnose_gap", "gap_diagnosis_node"
+        watch = self._find(self._diagnose, name, server)
+        handle = self._answer(lambda: self._diagnose.send_goal_async(goal), _ANSWER, f"{name} did not answer within {_ANSWER:.0f} s")
         if not handle.accepted:
-            raise CellTimeout("diagnose_gap refused the goal; is a diagnosis under way?")
-        return self._answer(handle.get_result_async, timeout, f"diagnose_gap gave no result within {timeout:.0f} s").result
+            raise CellTimeout(f"{name} refused the goal; is a diagnosis under way?")
+        missing = f"{name} gave no result within {timeout:.0f} s"
+        return self._answer(handle.get_result_async, timeout, missing, lambda: _check_there(watch, name, server)).result
 
     def predict(self, object_id: str, path: Path) -> PushPrediction:
         """Prediction of the identified model for a push along `path`, from the object's latest pose."""
@@ -333,40 +396,36 @@ class CellClient:
         self._call(self._save, SaveModel.Request(object_id=object_id, path=path), "save_model")
 
     def _call(self, client: Any, request: Any, name: str) -> Any:
-        self.wait(client.service_is_ready, 20.0, f"the service {name} is not served; is identification_node running?")
+        self.wait(client.service_is_ready, _ANSWER, f"the service {name} is not served; is identification_node running?")
         missing = f"{name} did not answer within {_SERVICE:.0f} s; see the log of identification_node"
         answer = self._answer(lambda: client.call_async(request), _SERVICE, missing)
         if not answer.success:
             raise PushIdentError(f"{name}: {answer.message}")
         return answer
 
-    def _discover(self, action: str) -> None:
-        """Wait until the server of an action can answer this node.
+    def _find(self, action: ActionClient, name: str, server: str) -> ServerWatch:
+        """Wait until the server of an action can answer this node: a goal must not be sent twice."""
+        self.wait(action.server_is_ready, _ANSWER, f"the action {name} is not served; is {server} running?")
+        watch = ServerWatch(action, self._probes[name])
 
-        A server that has not discovered the reading end of a client drops its answers, and a goal must not be sent twice. To cancel a goal
-        that nobody has changes nothing, so that is asked until it is answered.
-        """
-        nobodys = CancelGoal.Request()
-        nobodys.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
-        deadline = time.monotonic() + _DISCOVERY
-        while True:
-            asked: Future = self._executor.create_task(lambda: self._probes[action].call_async(nobodys))
-            again = time.monotonic() + _ASK_AGAIN
-            while time.monotonic() < again:
-                self._check()
-                if asked.done() and asked.result().done():
-                    return
-                time.sleep(_POLL)
-            if time.monotonic() > deadline:
-                raise CellTimeout(f"the server of {action} did not answer within {_DISCOVERY:.0f} s; see the log of its node")
+        def answers() -> bool:
+            watch.why_gone()
+            return watch.has_answered
 
-    def _answer(self, ask: Callable[[], Future], timeout: float, missing: str, last_heard: Callable[[], float] | None = None) -> Any:
+        self.wait(answers, _ANSWER, f"the server of {name} did not answer within {_ANSWER:.0f} s; see the log of {server}")
+        return watch
+
+    def _answer(self, ask: Callable[[], Future], timeout: float, missing: str, look: Callable[[], None] = lambda: None) -> Any:
+        """The answer to a request; `look` is called while it is awaited."""
         # The request is made in the thread that spins: otherwise the answer may arrive before the request is registered, and is dropped.
         asked: Future = self._executor.create_task(ask)
-        self.wait(asked.done, timeout, missing, last_heard)
-        future: Future = asked.result()
-        self.wait(future.done, timeout, missing, last_heard)
-        return future.result()
+
+        def answered() -> bool:
+            look()
+            return bool(asked.done() and asked.result().done())
+
+        self.wait(answered, timeout, missing)
+        return asked.result().result()
 
     # ---- messages
 
@@ -377,9 +436,16 @@ class CellClient:
         self.node.create_subscription(
             PoseWithCovarianceStamped, f"{prefix}/pose", lambda msg: poses.append(planar_pose_from_msg(msg)[:2]), _ANY
         )
-        self.node.create_subscription(OccupancyGrid, f"{prefix}/cells", lambda msg: self._cells.__setitem__(object_id, msg), _LATCHED)
-        self.node.create_subscription(PolygonStamped, f"{prefix}/outline", lambda msg: self._outlines.__setitem__(object_id, msg), _LATCHED)
+        for kind, part in ((OccupancyGrid, "cells"), (PolygonStamped, "outline")):
+            self.node.create_subscription(kind, f"{prefix}/{part}", partial(self._on_shape, object_id, part), _LATCHED)
         self.node.create_subscription(MassFrictionMap, f"{prefix}/mass_friction_map", lambda msg: self._on_map(object_id, msg), _LATCHED)
+
+    def _on_shape(self, object_id: str, part: str, msg: Any) -> None:
+        shape = self._shape_input.add(object_id, **{part: msg})
+        if part == "outline":
+            self._outlined.add(object_id)
+        if shape is not None and object_id in self._outlined:
+            self._shapes[object_id] = shape
 
     def _on_map(self, object_id: str, msg: MassFrictionMap) -> None:
         self._maps[object_id] = msg
@@ -392,3 +458,9 @@ class CellClient:
         self.diagnostics.update({status.name: status for status in msg.status})
         if any("identification" in status.name for status in msg.status):
             self._diagnosed = time.monotonic()
+
+
+def _check_there(watch: ServerWatch, name: str, server: str) -> None:
+    """Raise CellTimeout where the server of an action is gone."""
+    if why := watch.why_gone():
+        raise CellTimeout(f"{server} {why}, so {name} gives no result; see its log, and start it again")

@@ -474,7 +474,8 @@ def _set_yaw(orientation: Any, yaw: float) -> None:
 
 def _yaw(orientation: Any) -> float:
     quaternion = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
-    norm = float(np.linalg.norm(quaternion))
+    with np.errstate(over="ignore"):
+        norm = float(np.linalg.norm(quaternion))
     if not (math.isfinite(norm) and abs(norm - 1) < 1e-3):
         raise InputError(f"Orientation {quaternion.tolist()} has norm {norm:.3g}, expected a unit quaternion (x, y, z, w).")
     x, y = quaternion[:2] / norm

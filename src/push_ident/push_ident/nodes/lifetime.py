@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Final, NoReturn
 
-__all__ = ["LIFELINE", "LIFETIME", "STOP_SIGNALS", "Lifetime", "end_with_parent", "stop_signals_blocked"]
+__all__ = ["LIFELINE", "LIFETIME", "STOP_SIGNALS", "Lifetime", "end_with_parent", "stop_signals_blocked", "stopping_in_order"]
 
 LIFELINE: Final = "PUSH_IDENT_LIFELINE"
 """Variable with the number of the open pipe that ends with the process that started this one."""
@@ -132,6 +132,20 @@ def stop_signals_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+@contextmanager
+def stopping_in_order() -> Iterator[None]:
+    """Within, SIGTERM and SIGHUP end the main thread as Ctrl-C does, by `SystemExit`; another thread changes nothing."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, _leave) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def end_with_parent() -> None:
     """End this child of `multiprocessing` silently as soon as its parent is gone."""
     parent = multiprocessing.parent_process()
@@ -174,6 +188,10 @@ def _where_main_thread_is() -> str:
 
 def _nothing(number: int, frame: object) -> None:
     """A handler, so that Python writes the signal to the wakeup descriptor."""
+
+
+def _leave(number: int, frame: object) -> None:
+    raise SystemExit(128 + number)
 
 
 def _quiet_unraisable(unraisable: Any) -> None:

@@ -23,9 +23,9 @@ def file_to_write(text: str) -> Path:
     path = _path(text)
     if path.suffix != ".json":
         raise InputError(f"The path is {plain_text(text)!r}, expected the name of a model, which ends with .json.")
-    if path.is_symlink() or (path.exists() and not is_model_file(path)):
+    if os.path.islink(path) or (os.path.exists(path) and not is_model_file(path)):
         raise InputError(f"{plain_text(str(path))} exists and is no model of push_ident; it is not replaced, choose another name.")
-    if not path.parent.is_dir():
+    if not os.path.isdir(path.parent):
         raise InputError(f"There is no folder {plain_text(str(path.parent))}; make it first.")
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise InputError(f"Nothing may be written to {plain_text(str(path.parent))}; choose another folder.")
@@ -35,7 +35,7 @@ def file_to_write(text: str) -> Path:
 def file_to_read(text: str) -> Path:
     """The path; raises InputError unless it names a file that is there."""
     path = _path(text)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"There is no file {plain_text(str(path))}.")
     return path
 
@@ -44,7 +44,8 @@ def _path(text: str) -> Path:
     LIMITS.STRING.check(len(text), "Path")
     if not text.strip() or "\0" in text:
         raise InputError(f"The path is {plain_text(text)!r}, expected that of a file.")
-    path = Path(text).expanduser()
-    if path.is_dir():
+    # Unlike those of Path, these functions raise for no text.
+    path = Path(os.path.expanduser(text))
+    if os.path.isdir(path):
         raise InputError(f"{plain_text(str(path))} is a folder, expected a file.")
     return path

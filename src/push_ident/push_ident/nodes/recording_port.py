@@ -1,7 +1,8 @@
-"""The status of the recorder, which the push executor observes."""
+"""The status of the recorder, which the push executor observes: what was asked to be recorded is recorded, or nothing is pushed."""
 
 from __future__ import annotations
 
+import time
 from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -9,11 +10,19 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-__all__ = ["RECORDING_QOS", "RECORDING_TOPIC", "RecordingPort"]
+__all__ = ["RECORDING_PERIOD", "RECORDING_QOS", "RECORDING_TOPIC", "REPEATED", "RecordingPort"]
 
 RECORDING_TOPIC: Final = "recording"
-"""diagnostic_msgs/DiagnosticStatus, latched: OK while a bag is written, ERROR with the reason after a failure."""
+"""diagnostic_msgs/DiagnosticStatus, latched: OK or WARN again and again while a bag is written, ERROR with the reason after a failure,
+STALE where nobody wants it any more."""
 RECORDING_QOS: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+RECORDING_PERIOD: Final = 0.5
+"""Between two statuses of a recorder that writes [s]."""
+REPEATED: Final = "repeated every [s]"
+"""Key of the value in a status that promises the next one."""
+_MISSED: Final = 4
+"""So many statuses that do not come show that a recorder has stopped."""
+_SILENT: Final = "the recorder fell silent: it was stopped or killed; start it again, or restart this node to push without one"
 
 
 class RecordingPort:
@@ -22,14 +31,26 @@ class RecordingPort:
     def __init__(self, node: Node, callback_group: CallbackGroup) -> None:
         self._node = node
         self._fault = ""
+        self._heard = 0.0
+        self._is_left = self._is_repeated = False
         node.create_subscription(DiagnosticStatus, RECORDING_TOPIC, self._on_status, RECORDING_QOS, callback_group=callback_group)
 
     @property
     def fault(self) -> str:
-        """Why the recorder cannot write; empty while it can, or while none runs."""
-        if self._fault and self._node.count_publishers(self._node.resolve_topic_name(RECORDING_TOPIC)) == 0:
-            self._fault = ""
+        """Why what was asked for is not recorded; empty while it is, or where nobody asked for it.
+
+        A recorder that has left is not asked for any more. One that fell silent before is, until it writes again: it was stopped or killed.
+        """
+        silence = time.monotonic() - self._heard
+        if not self._is_left and silence > RECORDING_PERIOD:
+            if self._node.count_publishers(self._node.resolve_topic_name(RECORDING_TOPIC)) == 0:
+                self._is_left, self._fault = True, ""
+            elif self._is_repeated and silence > _MISSED * RECORDING_PERIOD:
+                self._is_left, self._fault = True, _SILENT
         return self._fault
 
     def _on_status(self, msg: DiagnosticStatus) -> None:
+        self._heard, self._is_left = time.monotonic(), False
+        # A recorder of another kind may say once that it writes.
+        self._is_repeated = any(value.key == REPEATED for value in msg.values)
         self._fault = msg.message if msg.level == DiagnosticStatus.ERROR else ""

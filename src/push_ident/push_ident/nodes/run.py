@@ -8,6 +8,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -92,16 +93,27 @@ def _spin(node: CellNode, n_threads: int) -> None:
     executor = make_executor(n_threads)
     executor.add_node(node)
     settle_memory()
-    try:
-        while not LIFETIME.stop.is_set() and rclpy.ok():
+
+    def spin_while(condition: Callable[[], bool]) -> None:
+        while condition():
             with node.guard.watch("executor"):
                 executor.spin_once(timeout_sec=_WAIT)
             if n_threads > 1:
                 # Until a worker has taken a callback, rclpy returns the same one repeatedly, and this thread would block the
                 # interpreter for the worker: 100 % of a core instead of 16 %.
                 time.sleep(_YIELD)
+
+    try:
+        spin_while(lambda: not LIFETIME.stop.is_set() and rclpy.ok())
     finally:
-        node.close()
+        if n_threads > 1:
+            # The clients of goals under way still get their results.
+            with ThreadPoolExecutor(1) as pool:
+                closing = pool.submit(node.close)
+                spin_while(lambda: not closing.done())
+            closing.result()
+        else:
+            node.close()
         executor.shutdown(timeout_sec=0.5)
         node.destroy_node()
 

@@ -14,6 +14,9 @@ from push_ident.bags.pushes import pushes_by_object, split_pushes
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
 from push_ident.errors import BagError
 from push_ident.identification.observation import observe_push, pusher_gaps
+from push_ident.identification.possible_poses import check_poses, why_no_object_ends_there
+from push_ident.identification.prior import Prior
+from push_ident.identification.result import prior_posterior
 from push_ident.pages.tables import html_table
 from push_ident.physics.effect import OnContact
 from push_ident.physics.effects import EFFECTS
@@ -30,6 +33,8 @@ _MAX_AGE: Final = 0.1
 """Longest time between a depth image and the pusher's pose that places it in the image [s]."""
 _ENOUGH_PUSHES: Final = 100
 """Number of pushes of an object from which it is seen whether they touch it."""
+_MOST: Final = 0.5
+"""Share of impossible pushes above which frames, units or clocks are wrong rather than single poses [-]: the fit then names the cause."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +88,7 @@ def load_pushes(
     *,
     object_id: str = "",
     camera_in_table: Float64Array | None = None,
+    possible_with: Prior | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> LoadedPushes:
     """Read the pushes of one object from bags of the contract.
@@ -91,6 +97,8 @@ def load_pushes(
         paths: bags. Where one has no object poses, they are tracked in its depth images.
         object_id: the object; empty: the only one, or the one with the most pushes.
         camera_in_table: extrinsics for depth bags without them, homogeneous, shape (4, 4).
+        possible_with: to learn from: poses and pushes that no push of an object of this prior can have made are left out. None: all, as a
+            diagnosis looks at them.
         on_progress: called with a line of text for each step.
 
     Raises:
@@ -113,6 +121,9 @@ def load_pushes(
             radius = touching_radius(pushes)
             notes.append(f"{path.name}: a radius of {1e3 * radius:.1f} mm is assumed: that near the pusher came to the outline (median).")
             pushes = [replace(push, pusher=replace(push.pusher, radius=radius)) for push in pushes]
+        if possible_with is not None:
+            pushes, left_out = _possible(pushes, possible_with)
+            notes += left_out
         records += pushes
         is_contact_measured &= contents.pusher_radius is not None and contents.objects[chosen].has_outline
     records = [replace(record, order=order) for order, record in enumerate(records)]
@@ -124,6 +135,24 @@ def load_pushes(
                 "only bags with the same cells of one object can be identified together, such as those of one run."
             )
     return LoadedPushes(object_id, records, notes, () if is_contact_measured else _CONTACT)
+
+
+def _possible(pushes: list[PushRecord], prior: Prior) -> tuple[list[PushRecord], list[str]]:
+    """The pushes without poses that no push can have made, and notes of what is left out."""
+    possible, notes, refused = [], [], []
+    any_object = prior_posterior(pushes[0].shape, prior)
+    for push in pushes:
+        checked = check_poses(push)
+        is_touched = not checked.why and observe_push(checked.record).touched
+        if why := checked.why or (why_no_object_ends_there(checked.record, any_object, prior) if is_touched else ""):
+            refused.append(f"{push.source}: no push can have made its poses: {why}")
+            continue
+        possible.append(checked.record)
+        notes += [f"{push.source}: {checked.note}"] if checked.note else []
+    if len(refused) > _MOST * len(pushes):
+        cause = "look at frames, units and clocks of poses and pusher"
+        return pushes, [f"{len(refused)} of {len(pushes)} pushes are impossible but not left out; {cause}. The first is {refused[0]}"]
+    return possible, notes + [f"left out is {text}" for text in refused]
 
 
 def touching_radius(records: Sequence[PushRecord]) -> float:

@@ -10,9 +10,10 @@ __all__ = ["GoalCode", "GoalRefusedError"]
 
 
 class GoalCode(IntEnum):
-    """How it ended; the numbers are those of the result of action/PushToGoal."""
+    """How it ended; the numbers are those of the result of action/PushToGoal, which calls success NONE: no error."""
 
-    NONE = 0
+    SUCCESS = 0
+    NONE = SUCCESS
     INVALID_GOAL = -1
     UNKNOWN_OBJECT = -2
     OUTSIDE_WORKSPACE = -3

@@ -19,7 +19,7 @@ from push_ident.types import Float64Array
 __all__ = ["write_goal_page"]
 
 _ENDED = {
-    "NONE": "at the goal",
+    "SUCCESS": "at the goal",
     "CANCELED": "canceled",
     "PREEMPTED": "given up for a newer goal",
     "TIME_LIMIT": "out of time",
@@ -97,7 +97,7 @@ def _goal(goal: Mapping[str, Any], number: int) -> dict[str, Any]:
         "effects": _effects(goal),
         "words": f"{_wanted(goal) if is_at_edge else _target(goal)}; there within {tolerance}",
         "at_edge": is_at_edge,
-        "ended": f"{_ended(goal)}{'' if goal['code'] == 'NONE' else ' (' + goal['code'] + ')'}",
+        "ended": f"{_ended(goal)}{'' if goal['code'] == 'SUCCESS' else ' (' + goal['code'] + ')'}",
         "rows": _rows(goal),
         "panels": _panels(goal),
         "errors": _errors(goal) if goal["pushes"] else "",

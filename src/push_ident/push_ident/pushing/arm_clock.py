@@ -33,12 +33,16 @@ class ArmClock:
                 self._seen.clear()
             self._seen.append((received, stamp))
 
-    def at(self, wall: float) -> float:
-        """Time of the arm's clock [s] at a wall time [s] after the latest state; there must have been a state."""
+    def at(self, wall: float) -> tuple[float, bool]:
+        """Time of the arm's clock [s] at a wall time [s] after the latest state, and whether that is known: a state is overdue where not.
+
+        There must have been a state.
+        """
         with self._lock:
             latest = self._seen[-1][1]
             mean_wall, mean_stamp, rate = self._fit()
-        return min(max(mean_stamp + rate * (wall - mean_wall), latest), latest + _AHEAD)
+        time = max(mean_stamp + rate * (wall - mean_wall), latest)
+        return min(time, latest + _AHEAD), time <= latest + _AHEAD
 
     @property
     def rate(self) -> float:

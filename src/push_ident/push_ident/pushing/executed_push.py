@@ -36,6 +36,8 @@ class ExecutedPush:
     contact: float | None = None
     """When the measured tool passed the planned point of contact."""
     ended: float = 0.0
+    shift: float = 0.0
+    """Of the clock of the arm's stamps ahead of the one above [s]: not 0 where `/clock` and the stamps differ."""
     error: PlanningError | None = None
     """Why it failed."""
     pacing: PathPacing | None = None
@@ -69,8 +71,12 @@ class ExecutedPush:
             self.rest_after.add(now.stamp, now.pose, now.covariance)
 
     def times(self) -> tuple[float, float, float]:
-        """Start, stop and end of the push [s]. A phase that was not reached has the time of the end."""
-        start, stop, end = (min(self._reached(t), self.ended) for t in (self.plan.lowered, self.plan.stop, self.plan.rested))
+        """Start, stop and end of the push [s], as its arm has time, which is that of the poses of the tool.
+
+        A phase that was not reached has the time of the end.
+        """
+        phases = (self.plan.lowered, self.plan.stop, self.plan.rested)
+        start, stop, end = (min(self._reached(t), self.ended) + self.shift for t in phases)
         return start, stop, end
 
     def _reached(self, path_time: float) -> float:

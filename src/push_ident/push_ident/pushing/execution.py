@@ -12,17 +12,19 @@ import numpy as np
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.se2 import transform_points
+from push_ident.pushing.arm_motion import ArmMotion
 from push_ident.pushing.executed_push import ExecutedPush, Purpose
-from push_ident.pushing.motion import ArmMotion, ArmPlan, PathPlan, plan_path_push, plan_push, plan_retreat
+from push_ident.pushing.motion import ArmPlan, PathPlan, plan_path_push, plan_push, plan_retreat
 from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.ports import ArmState, Client, ExecutionPorts, Phase, TrackedObject
+from push_ident.pushing.possible_motion import why_impossible
 from push_ident.pushing.push import PushCode, PushPlan2D
 from push_ident.pushing.push_request import ExecutionSettings, Mode, PushOutcome, PushRequest
 from push_ident.pushing.resting import displacement
 from push_ident.pushing.sampling import is_near_edge, push_along_path, push_from_goal, recentring_pushes, sample_push
 from push_ident.pushing.steering import Steering, ToolCorrection
 from push_ident.pushing.watch import ArmWatch
-from push_ident.types import Float64Array
+from push_ident.types import Float64Array, PusherPath
 
 __all__ = ["PushExecution", "phase_of"]
 
@@ -34,6 +36,8 @@ _FEEDBACK_PERIOD: Final = 0.1
 """[s]"""
 _STANDSTILL: Final = 0.15
 """[s] until an arm that was held stands."""
+_SURE: Final = 3.0
+"""Standard deviations of the place of an object between the tool and it [1], where the tool comes down: 1 in 370."""
 _DRIFT: Final = 0.002
 """How much further out an object may move that was outside the workspace at the start [m]."""
 
@@ -81,7 +85,8 @@ class PushExecution:
             self._one_at_a_time.release()
 
     def start(self) -> None:
-        """Take requests again after `stop`."""
+        """Take requests again after `stop`; somebody has looked after the arm."""
+        self._watch.trust()
         self._stopped.clear()
 
     def close_hand(self, timeout: float) -> str:
@@ -155,12 +160,12 @@ class _Execution:
             expected = ", ".join(f"MODE_{mode.name} ({mode.value})" for mode in Mode)
             raise PlanningError(PushCode.INVALID_GOAL, f"mode is {request.mode}, expected one of {expected}.")
         if not request.dry_run:
-            self.watch.check_ready()
-        target = self.ports.objects.get(request.object_id, settings.pose_timeout)
+            self.watch.check_ready(settings.limits)
+        target = self._target(request.object_id)
         if not request.dry_run and self._should_recentre(target):
             self._refuse_impossible(target)
             self._recentre(target)
-            target = self.ports.objects.get(target.object_id, settings.pose_timeout)
+            target = self._target(target.object_id)
 
         def plan_from(q: np.ndarray) -> ArmPlan:
             return self._plan(target, q)
@@ -176,6 +181,18 @@ class _Execution:
         finally:
             self.outcome.plan, self.outcome.push_id = push.plan, push.push_id
             self._end_steering()
+
+    def _target(self, object_id: str) -> TrackedObject:
+        """The object; raises PlanningError UNKNOWN_OBJECT where nobody knows well enough where it is."""
+        target = self.ports.objects.get(object_id, self.settings.pose_timeout)
+        std, limit = float(np.sqrt(np.linalg.eigvalsh(target.covariance[:2, :2])[-1])), self.settings.motion.clearance / _SURE
+        if std > limit:
+            raise PlanningError(
+                PushCode.UNKNOWN_OBJECT,
+                f"the pose of `{target.object_id}` is too uncertain: standard deviation {1e3 * std:.1f} mm, limit {1e3 * limit:.1f} mm, a "
+                "third of `clearance`: the tool might come down on it. Measure it better, or give more clearance.",
+            )
+        return target
 
     # ---- recentring
 
@@ -219,7 +236,7 @@ class _Execution:
     # ---- planning
 
     def _posture(self) -> Float64Array:
-        return self.ports.arm.next_state(self.settings.limits.arm_timeout).q
+        return self.watch.posture(self.settings.limits)
 
     def _plan(self, target: TrackedObject, q_now: np.ndarray) -> ArmPlan:
         if self.request.mode == Mode.RECENTRE:
@@ -301,7 +318,6 @@ class _Execution:
             self._check_contact(push)
         except PlanningError as failure:
             push.error = failure
-        push.ended = self.ports.clock.now()
         if was_pushing and push.error is not None and push.error.code in (PushCode.OBJECT_LOST, PushCode.CORRECTION):
             push.error = PlanningError(push.error.code, f"{push.error} {self._retreat(push)}")
         self._report(push)
@@ -318,13 +334,14 @@ class _Execution:
 
         def on_start(motion: ArmMotion, pacing: PathPacing) -> None:
             assert isinstance(motion, ArmPlan)
-            push.push_id, push.plan, push.started, push.pacing = self.owner.begin(), motion, pacing.started, pacing
+            push.push_id, push.plan, push.pacing = self.owner.begin(), motion, pacing
+            push.started = push.ended = pacing.started
             if isinstance(motion, PathPlan):
                 self._begin_steering(push.push_id, motion)
 
         def on_look(elapsed: float, time: float, state: ArmState) -> ArmMotion | None:
             nonlocal reported
-            push.reached = elapsed
+            push.reached, push.ended, push.shift = elapsed, time, state.stamp - time
             self.owner.is_pushing = push.plan.lowered <= elapsed <= push.plan.rested
             push.observe_object(self.ports.objects.get(push.before.object_id, np.inf))
             if self.owner.is_pushing:
@@ -380,8 +397,7 @@ class _Execution:
     def _observe_rest(self, push: ExecutedPush) -> None:
         """A push is whole when the object was seen at rest after it; the way home is no part of it."""
         push.observe_object(self.ports.objects.get(push.before.object_id, np.inf))
-        if not push.is_reported and not self._why_no_contact(push):
-            push.ended = self.ports.clock.now()
+        if not push.is_reported and not self._why_no_contact(push) and not self._why_elsewhere(push):
             self._report(push)
 
     # ---- corrections
@@ -413,8 +429,8 @@ class _Execution:
 
     def _check_wanted(self) -> None:
         self.owner.check_open()
-        if self.client.is_cancel_requested:
-            raise PlanningError(PushCode.CANCELED, "canceled on request; the arm holds.")
+        if why := self.client.why_over:
+            raise PlanningError(PushCode.CANCELED, f"{why}; the arm holds.")
 
     def _check_object(self, push: ExecutedPush) -> None:
         """Raise PlanningError OBJECT_LOST when there are no poses of the object any more, or its origin has left the workspace."""
@@ -429,7 +445,7 @@ class _Execution:
             raise PlanningError(PushCode.OBJECT_LOST, f"`{now.object_id}` left the workspace: it is at ({x:.3f}, {y:.3f}) m.")
 
     def _check_contact(self, push: ExecutedPush) -> None:
-        """Raise PlanningError NO_CONTACT when the object stayed, OBJECT_LOST when no pose arrived after the push."""
+        """Raise PlanningError NO_CONTACT when the object stayed, OBJECT_LOST when no pose arrived that a push can have made."""
         clock = self.ports.clock
         deadline = clock.monotonic() + self.settings.pose_timeout
         while not push.is_reported and (reason := self._why_no_contact(push)):
@@ -440,16 +456,32 @@ class _Execution:
                 raise PlanningError(PushCode.OBJECT_LOST, f"no pose of `{push.before.object_id}` after the push.")
             clock.sleep(_POLL)
             push.observe_object(self.ports.objects.get(push.before.object_id, np.inf))
+        if not push.is_reported and (reason := self._why_elsewhere(push)):
+            raise PlanningError(PushCode.OBJECT_LOST, f"`{push.before.object_id}` cannot be where its pose says after this push: {reason}")
+
+    def _why_elsewhere(self, push: ExecutedPush) -> str:
+        """Why this push cannot have brought the object to where its poses are since; empty if it can."""
+        time, tip = push.plan.tool_path
+        before, after = push.rest_before, push.rest_after
+        return why_impossible(
+            push.before.shape,
+            PusherPath(time, tip[:, :2], self.settings.push.pusher_radius),
+            before.mean,
+            after.mean,
+            covariance_before=before.covariance * before.n,
+            covariance_after=after.covariance * after.n,
+        )
 
     def _why_no_contact(self, push: ExecutedPush) -> str:
         """Why a push that was made did not move the object, as far as its poses tell; empty if it did."""
         if not push.rest_after.n:
             return "The object was not seen after the push."
         shift, turn, is_beyond_noise = displacement(push.rest_before, push.rest_after)
-        is_large = shift > self.settings.min_object_shift or turn > self.settings.min_object_turn
-        if is_large and is_beyond_noise:
+        if shift <= self.settings.min_object_shift and turn <= self.settings.min_object_turn:
+            return f"`{push.before.object_id}` moved by {1e3 * shift:.1f} mm and {turn:.3f} rad only; was its pose right?"
+        if is_beyond_noise:
             return ""
-        return f"`{push.before.object_id}` moved by {1e3 * shift:.1f} mm and {turn:.3f} rad only; was its pose right?"
+        return f"`{push.before.object_id}` moved by {1e3 * shift:.1f} mm and {turn:.3f} rad, no more than its poses are uncertain."
 
 
 def phase_of(plan: ArmPlan, elapsed: float) -> Phase:

@@ -9,23 +9,21 @@ from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
-from push_ident.geometry.path import nearest_on_path
+from push_ident.pushing.arm_motion import ArmMotion
 from push_ident.pushing.corridor import Corridor
-from push_ident.pushing.joint_limits import check_accelerations, check_positions, check_velocities, gentler
+from push_ident.pushing.joint_limits import JointLimits, gentler
 from push_ident.pushing.posture_map import PostureMap
 from push_ident.pushing.push import PUSH_ACCELERATION, PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.tool_path import ToolMotion, ToolPath, rounded
 from push_ident.pushing.trajectory import JointTrajectory, join, joint_move, path_at_speed, path_move, stand_still
 from push_ident.types import Float64Array
 
-__all__ = ["ArmMotion", "ArmPlan", "MotionSettings", "PathPlan", "plan_path_push", "plan_push", "plan_retreat"]
+__all__ = ["ArmPlan", "MotionSettings", "PathPlan", "joint_limits", "plan_path_push", "plan_push", "plan_retreat"]
 
 _STEP = 0.004
 """Distance between the points of a straight line at which the inverse kinematics is solved [m]."""
 _POSTURE_RATE = 3.0
 """Drift towards the neutral posture per metre of tool travel, as a fraction of the difference [1/m]: slow compared with the push."""
-_LEAD = 0.05
-"""How far the arm may appear to be ahead of the clock [s]: a simulated clock arrives late."""
 _AT_HOME = 1e-3
 """The arm is at home when every joint is within this [rad]."""
 _HEIGHT_NOISE = 5e-4
@@ -87,41 +85,6 @@ class MotionSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class ArmMotion:
-    """A checked motion of the arm. Times are in seconds from its start."""
-
-    joint_names: tuple[str, ...]
-    trajectory: JointTrajectory
-    tip: Float64Array
-    """Tip at every sample of the trajectory [m], shape (n, 3), root frame."""
-    acceleration_limit: Float64Array
-    """Of every joint [rad/s^2], shape (n_joints,); the arm brakes within it."""
-
-    @property
-    def duration(self) -> float:
-        """Duration of the motion [s]."""
-        return self.trajectory.duration
-
-    def deviation(self, tip: Float64Array, earliest: float, latest: float) -> float:
-        """Distance [m] of a measured `tip` (3,) to the part of the path between two times of the plan [s], and a little further.
-
-        An arm that follows with a delay has no deviation from the path that it should have made between the two.
-        """
-        return self._nearest(tip, earliest, latest + _LEAD)[0]
-
-    def time_at(self, tip: Float64Array, earliest: float, latest: float) -> float:
-        """Time of the plan [s] between two at which the path is nearest to a measured `tip` (3,)."""
-        return self._nearest(tip, earliest, latest)[1]
-
-    def _nearest(self, tip: Float64Array, earliest: float, latest: float) -> tuple[float, float]:
-        """Distance [m] of a tip to the path between two times of the plan, and the time of the nearest point [s]."""
-        first, last = np.searchsorted(self.trajectory.time, [earliest, latest])
-        part = slice(max(int(first) - 1, 0), int(last) + 1)
-        distance, place = nearest_on_path(self.tip[part], tip)
-        return distance, float(np.interp(place, np.arange(len(self.tip[part])), self.trajectory.time[part]))
-
-
-@dataclass(frozen=True, slots=True)
 class ArmPlan(ArmMotion):
     """Motion of the arm for one push."""
 
@@ -152,8 +115,8 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     LIMIT for a joint, velocity, acceleration or height limit; the text names joint, value and limit.
     """
     q_now = kinematics.check_configuration(q_now)
-    check_positions(kinematics, q_now[None, :])
-    max_velocity = _max_velocity(kinematics, settings)
+    limits = joint_limits(kinematics, settings)
+    limits.check_positions(q_now[None, :])
     start, end = push.tool_start(settings.clearance), push.tool_end
     approach = _approach(kinematics, q_now, start, settings)
     settle = stand_still(approach[-1].position[-1], settings.settle)
@@ -175,10 +138,9 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
     stop = departure + pushing.duration
     trajectory = join([*approach, settle, pushing, rest, *retreat])
     plan = ArmPlan(
-        kinematics.joint_names,
+        limits,
         trajectory,
-        _checked_tip(kinematics, trajectory, max_velocity, settings, "push slower"),
-        _acceleration_limit(kinematics, settings),
+        _checked_tip(kinematics, trajectory, settings, "push slower"),
         push,
         lowered,
         departure,
@@ -197,7 +159,7 @@ def _eased(
 ) -> tuple[JointTrajectory, float]:
     """Motion of a push along its line, and the acceleration of the tool [m/s^2]: less than asked for where a joint needs longer ramps, as
     long as the tool is at its speed when it touches the object, and the line is long enough."""
-    acceleration, limit = settings.acceleration, _acceleration_limit(kinematics, settings)
+    acceleration, limit = settings.acceleration, joint_limits(kinematics, settings).planned.acceleration
     least = speed**2 / min(2.0 * settings.clearance, length)
     for _ in range(_EASINGS):
         pushing = path_at_speed(postures, length, speed, acceleration)
@@ -241,7 +203,7 @@ class PathPlan(ArmPlan):
         first = int(np.searchsorted(self.trajectory.time, self.departure + self.tool.time[k] - 1e-6))
         changed = JointTrajectory(later.time - later.time[0], *self.postures.joints(later))
         tail = join([changed, stand_still(changed.position[-1], self.rest)])
-        check_accelerations(self.joint_names, changed, self.acceleration_limit, gentler(self.acceleration))
+        self.limits.planned.check_accelerations(changed, gentler(self.acceleration))
         before, at = self.trajectory, float(self.trajectory.time[first])
         own = zip((before.time, before.position, before.velocity), (tail.time + at, tail.position, tail.velocity), strict=True)
         places = np.vstack([later.position, np.tile(later.position[-1], (len(tail.time) - len(later.time), 1))])
@@ -273,12 +235,12 @@ def plan_path_push(
     place of the corridor within the workspace that the tool cannot be in, or not move in at the largest speed of a push.
     """
     q_now = kinematics.check_configuration(q_now)
-    check_positions(kinematics, q_now[None, :])
-    max_velocity, acceleration_limit = _max_velocity(kinematics, settings), _acceleration_limit(kinematics, settings)
+    joints = joint_limits(kinematics, settings)
+    joints.check_positions(q_now[None, :])
     approach = _approach(kinematics, q_now, path.position[0], settings)
     settle = stand_still(approach[-1].position[-1], settings.settle)
     postures = PostureMap(kinematics, settle.position[-1], corridor, limits.workspace)
-    speed, acceleration = postures.allowed(limits.max_speed, settings.acceleration, max_velocity, acceleration_limit, settings.link_height)
+    speed, acceleration = postures.allowed(limits.max_speed, settings.acceleration, joints.planned, settings.link_height)
     if path.speed > speed or acceleration < _LEAST_ACCELERATION:
         raise PlanningError(
             PushCode.LIMIT,
@@ -293,10 +255,9 @@ def plan_path_push(
     stop = departure + pushing.duration
     trajectory = join([*approach, settle, pushing, rest])
     plan = PathPlan(
-        kinematics.joint_names,
+        joints,
         trajectory,
-        _checked_tip(kinematics, trajectory, max_velocity, settings),
-        acceleration_limit,
+        _checked_tip(kinematics, trajectory, settings),
         replace(push, distance=_travel(tool, push)),
         lowered,
         departure,
@@ -326,33 +287,38 @@ def plan_retreat(kinematics: ArmKinematics, q_now: ArrayLike, heading: ArrayLike
     `heading`, shape (2,), is the unit vector of that push in the table frame. Raises PlanningError as `plan_push`.
     """
     q_now = kinematics.check_configuration(q_now)
-    check_positions(kinematics, q_now[None, :])
+    limits = joint_limits(kinematics, settings)
+    limits.check_positions(q_now[None, :])
     parts = _away(kinematics, q_now, np.asarray(heading, dtype=np.float64), settings)
     if not parts:
         parts = [stand_still(q_now, 0.0)]
     trajectory = join(parts)
-    tip = _checked_tip(kinematics, trajectory, _max_velocity(kinematics, settings), settings)
+    tip = _checked_tip(kinematics, trajectory, settings)
     _check_height(tip, settings, float(tip[0, 2]))
-    return ArmMotion(kinematics.joint_names, trajectory, tip, _acceleration_limit(kinematics, settings))
+    return ArmMotion(limits, trajectory, tip)
 
 
-def _max_velocity(kinematics: ArmKinematics, settings: MotionSettings) -> Float64Array:
-    return np.minimum(settings.velocity_scale * kinematics.velocity_limit, settings.max_joint_velocity)
-
-
-def _acceleration_limit(kinematics: ArmKinematics, settings: MotionSettings) -> Float64Array:
-    limits = np.array(settings.joint_acceleration_limits)
-    if len(limits) not in (1, kinematics.n_joints):
+def joint_limits(kinematics: ArmKinematics, settings: MotionSettings) -> JointLimits:
+    """What every joint of an arm keeps to. Raises InputError where there is not one acceleration for all, or one per joint."""
+    acceleration = np.array(settings.joint_acceleration_limits)
+    if len(acceleration) not in (1, kinematics.n_joints):
         raise InputError(
-            f"joint_acceleration_limits has {len(limits)} numbers, expected 1 or {kinematics.n_joints}, one per joint: "
+            f"joint_acceleration_limits has {len(acceleration)} numbers, expected 1 or {kinematics.n_joints}, one per joint: "
             f"{', '.join(kinematics.joint_names)}."
         )
-    return np.broadcast_to(limits, (kinematics.n_joints,))
+    return JointLimits(
+        kinematics.joint_names,
+        kinematics.position_lower,
+        kinematics.position_upper,
+        np.minimum(settings.velocity_scale * kinematics.velocity_limit, settings.max_joint_velocity),
+        np.broadcast_to(acceleration, (kinematics.n_joints,)),
+    )
 
 
-def _max_acceleration(kinematics: ArmKinematics, settings: MotionSettings) -> Float64Array:
-    """Limits on all moves except the push [rad/s^2], shape (n_joints,)."""
-    return np.minimum(_acceleration_limit(kinematics, settings), settings.max_joint_acceleration)
+def _free_limits(kinematics: ArmKinematics, settings: MotionSettings) -> tuple[Float64Array, Float64Array]:
+    """Velocity [rad/s] and acceleration [rad/s^2] of every joint on all moves except the push."""
+    limits = joint_limits(kinematics, settings).planned
+    return limits.velocity, np.minimum(limits.acceleration, settings.max_joint_acceleration)
 
 
 def _point(xy: Float64Array, height: float) -> Float64Array:
@@ -400,8 +366,7 @@ def _straight(
     kinematics: ArmKinematics, q: Float64Array, target: Float64Array, settings: MotionSettings, axis: Float64Array = TOOL_DOWN
 ) -> JointTrajectory:
     postures, length = _line(kinematics, q, target, axis)
-    max_velocity, max_acceleration = _max_velocity(kinematics, settings), _max_acceleration(kinematics, settings)
-    return path_move(postures, length, settings.free_speed, settings.acceleration, max_velocity, max_acceleration)
+    return path_move(postures, length, settings.free_speed, settings.acceleration, *_free_limits(kinematics, settings))
 
 
 def _line(
@@ -445,7 +410,7 @@ def _reach(
 
 
 def _free_move(kinematics: ArmKinematics, q_from: Float64Array, q_to: Float64Array, settings: MotionSettings) -> JointTrajectory:
-    move = joint_move(q_from, q_to, _max_velocity(kinematics, settings), _max_acceleration(kinematics, settings))
+    move = joint_move(q_from, q_to, *_free_limits(kinematics, settings))
     lowest = min((kinematics.forward(q)[2, 3] for q in move.position[::5]), default=np.inf)
     if lowest < settings.free_height:
         raise PlanningError(
@@ -455,14 +420,12 @@ def _free_move(kinematics: ArmKinematics, q_from: Float64Array, q_to: Float64Arr
     return move
 
 
-def _checked_tip(
-    kinematics: ArmKinematics, trajectory: JointTrajectory, max_velocity: Float64Array, settings: MotionSettings, remedy: str = ""
-) -> Float64Array:
+def _checked_tip(kinematics: ArmKinematics, trajectory: JointTrajectory, settings: MotionSettings, remedy: str = "") -> Float64Array:
     """Tip at every sample [m], shape (n, 3), of a trajectory within the limits of the joints and above the table with every link."""
-    check_positions(kinematics, trajectory.position)
-    check_velocities(kinematics.joint_names, trajectory, max_velocity)
-    limit = _acceleration_limit(kinematics, settings)
-    check_accelerations(kinematics.joint_names, trajectory, limit, remedy or gentler(settings.acceleration))
+    limits = joint_limits(kinematics, settings).planned
+    limits.check_positions(trajectory.position)
+    limits.check_velocities(trajectory)
+    limits.check_accelerations(trajectory, remedy or gentler(settings.acceleration))
     tip = np.empty((len(trajectory.time), 3))
     for i, q in enumerate(trajectory.position):
         tip[i] = kinematics.forward(q)[:3, 3]

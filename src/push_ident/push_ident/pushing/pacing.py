@@ -28,10 +28,8 @@ __all__ = ["SPLICE", "PathPacing"]
 SPLICE: Final = 0.03
 """First point of a piece after its start [s]. The arm reaches it by a cubic from its own present state, which smooths what transport
 adds: a piece that is 1 ms late shifts the path by 1 ms, over this time rather than at once."""
-_POINTS: Final = 0.02
-"""Between two points of a piece [s]."""
-_STEP: Final = 0.005
-"""Of the integration of speeding up and braking [s]: half a sample of the plan."""
+_STEP: Final = 0.01
+"""Of speeding up and braking [s]: a sample of the plan. The arm gets a point for each, so that its cubics are those of the schedule."""
 _SPEED_UP: Final = 0.1
 """Shortest time from standstill to the planned speed [s]."""
 _BRAKE: Final = 0.02
@@ -62,6 +60,7 @@ class PathPacing:
         self._bend = trajectory.acceleration
         # The schedule that the arm has, from the start to the halt of the latest piece: knots of time, path time and rate.
         self._t, self._s, self._r = [started], [0.0], [1.0]
+        self._before, self._share = (self._t, self._s, self._r), 1.0
 
     # ---- where the arm is
 
@@ -82,6 +81,16 @@ class PathPacing:
         return t + 2.0 * ahead / max(r + math.sqrt(max(r * r + 2.0 * slope * ahead, 0.0)), 1e-9)
 
     @property
+    def reaches(self) -> float:
+        """Path time at which the latest piece ends [s]."""
+        return self._s[-1]
+
+    @property
+    def ends(self) -> float:
+        """When it ends [s]."""
+        return self._t[-1]
+
+    @property
     def is_complete(self) -> bool:
         """Whether the latest piece leads to the end of the plan."""
         return self._s[-1] >= self.duration
@@ -91,45 +100,47 @@ class PathPacing:
         self._plan, self.duration = trajectory, trajectory.duration
         self._times, self._bend = trajectory.time.tolist(), trajectory.acceleration
 
-    def stand_at(self, now: float, path_time: float) -> None:
-        """The arm stands at a path time [s], since it missed the pieces that lead on from there: the next one does, from rest."""
-        keep = min(bisect_left(self._t, now), bisect_right(self._s, path_time))
-        del self._t[keep:], self._s[keep:], self._r[keep:]
-        if keep and self._r[-1] > 0.0 and path_time > self._s[-1]:
-            stood = self._t[-1] + 2.0 * (path_time - self._s[-1]) / self._r[-1]
-            if stood < now:
-                self._add(stood, path_time, 0.0)
-        self._add(now, path_time, 0.0)
-
     # ---- what the arm gets
 
-    def piece(self, now: float, splice: float = SPLICE) -> JointTrajectory:
+    def piece(self, now: float, splice: float = SPLICE, share: float = 1.0) -> JointTrajectory:
         """The next piece, in place of the one before. Its times count from `now`; it begins `splice` [s] later and ends at rest.
 
-        Made late, it goes on from where the arm has braked to.
+        Made late, it goes on from where the arm has braked to. It speeds up and brakes with a `share` of what the joints allow.
         """
+        self._share = share
+        self._before = self._t[:], self._s[:], self._r[:]
         s, r = self._cut(now)
         self._speed_up(now + self._horizon, s, r)
-        fast = self._t[-1]
         self._brake()
         end = max(self._t[-1] - now, splice, _SHORTEST)
-        times = np.concatenate([np.arange(splice, fast - now, _POINTS), np.arange(max(fast - now, splice), end, _POINTS), [end]])
-        times = times[np.append(np.diff(times) > _STEP, True)]
+        knots = np.array(self._t[bisect_right(self._t, now + splice) :]) - now
+        times = np.concatenate([[splice], knots, [end]])
+        times = times[np.append(np.diff(times) > 0.5 * _STEP, True)]
         if len(times) == 1:  # that is how an arm is held
             times = np.array([0.5 * end, end])
         s_r = np.array([self._at(now + t) for t in times])
-        position, velocity = self._posture(s_r[:, 0])
+        position, velocity = self._plan.follow(s_r[:, 0])
         velocity *= s_r[:, 1:]
         velocity[-1] = 0.0
         return JointTrajectory(times, position, velocity)
 
-    def halt(self, now: float) -> JointTrajectory:
-        """The last piece: one point, at which the arm stands as soon as the limits of its joints allow; on the path."""
+    def halt(self, now: float, share: float = 1.0) -> JointTrajectory:
+        """The last piece: one point, at which the arm stands as soon as a `share` of the acceleration limits allows; on the path.
+
+        The rate falls evenly, as it does on the cubic to one point.
+        """
+        self._before, self._share = (self._t[:], self._s[:], self._r[:]), share
         self._cut(now)
-        self._brake()
+        slope = self._brake()
+        self._cut(now)
+        self._brake(slope)
         time = max(self._t[-1] - now, _SHORTEST)
-        position, velocity = self._posture(np.array([self._s[-1]]))
-        return JointTrajectory(np.array([time]), position, np.zeros_like(velocity))
+        position, _ = self._plan.follow(np.array([self._s[-1]]))
+        return JointTrajectory(np.array([time]), position, np.zeros_like(position))
+
+    def take_back(self) -> None:
+        """The arm did not get the latest piece: it makes what it had before."""
+        self._t, self._s, self._r = self._before
 
     # ---- the schedule
 
@@ -142,7 +153,7 @@ class PathPacing:
             return self._s[-1], 0.0 if time > self._t[-1] else self._r[-1]
         span, after = self._t[i + 1] - self._t[i], time - self._t[i]
         slope = (self._r[i + 1] - self._r[i]) / span
-        return min(self._s[i] + after * (self._r[i] + 0.5 * slope * after), self.duration), self._r[i] + slope * after
+        return min(self._s[i] + after * (self._r[i] + 0.5 * slope * after), self._s[i + 1]), self._r[i] + slope * after
 
     def _cut(self, now: float) -> tuple[float, float]:
         """Forget what was planned after `now`; path time and rate there."""
@@ -166,20 +177,24 @@ class PathPacing:
             rate = min(r + step * min(1.0 / _SPEED_UP, self._allowed(s, r, 1.0)), 1.0)
             t, s, r = t + step, s + 0.5 * step * (r + rate), rate
             self._add(t, s, r)
-        step = min(until - t, self.duration - s)
-        if r >= 1.0 and step > 1e-9:
-            self._add(t + step, s + step, r)
+        end = s + min(until - t, self.duration - s)
+        first, last = bisect_right(self._times, s + 0.5 * _STEP), bisect_left(self._times, end - 0.5 * _STEP)
+        for knot in (*self._times[first:last], end) if r >= 1.0 and end - s > 1e-9 else ():
+            self._add(t + knot - s, knot, r)
         self._end_at_duration()
 
-    def _brake(self) -> None:
-        t, s, r = self._t[-1], self._s[-1], self._r[-1]
+    def _brake(self, evenly: float = math.inf) -> float:
+        """To a halt, at a rate that falls by `evenly` at most; the least by which it fell [1/s]."""
+        t, s, r, least = self._t[-1], self._s[-1], self._r[-1], math.inf
         while r > 0.0 and s < self.duration:
-            slope = self._allowed(s, r, -1.0)
+            slope = min(self._allowed(s, r, -1.0), evenly)
+            least = min(least, slope)
             step = _STEP if slope * _STEP < r else r / slope
             rate = r - step * slope if step == _STEP else 0.0
             t, s, r = t + step, s + 0.5 * step * (r + rate), rate
             self._add(t, s, r)
         self._end_at_duration()
+        return least
 
     def _end_at_duration(self) -> None:
         """The plan ends at rest, whatever the rate."""
@@ -191,15 +206,5 @@ class PathPacing:
         i = min(bisect_right(self._times, s) - 1, len(self._bend) - 1)
         speed, bend = self._plan.velocity[i : i + 2], self._bend[i : i + 2]
         along = sign * r * r * np.sign(speed[0] + speed[1]) * bend
-        room = np.maximum(self._limit - np.max(along, axis=0), 0.0) / np.maximum(np.max(np.abs(speed), axis=0), 1e-9)
-        return float(min(np.min(room), 1.0 / _BRAKE))
-
-    def _posture(self, path_time: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Position [rad] and derivative by path time [rad/s] of the plan: cubics between its samples, as the arm makes them."""
-        time, position, velocity = self._plan.time, self._plan.position, self._plan.velocity
-        i = np.clip(np.searchsorted(time, path_time, side="right") - 1, 0, len(time) - 2)
-        span = (time[i + 1] - time[i])[:, None]
-        u = (path_time - time[i])[:, None] / span
-        m0, m1 = span * velocity[i], span * velocity[i + 1]
-        q = (1 + 2 * u) * (1 - u) ** 2 * position[i] + u * (1 - u) ** 2 * m0 + u**2 * (3 - 2 * u) * position[i + 1] + u**2 * (u - 1) * m1
-        return q, (1 - u) * velocity[i] + u * velocity[i + 1]
+        room = np.maximum(self._limit - np.max(along, axis=0, initial=0.0), 0.0) / np.maximum(np.max(np.abs(speed), axis=0), 1e-9)
+        return float(min(self._share * np.min(room), 1.0 / _BRAKE))

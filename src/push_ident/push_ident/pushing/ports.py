@@ -12,7 +12,6 @@ from enum import IntEnum
 from typing import Protocol
 
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.pushing.motion import ArmMotion
 from push_ident.pushing.trajectory import JointTrajectory
 from push_ident.types import Float64Array, ObjectShape
 
@@ -24,7 +23,6 @@ __all__ = [
     "ExecutionPorts",
     "ForceSensor",
     "Hand",
-    "MotionLink",
     "Objects",
     "Phase",
     "Recorder",
@@ -74,6 +72,11 @@ class Phase(IntEnum):
 class Clock(Protocol):
     """Time, of the cell and of this process."""
 
+    @property
+    def is_simulated(self) -> bool:
+        """Whether time of the cell may pass at another pace than wall time, or stop."""
+        ...
+
     def now(self) -> float:
         """Time of the cell [s]; simulated where the cell is."""
         ...
@@ -119,27 +122,26 @@ class Arm(Protocol):
         """Other nodes that command the same arm."""
         ...
 
-    def stamp_now(self) -> float:
-        """What the clock of the arm's stamps shows now [s]; there must have been a state."""
-        ...
+    def stamp_now(self) -> tuple[float, bool]:
+        """What the clock of the arm's stamps shows now [s], and whether that is known: it may have stopped.
 
-    def open(self, motion: ArmMotion) -> MotionLink:
-        """The only way to move the arm: pieces of `motion`, until it is held."""
-        ...
-
-
-class MotionLink(Protocol):
-    """Sends pieces of one motion to the arm; nothing moves it any more once it was held."""
-
-    def move(self, piece: JointTrajectory, start: float | None) -> None:
-        """Start a piece in place of the one under way. Raises PlanningError after `hold`.
-
-        Its times count from `start` on the clock of the arm's stamps [s], or from its receipt.
+        There must have been a state.
         """
         ...
 
-    def hold(self, piece: JointTrajectory) -> None:
-        """End the motion with a piece of one point, at which the arm stands."""
+    def take_states(self) -> list[ArmState]:
+        """States that were received since the last call, oldest first; the latest of them where there were many."""
+        ...
+
+    def impossible_state(self, since: float) -> str:
+        """Why a state that was received after `since` [s], of `Clock.monotonic`, cannot be true; empty where all can."""
+        ...
+
+    def send(self, joint_names: tuple[str, ...], piece: JointTrajectory, start: float | None) -> None:
+        """Start a trajectory in place of the one under way; for `CommandLink` only, which has checked it.
+
+        Its times count from `start` on the clock of the arm's stamps [s], or from its receipt.
+        """
         ...
 
 
@@ -162,12 +164,22 @@ class ForceSensor(Protocol):
     """Force of the pusher, where it is measured."""
 
     @property
+    def is_there(self) -> bool:
+        """Whether somebody measures the force, or did: then no motion goes without it."""
+        ...
+
+    @property
     def silence(self) -> float:
-        """Wall time since the last measurement [s]; infinite before the first."""
+        """Wall time since the last measurement that can be trusted [s]; infinite before the first."""
+        ...
+
+    @property
+    def fault(self) -> str:
+        """Why the latest measurement cannot be trusted; empty where it can."""
         ...
 
     def take_peak(self) -> float:
-        """Largest horizontal force since the last call [N]."""
+        """Largest horizontal force since the last call [N]; infinite where a measurement could not be trusted."""
         ...
 
 
@@ -176,7 +188,7 @@ class Recorder(Protocol):
 
     @property
     def fault(self) -> str:
-        """Why it cannot write; empty while it can, or where none runs."""
+        """Why what was asked for is not recorded; empty while it is, or where nobody asked for it."""
         ...
 
 
@@ -199,8 +211,8 @@ class Client(Protocol):
     """Who requested the push."""
 
     @property
-    def is_cancel_requested(self) -> bool:
-        """Whether the push should end."""
+    def why_over(self) -> str:
+        """Why the push should end; empty while it should go on."""
         ...
 
     def feedback(self, phase: Phase, progress: float) -> None:

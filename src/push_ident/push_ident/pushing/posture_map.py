@@ -15,6 +15,7 @@ from scipy.interpolate import RectBivariateSpline
 from push_ident.errors import PlanningError
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
 from push_ident.pushing.corridor import Corridor
+from push_ident.pushing.joint_limits import JointLimits
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.tool_path import ToolMotion
 from push_ident.types import Float64Array
@@ -74,16 +75,13 @@ class PostureMap:
         by_y = np.column_stack([spline.ev(x, y, dy=1) for spline in self._splines])
         return position, by_x * motion.velocity[:, :1] + by_y * motion.velocity[:, 1:]
 
-    def allowed(
-        self, speed: float, acceleration: float, velocity_limit: Float64Array, acceleration_limit: Float64Array, link_height: float
-    ) -> tuple[float, float]:
+    def allowed(self, speed: float, acceleration: float, limits: JointLimits, link_height: float) -> tuple[float, float]:
         """Largest speed [m/s] and acceleration [m/s^2] that the tool may have anywhere in the corridor, in any direction.
 
         Args:
             speed: of the tool, that is wanted at most.
             acceleration: of it, that is wanted at most.
-            velocity_limit: of each joint [rad/s].
-            acceleration_limit: of each joint [rad/s^2].
+            limits: of the joints.
             link_height: least height of a moving joint [m].
 
         Raises:
@@ -101,9 +99,9 @@ class PostureMap:
         at = self._x, self._y
         slope = np.stack([np.hypot(s(*at, dx=1), s(*at, dy=1))[inside] for s in self._splines], axis=-1)
         bends = [np.sqrt(s(*at, dx=2) ** 2 + 2.0 * s(*at, dx=1, dy=1) ** 2 + s(*at, dy=2) ** 2)[inside] for s in self._splines]
-        speed = min(speed, float(np.min(velocity_limit / np.maximum(slope, 1e-9))))
+        speed = min(speed, float(np.min(limits.velocity / np.maximum(slope, 1e-9))))
         # At speed, joints accelerate where the posture bends over the table.
-        room = np.maximum(_SPARE * acceleration_limit - speed**2 * np.stack(bends, axis=-1), 0.0)
+        room = np.maximum(_SPARE * limits.acceleration - speed**2 * np.stack(bends, axis=-1), 0.0)
         return speed, min(acceleration, float(np.min(room / np.maximum(slope, 1e-9))))
 
     def _distance(self) -> Float64Array:

@@ -17,9 +17,10 @@ PUSH_ACCELERATION = 2.0
 
 
 class PushCode(IntEnum):
-    """Reasons for a failed push; the numbers are those of the result of action/ExecutePush."""
+    """How a push ended; the numbers are those of the result of action/ExecutePush, which calls success NONE: no error."""
 
-    NONE = 0
+    SUCCESS = 0
+    NONE = SUCCESS
     UNKNOWN_OBJECT = -1
     INVALID_GOAL = -2
     UNREACHABLE = -3

@@ -9,7 +9,7 @@ from push_ident.errors import PlanningError
 from push_ident.pushing.motion import ArmPlan, MotionSettings
 from push_ident.pushing.push import PushSettings
 from push_ident.pushing.steering import PathRequest
-from push_ident.pushing.watch import WatchLimits
+from push_ident.pushing.watch_limits import WatchLimits
 
 __all__ = ["ExecutionSettings", "Mode", "PushOutcome", "PushRequest"]
 

@@ -20,8 +20,8 @@ _LATE: Final = 0.02
 """Jitter of the times of receipt [s]."""
 _LONGEST: Final = 0.5
 """A state may be so much later than the one before by its stamp although both were received together [s]: a node that was busy."""
-_CONFIRMING: Final = 3
-"""So many states in a row that agree with each other show that the arm is really there: its driver was restarted."""
+_CONFIRMING: Final = 1.0
+"""States that agree with each other for so long show that the arm is there [s]: its driver was restarted, or its simulation reset."""
 
 
 class StateCheck:
@@ -37,8 +37,8 @@ class StateCheck:
         self._lower, self._upper = np.asarray(lower) - _BEYOND, np.asarray(upper) + _BEYOND
         self._speed = np.asarray(speed)
         self._known: tuple[float, float, Float64Array] | None = None
-        self._suspect: tuple[float, float, Float64Array] | None = None
-        self._n_suspects = 0
+        self._suspects: tuple[float, tuple[float, float, Float64Array]] | None = None
+        """When the first of those that agree with each other was received [s], and the latest of them."""
 
     def check(self, received: float, stamp: float, q: Float64Array) -> None:
         """Take a state: time of receipt [s], stamp [s], joint positions [rad], shape (n_joints,).
@@ -51,18 +51,19 @@ class StateCheck:
             i = int(np.argmax(beyond))
             raise InputError(f"joint {i + 1} is at {q[i]:.3g} rad, expected {self._lower[i]:.3f} to {self._upper[i]:.3f}.")
         state = (received, stamp, q)
-        excess = np.zeros(len(q)) if self._known is None else self._excess(self._known, state)
-        if self._known is not None and np.any(excess > 0.0):
-            agrees = self._suspect is not None and not np.any(self._excess(self._suspect, state) > 0.0)
-            self._n_suspects = self._n_suspects + 1 if agrees else 1
-            self._suspect = state
-            if self._n_suspects < _CONFIRMING:
+        if self._known is not None:
+            excess = self._excess(self._known, state)
+            # Those that go on where a wrong one began are not right because the arm could have come there meanwhile.
+            agrees = self._suspects is not None and not np.any(self._excess(self._suspects[1], state) > 0.0)
+            first = self._suspects[0] if self._suspects is not None and agrees else received
+            if received - first < _CONFIRMING and (agrees or np.any(excess > 0.0)):
+                self._suspects = (first, state)
                 i = int(np.argmax(excess))
                 raise InputError(
                     f"joint {i + 1} is {abs(q[i] - self._known[2][i]):.3g} rad from where it was, further than the arm can move; "
-                    f"{_CONFIRMING} states in a row that agree are believed."
+                    f"states that agree for {_CONFIRMING:.0f} s are believed."
                 )
-        self._known, self._suspect, self._n_suspects = state, None, 0
+        self._known, self._suspects = state, None
 
     def _excess(self, before: tuple[float, float, Float64Array], state: tuple[float, float, Float64Array]) -> Float64Array:
         passed = max(state[0] - before[0], min(state[1] - before[1], _LONGEST)) + _LATE

@@ -12,7 +12,7 @@ from push_ident.errors import PlanningError
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array
 
-__all__ = ["JointTrajectory", "join", "joint_move", "path_at_speed", "path_move", "stand_still"]
+__all__ = ["JointTrajectory", "cubics", "join", "joint_move", "path_at_speed", "path_move", "stand_still"]
 
 _PERIOD = 0.01
 """Time between samples [s]."""
@@ -43,11 +43,38 @@ class JointTrajectory:
         """Mean acceleration between neighbouring samples [rad/s^2], shape (n - 1, n_joints)."""
         return np.asarray(np.diff(self.velocity, axis=0) / np.diff(self.time)[:, None])
 
-    def at(self, time: float) -> Float64Array:
-        """Posture at `time` [s], shape (n_joints,); before the start and after the end that of the first or last sample."""
-        i = int(np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1))
-        share = float(np.clip((time - self.time[i - 1]) / (self.time[i] - self.time[i - 1]), 0.0, 1.0))
-        return np.asarray((1.0 - share) * self.position[i - 1] + share * self.position[i])
+    def follow(self, time: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Position [rad] and velocity [rad/s] at `time` [s], shape (n,), by cubics between the samples; both of shape (n, n_joints).
+
+        At rest before the first sample and after the last one.
+        """
+        t, q, v = self.time, self.position, self.velocity
+        if len(t) == 1:
+            return np.tile(q, (len(time), 1)), np.zeros((len(time), q.shape[1]))
+        i = np.clip(np.searchsorted(t, time, side="right") - 1, 0, len(t) - 2)
+        span = (t[i + 1] - t[i])[:, None]
+        u = np.clip((time - t[i])[:, None] / span, 0.0, 1.0)
+        m0, m1, way = span * v[i], span * v[i + 1], q[i + 1] - q[i]
+        position = q[i] + u * (m0 + u * (3.0 * way - 2.0 * m0 - m1 + u * (m0 + m1 - 2.0 * way)))
+        velocity = (m0 + u * (6.0 * way - 4.0 * m0 - 2.0 * m1 + 3.0 * u * (m0 + m1 - 2.0 * way))) / span
+        moves = (time >= t[0]) & (time <= t[-1])
+        return position, np.where(moves[:, None], velocity, 0.0)
+
+
+def cubics(trajectory: JointTrajectory) -> tuple[Float64Array, Float64Array]:
+    """Extremes of velocity [rad/s] and acceleration [rad/s^2] of the cubics between the points, both of shape (n_extremes, n_joints).
+
+    An acceleration is linear in time between two points, so its extremes are at the points; a velocity has one more where the
+    acceleration passes zero.
+    """
+    span = np.diff(trajectory.time)[:, None]
+    before, after = trajectory.velocity[:-1], trajectory.velocity[1:]
+    mean = np.diff(trajectory.position, axis=0) / span
+    first, last = (6.0 * mean - 4.0 * before - 2.0 * after) / span, (4.0 * after + 2.0 * before - 6.0 * mean) / span
+    turns = first * last < 0.0
+    share = np.divide(first, first - last, out=np.zeros_like(first), where=turns)
+    between = before + 0.5 * share * span * first
+    return np.vstack([trajectory.velocity, between]), np.vstack([first, last])
 
 
 def join(parts: Sequence[JointTrajectory]) -> JointTrajectory:

@@ -2,102 +2,143 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from push_ident.errors import PlanningError
-from push_ident.pushing.motion import ArmMotion
+from push_ident.pushing.arm_motion import ArmMotion
+from push_ident.pushing.command_link import Commanded, CommandLink
+from push_ident.pushing.motion_clock import MotionClock
 from push_ident.pushing.pacing import SPLICE, PathPacing
-from push_ident.pushing.ports import Arm, ArmState, Clock, ExecutionPorts
+from push_ident.pushing.ports import Arm, ArmState, ExecutionPorts
 from push_ident.pushing.push import PushCode
-from push_ident.pushing.standstill import Standstill
-from push_ident.pushing.trajectory import JointTrajectory
+from push_ident.pushing.take_over import TakeOver, joint_distance, stand_at
+from push_ident.pushing.tracking import Tracking
+from push_ident.pushing.watch_limits import WatchLimits
+from push_ident.types import Float64Array
 
-__all__ = ["ArmWatch", "WatchLimits"]
+__all__ = ["ArmWatch"]
 
 _PERIOD: Final = 0.01
 """[s] between two checks of the moving arm."""
 _LATE: Final = 0.03
 """A check so much [s] after the previous one was delayed itself."""
-_SAME_CLOCK: Final = 1.0
-"""The arm's stamps are on the clock of the cell when they differ by less [s]."""
 _ARRIVAL: Final = 1.0
 """[s] the arm may still need after the end of the plan."""
 _ABSENT: Final = 0.5
 """A motion that was not watched for longer [s] does not go on: the cell may have changed meanwhile, and the path of the tool has a gap."""
-_CLOCK_JUMP: Final = 0.25
-"""A change of the arm's clock, beyond the time that has passed, that counts as setting it [s]."""
 _PIECES: Final = 4
 """Pieces that are sent within the horizon: three may be lost or late before the arm brakes."""
-_HOLD_WITHIN: Final = 0.1
-"""Time that an arm off its path is given to come to a halt [s]."""
+_PEAK: Final = 1.5
+"""Of the speed of a cubic from rest to rest, over its mean."""
+_SHARES: Final = (1.0, 0.8, 0.6)
+"""Of what the joints allow, that are tried: one cubic takes up to 1.5 times the acceleration of the two that it stands for."""
 
 
-@dataclass(frozen=True, slots=True)
-class WatchLimits:
-    """What a moving arm must keep to. Fields are parameters of the executor."""
+class _UnderWay:
+    """One motion that the arm makes: its pieces, and where the arm is on it.
 
-    arm_timeout: float = 0.1
-    """The arm is held this long after the last joint state, by wall time, at the latest [s]."""
-    start_tolerance: float = 0.02
-    """Largest joint distance between arm and start of the plan [rad]."""
-    tracking_tolerance: float = 0.010
-    """Largest distance of the tool from its planned path [m]."""
-    tracking_lag: float = 0.2
-    """Largest delay of the arm behind the plan [s]."""
-    force_limit: float = 60.0
-    """Largest horizontal force [N]."""
-    motion_horizon: float = 0.08
-    """Motion at the planned speed that the arm is given ahead [s]: without news it brakes after that."""
-    stamp_commands: bool = False
-    """Whether pieces say when they start by the clock of the arm's stamps; else they start on receipt, and transport adds its jitter."""
-    wrench_timeout: float = 0.5
-    """Longest time without a force measurement, where there was one at the start of the motion [s]."""
-
-    def patience(self, timeout: float) -> float:
-        """Longest silence [s] that `timeout` allows of another source: an arm that may pause for longer, as a simulated one, sets it."""
-        return float(max(timeout, 2.0 * self.arm_timeout))
-
-
-class _MotionClock:
-    """Time during a motion, by the stamps of the arm: the clock of the cell may lag behind them, as that of a simulation does.
-
-    An arm whose stamps are on no known clock is timed by the receipt of its states.
+    Args:
+        motion: that is made.
+        limits: that it must keep to.
+        clock: of the motion, which begins now.
+        arm: that is moved.
+        commanded: what it was told before.
     """
 
-    def __init__(self, arm: Arm, last: ArmState, clock: Clock) -> None:
-        """`last`: a state of the arm from before the motion."""
-        now = clock.now()
-        self._arm, self._clock = arm, clock
-        self.by_stamp = abs(last.stamp - now) < _SAME_CLOCK
-        """Whether times are those of the arm's own clock."""
-        self._received = clock.monotonic()
-        self.started = arm.stamp_now() if self.by_stamp else now
-        """[s] on the clock of the cell."""
-        self.latest = self.started
-        """Latest result of `now` [s]."""
-        self.ahead = 0.0
-        """What it then had gained on wall time, beyond all before [s]."""
-        self._gained = self.started - self._received
+    def __init__(self, motion: ArmMotion, limits: WatchLimits, clock: MotionClock, arm: Arm, commanded: Commanded) -> None:
+        self.limits, self.clock, self._motion = limits, clock, motion
+        self.pacing = PathPacing(motion.trajectory, motion.limits.planned.acceleration, limits.motion_horizon, clock.started)
+        self._tracking = Tracking(self.pacing, limits.tracking_tolerance, limits.start_tolerance, limits.tracking_lag)
+        self._link = CommandLink(arm, commanded, motion.limits)
+        self._is_stamped = limits.stamp_commands and clock.by_stamp
+        self._tried = 0.0
+        self._deadline: float | None = None
+        """For an arm that has missed pieces to be where they led [s]; None where it was not told to be there."""
 
-    def of(self, state: ArmState) -> float:
-        """When a state was [s]."""
-        return state.stamp if self.by_stamp else self.started + state.received - self._received
+    def change(self, motion: ArmMotion) -> None:
+        """Another motion, the same up to where the next piece begins to act."""
+        self._motion = motion
+        self.pacing.change(motion.trajectory)
 
-    def set_back(self, state: ArmState) -> float:
-        """By how much the stamp of a state says that the clock was set back [s]; 0 or less: it was not."""
-        return self.latest - state.stamp - _CLOCK_JUMP if self.by_stamp else 0.0
+    def judge(self, state: ArmState) -> None:
+        """Raise PlanningError TRACKING for a state that an arm on its way cannot have."""
+        self.clock.check(state)
+        self._tracking.take(self._motion, state, self.clock.of(state))
 
-    def now(self) -> float:
-        """The present; never decreases [s]."""
-        wall = self._clock.monotonic()
-        time = self._arm.stamp_now() if self.by_stamp else self.started + wall - self._received
-        self.ahead = max(time - wall - self._gained, 0.0)
-        self.latest, self._gained = max(time, self.latest), self._gained + self.ahead
-        return self.latest
+    def has_arrived(self, state: ArmState) -> bool:
+        """Whether the motion has ended. Raises PlanningError TRACKING where it should have ended long ago."""
+        time = self.clock.of(state)
+        if self.pacing.path_time(time) >= self._motion.duration:
+            if joint_distance(state.q, self._motion.trajectory.position[-1]) <= self.limits.start_tolerance:
+                return True
+            if time > self.pacing.time_of(self._motion.duration) + _ARRIVAL:
+                raise PlanningError(PushCode.TRACKING, f"the arm did not arrive within {_ARRIVAL:.1f} s after the end of the plan.")
+        return False
+
+    def go_on(self, state: ArmState, now: float) -> None:
+        """Send what is due `now` [s], `Clock.monotonic`."""
+        time = self.clock.now()
+        if not self.clock.is_known:
+            return  # it has braked when its states come again, or goes on with what it has
+        if self._tracking.stood_at is not None:
+            self._catch_up(state, self._tracking.stood_at, time)
+        elif now - self._tried > self.limits.motion_horizon / _PIECES - 0.5 * _PERIOD and not self.pacing.is_complete:
+            self.send(time, now)
+
+    def send(self, time: float, now: float) -> None:
+        """Send the next piece; `time` [s] on the clock of the motion, `now` on that of this process.
+
+        One that would break a limit, as one made late may, is left out: the arm brakes, and the next one goes on more gently.
+        """
+        self._tried = now
+        for share in _SHARES:
+            # Where the clock has gained on wall time the arm may be further behind than it seems: it gets that much longer.
+            piece = self.pacing.piece(time, SPLICE + self.clock.ahead, share)
+            if self._link.move(piece, time, is_stamped=self._is_stamped):
+                self._deadline = None
+                return
+            self.pacing.take_back()
+
+    def hold(self) -> None:
+        """End the motion: on the path of what was sent, whatever the states say, for the arm is there or on its way to there.
+
+        Where it stands behind, or nobody knows how far it is, that would be a jump: then it ends what it was told last, which ends at rest.
+        """
+        time = self.clock.now()
+        if self._tracking.stood_at is not None or not self.clock.is_known:
+            return
+        for share in _SHARES:
+            if self._link.hold(self.pacing.halt(time, share), time):
+                return
+            self.pacing.take_back()
+
+    def _catch_up(self, state: ArmState, stood_at: float, time: float) -> None:
+        """Bring an arm that has missed pieces to where they led, within its limits from wherever it is, and get no other before.
+
+        An arm that has missed none, and whose states stand still, does not move by it. Raises PlanningError TRACKING where it stays behind.
+        """
+        pacing, motion = self.pacing, self._motion
+        if time < pacing.ends:
+            return
+        if self._deadline is None:
+            (stood, end), _ = motion.trajectory.follow(np.array([stood_at, pacing.reaches]))
+            arrives = motion.limits.time_to_move(np.maximum(np.abs(end - stood), np.abs(end - state.q)))
+            arrives = max(arrives, _PEAK * (pacing.reaches - stood_at))  # no faster than planned
+            if arrives > SPLICE:
+                self._link.move(stand_at(end, arrives), time)
+            self._deadline = time + arrives + self.limits.tracking_lag
+        elif self._tracking.is_at_end(motion, state):
+            self._tracking.go_on()
+        elif time > self._deadline:
+            raise PlanningError(
+                PushCode.TRACKING,
+                f"the arm does not follow: by joint_states it stands where it was to be {pacing.time_of(stood_at) - pacing.started:.2f} s "
+                "after its start. Is it blocked, or are they frozen?",
+            )
 
 
 def _unwatched(duration: float) -> PlanningError:
@@ -110,14 +151,28 @@ class ArmWatch:
     def __init__(self, ports: ExecutionPorts) -> None:
         self._arm, self._hand, self._force, self._recorder = ports.arm, ports.hand, ports.force, ports.recorder
         self._clock = ports.clock
+        self._commanded = Commanded()
+        self._take_over = TakeOver(ports.arm, ports.clock, self._commanded)
         self.peak_force = 0.0
         """Largest horizontal force of the last motion [N]."""
 
-    def check_ready(self) -> None:
-        """Raise PlanningError when no motion may begin: RECORDING, HAND, BUSY."""
+    def check_ready(self, limits: WatchLimits) -> None:
+        """Raise PlanningError when no motion may begin: RECORDING, HAND, BUSY, FORCE, TRACKING."""
         self._check_equipment()
+        self._check_measured(limits)
         if rivals := self._arm.rivals():
             raise PlanningError(PushCode.BUSY, f"{', '.join(rivals)} commands the arm as well; only one node may publish joint_trajectory.")
+        self._take_over.check(limits)
+
+    def trust(self) -> None:
+        """Believe the joint states again, where they were caught in a lie."""
+        self._take_over.trust()
+
+    def posture(self, limits: WatchLimits) -> Float64Array:
+        """Where the next motion begins [rad]: where the arm was told to stand, if it stands there, else where it says that it is."""
+        state = self._arm.next_state(limits.arm_timeout)
+        told = self._commanded.posture(self._arm.planner.joint_names)
+        return state.q if told is None or joint_distance(state.q, told) > limits.start_tolerance else told
 
     def run(
         self,
@@ -132,7 +187,7 @@ class ArmWatch:
         """Make one motion.
 
         Args:
-            motion: what was planned.
+            motion: what was planned from `posture`.
             limits: that it must keep to.
             replan: plans it once more from the posture [rad], if the arm was moved since.
             check_wanted: raises PlanningError when the motion should end.
@@ -142,19 +197,20 @@ class ArmWatch:
                 PlanningError, which ends the motion.
 
         Raises:
-            PlanningError: nothing moved, or the arm is held: TRACKING, ARM_SILENT, FORCE, HAND, RECORDING, and those of the arguments.
+            PlanningError: nothing moved, or the arm is held: TRACKING, ARM_SILENT, FORCE, HAND, RECORDING, LIMIT, and those of the
+                arguments.
         """
         for attempt in range(2):
-            state = self._arm.next_state(limits.arm_timeout)
-            distance = float(np.max(np.abs(state.q - motion.trajectory.position[0])))
+            distance = joint_distance(self._arm.next_state(limits.arm_timeout).q, motion.trajectory.position[0])
             check_wanted()
             if distance <= limits.start_tolerance:
-                clock = _MotionClock(self._arm, state, self._clock)
-                pacing = PathPacing(motion.trajectory, motion.acceleration_limit, limits.motion_horizon, clock.started)
-                on_start(motion, pacing)
-                return self._follow(motion, pacing, clock, limits, check_wanted, on_look)
+                self._check_measured(limits)
+                state = self._take_over.at(motion, limits, check_wanted)
+                under_way = _UnderWay(motion, limits, MotionClock(self._arm, state, self._clock), self._arm, self._commanded)
+                on_start(motion, under_way.pacing)
+                return self._follow(under_way, check_wanted, on_look)
             if attempt == 0:
-                motion = replan(state.q)
+                motion = replan(self.posture(limits))
         raise PlanningError(
             PushCode.TRACKING,
             f"the arm moves by itself: it is {distance:.3f} rad from the start of the plan, limit {limits.start_tolerance:.3f} rad.",
@@ -162,51 +218,42 @@ class ArmWatch:
 
     def _follow(
         self,
-        motion: ArmMotion,
-        pacing: PathPacing,
-        clock: _MotionClock,
-        limits: WatchLimits,
+        under_way: _UnderWay,
         check_wanted: Callable[[], None],
         on_look: Callable[[float, float, ArmState], ArmMotion | None],
     ) -> None:
-        """The only place from which the arm is moved: one thread, and nothing follows the hold."""
-        is_measured = self._force.silence <= limits.patience(limits.wrench_timeout)
+        """Make a motion from where the arm stands: one thread, and nothing follows the hold."""
+        clock, limits = under_way.clock, under_way.limits
         self.peak_force, _ = 0.0, self._force.take_peak()
-        looked = sent = self._clock.monotonic()
-        link = self._arm.open(motion)
+        began = looked = self._clock.monotonic()
+        self._arm.take_states()
         try:
-            is_stamped = limits.stamp_commands and clock.by_stamp
-            standstill = Standstill(limits.tracking_lag, _ABSENT)
-            link.move(pacing.piece(clock.started), clock.started if is_stamped else None)
+            under_way.send(clock.started, began)
             while True:
                 self._clock.sleep(_PERIOD)
                 now, before = self._clock.monotonic(), looked
                 looked = now
                 check_wanted()
                 state = self._arm.fresh_state(limits.arm_timeout, is_late=now - before > _LATE)
-                self._check_time(clock, state, now - before)
-                self._check_tracking(motion, pacing, state, clock.of(state), limits)
-                self._check_force(is_measured, limits)
+                if now - before > _ABSENT:
+                    raise _unwatched(now - before)
+                for each in self._arm.take_states():
+                    under_way.judge(each)
+                if reason := self._arm.impossible_state(began):
+                    raise PlanningError(PushCode.TRACKING, f"joint_states cannot be true: {reason}")
+                self._check_force(limits)
                 self._check_equipment()
-                if (stands_at := standstill.where(motion, pacing, state, clock.of(state))) is not None:
-                    pacing.stand_at(clock.now(), stands_at)
-                elapsed = pacing.path_time(clock.of(state))
-                if (changed := on_look(elapsed, clock.of(state), state)) is not None:
-                    motion = changed
-                    pacing.change(motion.trajectory)
-                arrived = np.max(np.abs(state.q - motion.trajectory.position[-1])) <= limits.start_tolerance
-                if elapsed >= motion.duration and arrived:
+                time = clock.of(state)
+                if (changed := on_look(under_way.pacing.path_time(time), time, state)) is not None:
+                    under_way.change(changed)
+                if under_way.has_arrived(state):
                     return
                 if self._clock.monotonic() - now > _ABSENT:
                     continue  # this process stood still since the check above: the next look says so, and nothing more is sent
-                if now - sent > limits.motion_horizon / _PIECES - 0.5 * _PERIOD and not pacing.is_complete:
-                    sent = now
-                    # Where the clock has gained on wall time the arm may be further behind than it seems: it gets that much longer.
-                    time = clock.now()
-                    link.move(pacing.piece(time, splice=SPLICE + clock.ahead), time if is_stamped else None)
+                under_way.go_on(state, now)
         except BaseException as error:
             fault = self._cause(error, looked, limits)
-            link.hold(self._last_piece(fault, pacing, clock))
+            under_way.hold()
             if fault is error:
                 raise
             raise fault from error
@@ -218,43 +265,25 @@ class ArmWatch:
         is_force = self.peak_force > limits.force_limit
         return _unwatched(unwatched) if seems_silent and not is_force and unwatched > _ABSENT else fault
 
-    def _last_piece(self, fault: BaseException, pacing: PathPacing, clock: _MotionClock) -> JointTrajectory:
-        """An arm on its path brakes on it; one that has left it stands where it is."""
-        state = self._arm.state
-        if isinstance(fault, PlanningError) and fault.code == PushCode.TRACKING and state is not None:
-            return JointTrajectory(np.array([_HOLD_WITHIN]), state.q[None, :], np.zeros((1, len(state.q))))
-        return pacing.halt(clock.now())
-
-    def _check_time(self, clock: _MotionClock, state: ArmState, unwatched: float) -> None:
-        """Raise PlanningError TRACKING when it is not known how far the arm has come."""
-        if unwatched > _ABSENT:
-            raise _unwatched(unwatched)
-        if (back := clock.set_back(state)) > 0.0:
-            raise PlanningError(PushCode.TRACKING, f"time jumped back by {back + _CLOCK_JUMP:.2f} s during the motion.")
-        if clock.ahead > _CLOCK_JUMP:
-            raise PlanningError(PushCode.TRACKING, f"time jumped ahead by {clock.ahead:.2f} s during the motion.")
-
-    def _check_tracking(self, motion: ArmMotion, pacing: PathPacing, state: ArmState, time: float, limits: WatchLimits) -> None:
-        earliest, latest = pacing.path_time(time - limits.tracking_lag), pacing.path_time(time)
-        deviation, limit = motion.deviation(state.pose_tip_in_table[:3, 3], earliest, latest), limits.tracking_tolerance
-        if deviation > limit:
-            raise PlanningError(
-                PushCode.TRACKING,
-                f"the tool is {1e3 * deviation:.1f} mm from its path after {time - pacing.started:.2f} s, limit {1e3 * limit:.1f} mm.",
-            )
-        if pacing.is_complete and time > pacing.time_of(motion.duration) + _ARRIVAL:
-            raise PlanningError(PushCode.TRACKING, f"the arm did not arrive within {_ARRIVAL:.1f} s after the end of the plan.")
-
-    def _check_force(self, is_measured: bool, limits: WatchLimits) -> None:
+    def _check_force(self, limits: WatchLimits) -> None:
+        """Raise PlanningError FORCE where it was too large since the last look, or is not known."""
         peak = self._force.take_peak()
         self.peak_force = max(self.peak_force, peak)
+        if not math.isfinite(peak):
+            raise PlanningError(PushCode.FORCE, f"pusher/wrench cannot be trusted. {self._force.fault or 'Is the sensor overloaded?'}")
         if peak > limits.force_limit:
             raise PlanningError(
                 PushCode.FORCE, f"pusher/wrench reports {peak:.1f} N, limit {limits.force_limit:.1f} N; is something in the way?"
             )
+        self._check_measured(limits)
+
+    def _check_measured(self, limits: WatchLimits) -> None:
+        """Raise PlanningError FORCE where the force is not known now, so that its limit cannot be kept."""
         silence, limit = self._force.silence, limits.patience(limits.wrench_timeout)
-        if is_measured and silence > limit:
-            raise PlanningError(PushCode.FORCE, f"no message on pusher/wrench for {silence:.2f} s, limit {limit:.2f} s.")
+        if self._force.is_there and (silence > limit or self._force.fault):
+            since = f"for {silence:.2f} s, limit {limit:.2f} s" if math.isfinite(silence) else "yet"
+            why = self._force.fault or "Without one there is no force limit; restart the sensor, or this node to push without one."
+            raise PlanningError(PushCode.FORCE, f"no force that can be trusted on pusher/wrench {since}. {why}")
 
     def _check_equipment(self) -> None:
         if reason := self._recorder.fault:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import threading
 import time
-import uuid
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Final, TypeVar
 
 import numpy as np
+from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from unique_identifier_msgs.msg import UUID
 
 from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.cell_node import CellNode
 from push_ident.nodes.convert import push_interval_from_msg, stamp_from_msg
+from push_ident.nodes.keep_alive import KeepAlive, ServerWatch
 from push_ident.planning.goal_ports import PushReport
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
@@ -26,14 +28,8 @@ __all__ = ["ExecutorLink", "RequestedPush"]
 
 _FIND: Final = 5.0
 """For the executor to be there, and to have found this node [s]; one that runs answers within milliseconds."""
-_ASK_AGAIN: Final = 0.5
-"""Between two questions whether it has [s]."""
 _ACCEPT: Final = 10.0
 """For the executor to accept a push that was sent [s]."""
-_GONE: Final = 2.0
-"""How long the executor may be missing from the ROS graph before it is given up [s]."""
-_LOOK: Final = 0.25
-"""Between two looks at the ROS graph [s]."""
 _RECORDS: Final = 16
 """Latest push records that are remembered."""
 
@@ -51,6 +47,7 @@ class ExecutorLink:
         self._node = node
         self._group = MutuallyExclusiveCallbackGroup()
         self._client = ActionClient(node, ExecutePush, "execute_push", callback_group=self._group)
+        self.keep_alive = KeepAlive(node, "execute_push", callback_group=self._group)
         self._probe = node.create_client(CancelGoal, "execute_push/_action/cancel_goal", callback_group=self._group)
         self._questions: deque[Callable[[], object]] = deque()
         self._bell = node.create_guard_condition(node.guard.callback("execute_push", self._ask), callback_group=self._group)
@@ -77,15 +74,13 @@ class ExecutorLink:
         self._questions.append(question)
         self._bell.trigger()
 
-    def probe(self) -> Any:
-        """Future of the answer to a question that changes nothing: to cancel a goal that nobody has. To be called by `ask`."""
-        nobodys = CancelGoal.Request()
-        nobodys.goal_info.goal_id.uuid = list(uuid.uuid4().bytes)
-        return self._probe.call_async(nobodys)
+    def watch(self) -> ServerWatch:
+        """Whether the executor is there, for one push."""
+        return ServerWatch(self._client, self._probe)
 
-    def send(self, goal: ExecutePush.Goal, on_feedback: Callable[[Any], None]) -> Any:
+    def send(self, goal: ExecutePush.Goal, number: UUID, on_feedback: Callable[[Any], None]) -> Any:
         """Future of the answer to a goal. To be called by `ask`."""
-        return self._client.send_goal_async(goal, feedback_callback=on_feedback)
+        return self._client.send_goal_async(goal, feedback_callback=on_feedback, goal_uuid=number)
 
     def start_of(self, push_id: int) -> float:
         """When a push began [s], clock of the poses; -inf where its record has not come."""
@@ -132,6 +127,7 @@ class RequestedPush:
 
     def __init__(self, link: ExecutorLink, goal: ExecutePush.Goal, timeout: float) -> None:
         self._link, self._goal, self._timeout = link, goal, timeout
+        self._executor, self._number = link.watch(), link.keep_alive.begin()
         self._lock = threading.Lock()
         self._report: PushReport | None = None
         self.begun = (0, 0.0)
@@ -139,9 +135,7 @@ class RequestedPush:
         self._push_id = 0
         self._handle: Any = None
         self._is_canceled = self._is_cancel_sent = self._is_sent = False
-        self._began = self._heard = self._served = time.monotonic()
-        self._looked = -np.inf
-        self._asked = -np.inf
+        self._began = self._heard = time.monotonic()
 
     @property
     def has_ended(self) -> bool:
@@ -164,25 +158,21 @@ class RequestedPush:
             self._is_canceled = True
             if not self._is_sent and self._report is None:
                 self._report = PushReport(PushCode.CANCELED, "canceled before it was sent.")
+        self._link.keep_alive.end(self._number)
         # From this thread: the arm must hold also where the node is about to end and no callback is called any more.
         self._link.watched(lambda _: self._send_cancel())(None)
 
     # ---- called by the session
 
     def _look(self, now: float) -> None:
-        if now - self._looked >= _LOOK:
-            self._looked = now
-            if self._link.is_served:
-                self._served = now
+        why = self._executor.why_gone()
         if not self._is_sent:
-            if now - self._began > _FIND:
+            if self._executor.has_answered:
+                self._link.ask(self._send)
+            elif now - self._began > _FIND:
                 self._give_up(f"the action execute_push did not answer within {_FIND:g} s.")
-            elif now - self._asked >= _ASK_AGAIN and self._served == self._looked:
-                self._asked = now
-                self._link.ask(self._find)
-            return
-        if now - self._served > _GONE:
-            self._give_up("the executor has gone during the push.")
+        elif why:
+            self._give_up(f"the executor {why}.")
         elif now - self._heard > (_ACCEPT if self._handle is None else self._timeout):
             self._give_up(f"the executor has been silent for {now - self._heard:.0f} s.")
 
@@ -192,33 +182,38 @@ class RequestedPush:
 
     # ---- called in the callback group of the client
 
-    def _find(self) -> None:
-        self._link.probe().add_done_callback(self._link.watched(self._on_found))
-
-    def _on_found(self, future: Any) -> None:
-        # Where the question was asked twice, the goal is sent once.
+    def _send(self) -> None:
         with self._lock:
-            if self._is_sent or self._is_canceled or self._report is not None or future.result() is None:
+            if self._is_sent or self._is_canceled:
                 return
             self._is_sent, self._heard = True, time.monotonic()
-        self._link.send(self._goal, self._link.watched(self._on_feedback)).add_done_callback(self._link.watched(self._on_answer))
+        self._link.send(self._goal, self._number, self._link.watched(self._on_feedback)).add_done_callback(
+            self._link.watched(self._on_answer)
+        )
 
     def _on_answer(self, future: Any) -> None:
         handle = future.result()
         self._heard = time.monotonic()
         if not handle.accepted:
-            self._report = PushReport(PushCode.BUSY, "the executor refused the push.")
+            self._end(PushReport(PushCode.BUSY, "the executor refused the push."))
             return
-        self._handle = handle
-        handle.get_result_async().add_done_callback(self._link.watched(self._on_result))
+        self._handle, self._executor.after_silence = handle, self._ask_result
+        self._ask_result()
         if self._is_canceled:
             self._send_cancel()
 
+    def _ask_result(self) -> None:
+        self._handle.get_result_async().add_done_callback(self._link.watched(self._on_result))
+
     def _on_feedback(self, message: Any) -> None:
         self._heard = time.monotonic()
+        self._executor.heard()
         self.begun = int(message.feedback.push_id), stamp_from_msg(message.feedback.start)
 
     def _on_result(self, future: Any) -> None:
+        if future.result().status == GoalStatus.STATUS_UNKNOWN:
+            self._end(PushReport(PushCode.ARM_SILENT, "the executor was started again during the push."))
+            return
         result = future.result().result
         self._push_id = int(result.push_id) or int(result.recentre_push_id)
         n_made = (result.push_id != 0) + (result.recentre_push_id != 0)
@@ -227,8 +222,12 @@ class RequestedPush:
         except ValueError:
             # An executor of another version: what it says still counts as a failure.
             code = PushCode.TRACKING
+        self._end(PushReport(code, plain_text(result.error_text), n_made))
+
+    def _end(self, report: PushReport) -> None:
+        self._link.keep_alive.end(self._number)
         if self._report is None:
-            self._report = PushReport(code, plain_text(result.error_text), n_made)
+            self._report = report
 
     def _send_cancel(self) -> None:
         with self._lock:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final
 
@@ -30,6 +31,7 @@ from push_ident.nodes.goal_pushing.executor_link import ExecutorLink
 from push_ident.nodes.goal_pushing.model_input import ModelInput
 from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values, push_settings, session_limits, steering_values
 from push_ident.nodes.goal_pushing.planner_thread import PlannerThread
+from push_ident.nodes.keep_alive import ClientWatch
 from push_ident.nodes.run import run_node
 from push_ident.nodes.table_input import TableInput
 from push_ident.nodes.tracked_objects import TrackedObjects
@@ -90,6 +92,7 @@ class _GoalPushing(Component):
         self._models = ModelInput(node, heavy)
         node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED, callback_group=housekeeping)
         self._executor = ExecutorLink(node)
+        self._clients = ClientWatch(node, "push_to_goal")
         table = TableInput(node, housekeeping)
         corrections = node.create_publisher(PushCorrection, "push_correction", qos_profile_sensor_data)
         steering = Steering(
@@ -129,7 +132,11 @@ class _GoalPushing(Component):
     # ---- the action
 
     def _execute(self, goal: ServerGoalHandle) -> PushToGoal.Result:
-        wish = WishOfClient(lambda: bool(goal.is_cancel_requested))
+        with self._clients.over(goal, self._settings["client_timeout"]) as why_gone:
+            return self._pursue(goal, why_gone)
+
+    def _pursue(self, goal: ServerGoalHandle, why_gone: Callable[[], str]) -> PushToGoal.Result:
+        wish = WishOfClient(lambda: bool(goal.is_cancel_requested or why_gone()))
         try:
             request = request_from_msg(goal.request, self._settings.as_dict())
             session = self._session(goal, request, wish)
@@ -156,6 +163,8 @@ class _GoalPushing(Component):
         if outcome.code is GoalCode.CANCELED and not goal.is_cancel_requested:
             if wish.is_superseded:
                 outcome = replace(outcome, code=GoalCode.PREEMPTED, text="a newer goal took its place and was canceled; the arm holds.")
+            elif why := why_gone():
+                outcome = replace(outcome, text=f"{why}; the arm holds.")
             else:
                 outcome = replace(outcome, text="the node was deactivated; the arm holds. Activate it and send the goal again.")
         return self._answer(goal, outcome)

@@ -53,6 +53,7 @@ PARAMETERS: Final = (
     ),
     Parameter("path_timeout", 0.3, "Without a correction for so long, the tool stops on a path [s]", 0.05, 5.0),
     Parameter("executor_timeout", 60.0, "Longest silence of the executor during a push [s]; planning sends no feedback", 1.0, 600.0),
+    Parameter("client_timeout", 1.0, "Longest silence of a client that says that it lives; then its goal is canceled [s]", 0.3, 10.0),
     Parameter("max_refusals", 8, "Pushes in a row that may be refused or miss before a goal is given up", 1, 100),
 )
 

@@ -17,6 +17,7 @@ from push_ident.diagnosis.usable_effects import UsableEffects
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.known_effects import effects_text
 from push_ident.identification.model_file import load_model, save_model
+from push_ident.identification.possible_poses import ImpossiblePosesError, check_poses
 from push_ident.identification.prediction import predict
 from push_ident.identification.prior import Prior
 from push_ident.identification.scoring import PushScore
@@ -43,6 +44,8 @@ from push_ident_msgs.srv import LoadModel, PredictPush, SaveModel
 __all__ = ["PARAMETERS", "IdentificationNode", "main"]
 
 _N_LATENCIES: Final = 2000
+_IMPOSSIBLE: Final = "pushes with impossible poses, left out"
+_EXCURSIONS: Final = "impossible poses, left out"
 _TURN: Final = 2.5e-4
 """Time after which a thread that computes lets another one go on [s]."""
 
@@ -146,6 +149,7 @@ class _Identification(Component):
             source=settings["source"],
         )
         self._counts = self._collector.counts
+        self._counts.update({_IMPOSSIBLE: 0, _EXCURSIONS: 0})
         node.create_service(PredictPush, "predict_push", self._predict_push)
         node.create_service(SaveModel, "save_model", self._save_model)
         node.create_service(LoadModel, "load_model", self._load_model)
@@ -306,12 +310,15 @@ class _Identification(Component):
                     score = session.finish(record)
             except Exception as error:
                 # The next object of this push, and the next push, may be fine.
+                self._counts[_IMPOSSIBLE] += isinstance(error, ImpossiblePosesError)
+                self._publish_map(session, stamp, session.n_pushes)
                 self._collector.refuse("pushes", "identify", f"{record.object_id}, {record.source}: {self._node.guard.explain(error)}")
                 continue
             finally:
                 # Also where nothing was learned: who pushed waits for it.
                 self._publish_model(session, stamp)
             self._solve_time = time.perf_counter() - started
+            self._say_left_out(session, record)
             if score is None:
                 self._counts["pushes known already" if session.n_known_again > known_again else "pushes without contact"] += 1
                 self._advise(record.object_id)
@@ -329,9 +336,18 @@ class _Identification(Component):
 
     def _check_on_table(self, session: ObjectSession, record: PushRecord) -> None:
         """Raise InputError where the object overhung the table: its cells in the air bear no load, which the model does not know of."""
-        if (over := self._table.beyond(record)) > 0.0:
+        checked = check_poses(record)
+        if not checked.why and (over := self._table.beyond(checked.record)) > 0.0:
             session.drop_update()
             raise InputError(f"it overhung the edge of the table by {1e3 * over:.0f} mm; such a push is left out.")
+
+    def _say_left_out(self, session: ObjectSession, record: PushRecord) -> None:
+        """Count and log poses of a push that are not learned."""
+        checked = session.checked
+        if checked is not None and checked.n_left_out:
+            self._counts[_EXCURSIONS] += checked.n_left_out
+            self._collector.last_error = f"{record.object_id}, {record.source}: {checked.note}"
+            self._node.get_logger().warning(f"object {self._collector.last_error}")
 
     def _say_unexplained(self, session: ObjectSession, score: PushScore) -> None:
         """Count and log a push that contradicts the model, or a model that contradicts its pushes."""

@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from push_ident.errors import InputError, ModelFileError, PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.model_file import read_checked
+from push_ident.identification.checked_json import CheckedContent, Listed, Numbers, Points, Rows, read_checked
 from push_ident.perception.pipeline import KnownObject
 from push_ident.perception.shape import TracedObject
 from push_ident.types import CellGrid, Float64Array, ObjectShape
@@ -31,24 +30,22 @@ _MOVED: Final = (0.002, 0.02)
 """A pose that differs by more is written again [m, rad]: it only has to tell one half turn of the object from the other."""
 
 
-class _Object(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
+class _Object(CheckedContent):
     format: str
     object_id: str
-    outline: list[tuple[float, float]]
-    outline_std: list[float] | None = None
-    cells: list[tuple[float, float]]
+    outline: Points
+    outline_std: Numbers | None = None
+    cells: Points
     cell_size: float
     pose: tuple[float, float, float]
-    top: list[list[float]]
+    top: Rows
     top_origin: tuple[float, float]
     top_resolution: float
-    hollow: list[list[bool]] | None = None
-    seen_from: list[list[tuple[float, float]]] | list[tuple[float, float]] | None = None
+    hollow: Listed[Listed[bool]] | None = None
+    seen_from: Listed[Points] | Points | None = None
     displaced_std: float = 0.0
     displaced_frame: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    frame_covariance: list[list[float]] | None = None
+    frame_covariance: Rows | None = None
     area: float
 
 

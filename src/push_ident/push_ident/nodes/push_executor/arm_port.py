@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
@@ -13,7 +12,6 @@ import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -25,20 +23,20 @@ from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.nodes.convert import stamp_from_msg, stamp_to_msg
 from push_ident.nodes.description_file import description_in
 from push_ident.pushing.arm_clock import ArmClock
-from push_ident.pushing.motion import ArmMotion
 from push_ident.pushing.ports import ArmState
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.state_check import StateCheck
+from push_ident.pushing.state_intake import StateIntake
 from push_ident.pushing.trajectory import JointTrajectory
 
-__all__ = ["ArmLink", "ArmPort"]
+__all__ = ["ArmPort"]
 
 _MARGIN = 0.03
 """[s] by which a silent arm is given up early, so that it is held within the timeout: three looks of the watch."""
 _GRACE = 0.03
 """[s] for states that have arrived but were not taken in yet."""
-_PATIENCE = 1.0
-"""How long an arm at rest may stay silent before a push is refused [s]."""
+_PATIENCE = 1.5
+"""How long an arm at rest may stay silent before a push is refused [s]: one that was moved is believed after 1 s."""
 _DISCOVERY = 5.0
 """And one that was never heard [s]: on a busy machine DDS needs seconds to find a publisher."""
 _STANDING = 0.02
@@ -49,39 +47,14 @@ _FASTEST = 5.0
 """No joint turns faster [rad/s]: the fastest of an iiwa 7 reaches 3.1; descriptions often have a limit that is none."""
 
 
-class ArmLink:
-    """`pushing.ports.MotionLink` to the controller of the arm. The joints have the names of the motion, whatever is described later."""
-
-    def __init__(self, publisher: Publisher, joint_names: tuple[str, ...]) -> None:
-        self._publisher, self._joint_names = publisher, list(joint_names)
-        self._lock = threading.Lock()
-        self._is_held = False
-
-    def move(self, piece: JointTrajectory, start: float | None) -> None:
-        """As `MotionLink`."""
-        msg = self._message(piece)
-        if start is not None:
-            msg.header.stamp = stamp_to_msg(start)
-        with self._lock:
-            if self._is_held:
-                raise PlanningError(PushCode.CANCELED, "the arm is held; it is not moved any more.")
-            self._publisher.publish(msg)
-
-    def hold(self, piece: JointTrajectory) -> None:
-        """As `MotionLink`. One point rather than an empty trajectory, which some controllers refuse and carry on."""
-        msg = self._message(piece)
-        with self._lock:
-            self._is_held = True
-            self._publisher.publish(msg)
-
-    def _message(self, piece: JointTrajectory) -> JointTrajectoryMsg:
-        # A stamp of zero: start on receipt, whatever the controller's clock.
-        msg = JointTrajectoryMsg(joint_names=self._joint_names)
-        msg.points = [
-            JointTrajectoryPoint(positions=array("d", q), velocities=array("d", v), time_from_start=_duration(t))
-            for t, q, v in zip(piece.time, piece.position, piece.velocity, strict=True)
-        ]
-        return msg
+def _message(joint_names: tuple[str, ...], piece: JointTrajectory) -> JointTrajectoryMsg:
+    # A stamp of zero: start on receipt, whatever the controller's clock.
+    msg = JointTrajectoryMsg(joint_names=list(joint_names))
+    msg.points = [
+        JointTrajectoryPoint(positions=array("d", q), velocities=array("d", v), time_from_start=_duration(t))
+        for t, q, v in zip(piece.time, piece.position, piece.velocity, strict=True)
+    ]
+    return msg
 
 
 def _duration(seconds: float) -> Duration:
@@ -90,7 +63,7 @@ def _duration(seconds: float) -> Duration:
 
 
 class ArmPort:
-    """Subscribes to `robot_description` and `joint_states`, opens links to `joint_trajectory`."""
+    """Subscribes to `robot_description` and `joint_states`, publishes `joint_trajectory`."""
 
     def __init__(
         self,
@@ -109,8 +82,7 @@ class ArmPort:
         self._node, self._tip_frame, self._neutral, self._on_state = node, tip_frame, neutral, on_state
         self._kinematics: ArmKinematics | None = None
         self._planner: ArmKinematics | None = None
-        self._state: ArmState | None = None
-        self._stamp = Time()
+        self._intake: StateIntake | None = None
         self._clock = ArmClock()
         self._reported: set[str] = set()
         self._is_standing = True
@@ -131,7 +103,7 @@ class ArmPort:
     @property
     def state(self) -> ArmState | None:
         """Latest state; None before the first."""
-        return self._state
+        return None if self._intake is None else self._intake.latest
 
     @property
     def planner(self) -> ArmKinematics:
@@ -164,7 +136,9 @@ class ArmPort:
             raise self._no_description()  # states cannot be read without one
         if state is None or silence > limit:
             since = "yet" if state is None else f"for {1e3 * silence:.0f} ms, and the arm must be held after {1e3 * timeout:.0f} ms"
-            raise PlanningError(PushCode.ARM_SILENT, f"no joint states on {self._node.resolve_topic_name('joint_states')} {since}.")
+            refused = self.impossible_state(time.monotonic() - _PATIENCE)
+            why = f"; those that come cannot be true: {refused}" if refused else "."
+            raise PlanningError(PushCode.ARM_SILENT, f"no joint states on {self._node.resolve_topic_name('joint_states')} {since}{why}")
         return state
 
     def next_state(self, timeout: float) -> ArmState:
@@ -189,8 +163,8 @@ class ArmPort:
             names.remove(own)
         return tuple(sorted(names))
 
-    def stamp_now(self) -> float:
-        """What the clock of the arm's stamps shows now [s]. There is a state once `next_state` has returned."""
+    def stamp_now(self) -> tuple[float, bool]:
+        """As `pushing.ports.Arm`. There is a state once `next_state` has returned."""
         return self._clock.at(time.monotonic())
 
     @contextmanager
@@ -202,9 +176,20 @@ class ArmPort:
         finally:
             self._n_users -= 1
 
-    def open(self, motion: ArmMotion) -> ArmLink:
-        """The only way to move the arm: pieces of `motion`, until it is held."""
-        return ArmLink(self._publisher, motion.joint_names)
+    def take_states(self) -> list[ArmState]:
+        """As `pushing.ports.Arm`."""
+        return [] if self._intake is None else self._intake.take_waiting()
+
+    def impossible_state(self, since: float) -> str:
+        """As `pushing.ports.Arm`."""
+        return "" if self._intake is None else self._intake.impossible(since)
+
+    def send(self, joint_names: tuple[str, ...], piece: JointTrajectory, start: float | None) -> None:
+        """As `pushing.ports.Arm`. The joints have the names of the motion, whatever is described later."""
+        msg = _message(joint_names, piece)
+        if start is not None:
+            msg.header.stamp = stamp_to_msg(start)
+        self._publisher.publish(msg)
 
     # ---- description of the arm
 
@@ -233,7 +218,7 @@ class ArmPort:
             raise InputError(f"its joints {', '.join(unknown)} are not among those of joint_states: {', '.join(sorted(self._reported))}.")
         self._planner, self._kinematics = planner, kinematics
         speed = np.minimum(kinematics.velocity_limit, _FASTEST)
-        self._state_check = StateCheck(kinematics.position_lower, kinematics.position_upper, speed)
+        self._intake = StateIntake(StateCheck(kinematics.position_lower, kinematics.position_upper, speed), kinematics.forward)
 
     # ---- states of the arm
 
@@ -243,13 +228,13 @@ class ArmPort:
             self._reported.update(msg.name[:_MAX_JOINTS])
             self.description_fault = ""  # a description that came before the states of its arm gets another chance
         self._use_offered()
-        if self._kinematics is None:
+        if self._kinematics is None or self._intake is None:
             return
-        if self._state is not None and msg.header.stamp == self._stamp != Time():
-            # A driver that repeats itself has lost its arm: it counts as silent.
-            self.n_dropped += 1
-            return
+        before = self._intake.latest
         position = dict(zip(msg.name, msg.position, strict=False))
+        if len(set(msg.name)) < len(msg.name):
+            self.n_dropped += 1
+            raise InputError(f"a joint is named twice: {', '.join(sorted(msg.name))}; which of its positions counts?")
         missing = [name for name in self._kinematics.joint_names if not math.isfinite(position.get(name, math.nan))]
         if missing:
             self.n_dropped += 1
@@ -261,15 +246,16 @@ class ArmPort:
         q = np.array([position[name] for name in self._kinematics.joint_names])
         stamp = stamp_from_msg(msg.header.stamp)
         try:
-            self._state_check.check(received, stamp, q)
+            state = self._intake.take(received, stamp, q)
         except InputError:
             self.n_dropped += 1
             raise
-        if self._state is not None:
-            step = max(stamp - self._state.stamp, 1e-3)
-            self._is_standing = len(q) != len(self._state.q) or float(np.max(np.abs(q - self._state.q))) <= _STANDING * step
+        if state is None:
+            self.n_dropped += 1
+            return
+        if before is not None:
+            step = max(stamp - before.stamp, 1e-3)
+            self._is_standing = float(np.max(np.abs(q - before.q))) <= _STANDING * step
         self.n_received += 1
-        self._stamp = msg.header.stamp
         self._clock.observe(received, stamp)
-        self._state = ArmState(stamp, q, self._kinematics.forward(q), received)
-        self._on_state(self._state, msg.header.stamp)
+        self._on_state(state, msg.header.stamp)

@@ -11,7 +11,7 @@ from push_ident.nodes.push_executor.hand_port import HAND_KINDS
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.push import PushSettings
 from push_ident.pushing.push_request import ExecutionSettings
-from push_ident.pushing.watch import WatchLimits
+from push_ident.pushing.watch_limits import WatchLimits
 
 __all__ = ["PARAMETERS", "execution_settings"]
 
@@ -87,6 +87,7 @@ PARAMETERS: Final = (
     Parameter("pose_timeout", 1.0, "oldest object pose, by time of receipt, that a push may start from [s]", 0.05, 60.0),
     Parameter("lost_timeout", 3.0, "longest time without a pose of the object during a push; the arm may hide it [s]", 0.05, 60.0),
     Parameter("force_limit", 60.0, "largest horizontal force on pusher/wrench; beyond, the arm is held [N]", 0.5, 1000.0),
+    Parameter("client_timeout", 1.0, "longest silence of a client that says that it lives; then its push is canceled [s]", 0.3, 10.0),
     Parameter("wrench_timeout", 0.5, "longest silence of pusher/wrench during a motion, where it spoke at the start [s]", 0.02, 10.0),
     Parameter(
         "hand",

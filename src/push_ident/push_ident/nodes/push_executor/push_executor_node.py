@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.nodes.cell_node import CellNode, Component, Health
 from push_ident.nodes.convert import TABLE_FRAME, cylinder_to_msg, position_to_msg, stamp_to_msg
 from push_ident.nodes.convert_tool_path import correction_from_msg, path_request_from_goal
+from push_ident.nodes.keep_alive import ClientWatch
 from push_ident.nodes.push_executor.arm_lease import ArmLease
 from push_ident.nodes.push_executor.arm_port import ArmPort
 from push_ident.nodes.push_executor.force_port import ForcePort
@@ -52,6 +54,10 @@ class _NodeClock:
     def __init__(self, node: Node) -> None:
         self._node = node
 
+    @property
+    def is_simulated(self) -> bool:
+        return bool(self._node.get_parameter("use_sim_time").value)
+
     def now(self) -> float:
         return 1e-9 * float(self._node.get_clock().now().nanoseconds)
 
@@ -65,13 +71,13 @@ class _NodeClock:
 class _GoalClient:
     """`pushing.ports.Client` behind a goal of the action."""
 
-    def __init__(self, goal: ServerGoalHandle) -> None:
-        self._goal = goal
+    def __init__(self, goal: ServerGoalHandle, why_gone: Callable[[], str]) -> None:
+        self._goal, self._why_gone = goal, why_gone
         self._push_id, self._start = 0, Time()
 
     @property
-    def is_cancel_requested(self) -> bool:
-        return bool(self._goal.is_cancel_requested)
+    def why_over(self) -> str:
+        return "canceled on request" if self._goal.is_cancel_requested else self._why_gone()
 
     def feedback(self, phase: Phase, progress: float) -> None:
         msg = ExecutePush.Feedback(phase=int(phase), progress=float(min(progress, 1.0)), push_id=self._push_id, start=self._start)
@@ -124,6 +130,7 @@ class _PushExecutor(Component):
             qos_profile_sensor_data,
             callback_group=MutuallyExclusiveCallbackGroup(),
         )
+        self._clients = ClientWatch(node, "execute_push")
         node.create_service(Trigger, "close_hand", self._on_close_hand, callback_group=MutuallyExclusiveCallbackGroup())
         node.create_action_server(ExecutePush, "execute_push", self._execute, failed=self._failed, callback_group=ReentrantCallbackGroup())
         # Last: what fails after it would keep the lease.
@@ -171,7 +178,8 @@ class _PushExecutor(Component):
         self._answered.clear()
         try:
             settings = execution_settings(self._settings.as_dict())
-            outcome = self._execution.execute(_request_from_goal(goal.request), settings, _GoalClient(goal))
+            with self._clients.over(goal, settings.limits.patience(self._settings["client_timeout"])) as why_gone:
+                outcome = self._execution.execute(_request_from_goal(goal.request), settings, _GoalClient(goal, why_gone))
             return self._answer(goal, outcome)
         finally:
             self._answered.set()
@@ -219,7 +227,7 @@ class _PushExecutor(Component):
         rate = self._arm.n_received - self._n_received_before
         self._n_received_before = self._arm.n_received
         silent = self._arm.silence > self._settings["arm_timeout"]
-        no_clock = bool(self._node.get_parameter("use_sim_time").value) and self._cell_clock.now() == 0.0
+        no_clock = self._cell_clock.is_simulated and self._cell_clock.now() == 0.0
         hand, recording = self._hand.why_no_fist(), self._recording.fault
         reasons = [text for text, true in (("arm silent", silent), ("use_sim_time is set but /clock is silent", no_clock)) if true]
         reasons += [text for text in (hand, recording, self._arm.description_fault) if text]

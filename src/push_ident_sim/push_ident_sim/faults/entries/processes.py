@@ -14,18 +14,22 @@ from typing import Final
 
 import numpy as np
 import psutil
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
 from push_ident.errors import PushIdentError
+from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.nodes.network import own_domain
 from push_ident.pushing.push import PushCode
+from push_ident_sim.cell.robot import HOME, robot_description
 from push_ident_sim.faults.fault import Fault, Impossible, Trial
-from push_ident_sim.faults.harness.cell import ARM_CELL, Cell, CellPlan
+from push_ident_sim.faults.harness.cell import ARM_CELL, OBJECT_POSE, Cell, CellPlan
 from push_ident_sim.faults.harness.monitor import until
 from push_ident_sim.faults.harness.oracles import learned_pushes
 from push_ident_sim.faults.harness.process import TRACEBACK, Process
+from push_ident_sim.faults.harness.topics import OBJECT
 
 __all__ = ["FAULTS"]
 
@@ -43,6 +47,10 @@ _UP_END: Final = 4.0
 _OF_A_MAP: Final = ("mass", "friction", "mass_friction", "mass_friction_std")
 _N_TRANSITIONS: Final = 30
 _CGROUP: Final = Path("/sys/fs/cgroup/memory/push_ident_faults")
+_LOWERED: Final = 0.02
+"""A tip that moves below this pushes [m]; `push_height` is 0.012."""
+_PUSH_BEGINS: Final = 30.0
+"""Longest time from the start of a client to its push [s]."""
 _SPARE: Final = 2
 """What a node may allocate beyond what it has [MiB]."""
 
@@ -279,6 +287,50 @@ UP_CELL: Final = CellPlan(
 )
 """An arm without its executor."""
 
+
+def _pushing_client(cell: Cell) -> Process:
+    """`push-ident push` whose push has begun: the lowered tool goes on."""
+    arguments = ("push", "--at", "0.0,0.1", "--direction", "-1.5708", "--in-object", "--object", OBJECT)
+    client, arm = cell.add(NodeCommand("client", (*_CLI, *arguments))), ArmKinematics(robot_description(), neutral=HOME)
+
+    def is_pushing() -> bool:
+        latest = cell.monitor.states(cell.monitor.last_state)
+        return bool(latest) and arm.forward(latest[-1].q)[2, 3] < _LOWERED and cell.is_moving()
+
+    until(lambda: not is_pushing(), 5.0, "the arm moves by itself")
+    until(is_pushing, _PUSH_BEGINS, "the push of the client did not begin")
+    return client
+
+
+def _client_killed(trial: Trial) -> None:
+    cell = trial.cell
+    try:
+        since = _pushing_client(cell).kill()
+        trial.expect_hold(since)
+    finally:
+        cell.remove("client")
+    trial.lost = "the push under way"
+
+
+def _client_interrupted_after_a_wrong_pose(trial: Trial) -> None:
+    cell = trial.cell
+    try:
+        client = _pushing_client(cell)
+        wrong = PoseWithCovarianceStamped()
+        wrong.header.frame_id = "no_such_frame"
+        cell.monitor.publish(OBJECT_POSE, wrong)
+        trial.wait(0.2)
+        since = client.signal(signal.SIGINT)
+        trial.expect_hold(since)
+        client.wait(5.0)
+        trial.expect(not client.runs, "the client goes on 5 s after Ctrl-C")
+        trial.expect(TRACEBACK not in client.output, "the client wrote a traceback")
+        trial.note = client.output.strip().splitlines()[-1][-100:] if client.output.strip() else ""
+    finally:
+        cell.remove("client")
+    trial.lost = "the push under way"
+
+
 FAULTS: Final = (
     Fault(
         number=21,
@@ -342,6 +394,26 @@ FAULTS: Final = (
         run=_supervisor_killed,
         cell=UP_CELL,
         within=0.5,
+    ),
+    Fault(
+        number=70,
+        name="client-killed",
+        what="SIGKILL to `push-ident push` in the middle of its push",
+        holds="signs of life that a client promises",
+        expected="CANCELED; held within the client's time-out",
+        run=_client_killed,
+        cell=ARM_CELL,
+        within=1.2,
+    ),
+    Fault(
+        number=71,
+        name="client-interrupted",
+        what="a pose of the object in a wrong frame while `push-ident push` runs, then Ctrl-C",
+        holds="the guard around every callback of a client; a cancellation from its main thread",
+        expected="held at once; the client ends without a traceback",
+        run=_client_interrupted_after_a_wrong_pose,
+        cell=ARM_CELL,
+        within=0.1,
     ),
     Fault(
         number=50,

@@ -122,7 +122,7 @@ class _Run:
             goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=object_id, seed=(self._seed + number) % 2**31)
             outcome = self._outcome(client, goal)
             self._outcomes[outcome] += 1
-            if outcome != PushCode.NONE.name:
+            if outcome != PushCode.SUCCESS.name:
                 self._pause()
             if time.monotonic() - self._diagnosed > _DIAGNOSIS:
                 self._diagnosed = time.monotonic()
@@ -208,8 +208,8 @@ def _tables(summary: Json) -> str:
             ("faults", lambda r: len(r["faults"])),
             ("nodes killed", lambda r: sum(f["fault"] == "killed" for f in r["faults"])),
             ("nodes started again", lambda r: len(r["deaths"])),
-            ("pushes made", lambda r: r["outcomes"].get(PushCode.NONE.name, 0)),
-            ("pushes refused or broken off", lambda r: sum(r["outcomes"].values()) - r["outcomes"].get(PushCode.NONE.name, 0)),
+            ("pushes made", lambda r: r["outcomes"].get(PushCode.SUCCESS.name, 0)),
+            ("pushes refused or broken off", lambda r: sum(r["outcomes"].values()) - r["outcomes"].get(PushCode.SUCCESS.name, 0)),
             ("pushes learned", lambda r: r["learned"]),
             ("learned without being whole", lambda r: len(r["learned_unfinished"])),
             ("maps published", lambda r: r["seen"]["n_maps"]),

@@ -152,7 +152,7 @@ def _is_success(values: Json) -> bool:
 def _cause(values: Json) -> str:
     if values["fell"]:
         return "FELL"
-    return "NONE" if _is_success(values) else values["code"] if not values["reached"] else "true pose beyond tolerance"
+    return "SUCCESS" if _is_success(values) else values["code"] if not values["reached"] else "true pose beyond tolerance"
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
@@ -172,7 +172,7 @@ def _row(runs: Sequence[Json]) -> Json:
         "rms": rms.mean(axis=0).round(5).tolist() if len(rms) else None,
         "corrections": sum(run["corrections"] for run in runs),
         "corrections_ms": [float(np.median([t[0] for t in timed])), max(t[1] for t in timed)] if timed else None,
-        "causes": failures((_cause(run) for run in runs), "NONE"),
+        "causes": failures((_cause(run) for run in runs), "SUCCESS"),
         "load": round(float(np.median([run["load"] for run in runs])), 1),
         "errors": [run["true_error"] for run in runs],
         "tolerance": runs[0]["tolerance"],

@@ -1,0 +1,89 @@
+"""The only way to the arm: what it is told goes on from what it was told before, within the limits of its joints, or is not sent."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from push_ident.errors import PlanningError
+from push_ident.pushing.joint_limits import JointLimits
+from push_ident.pushing.ports import Arm
+from push_ident.pushing.push import PushCode
+from push_ident.pushing.trajectory import JointTrajectory
+from push_ident.types import Float64Array
+
+__all__ = ["CommandLink", "Commanded"]
+
+
+class Commanded:
+    """What an arm was told last: its motion by that, whatever its states say. At rest between two motions."""
+
+    def __init__(self) -> None:
+        self._names: tuple[str, ...] = ()
+        self._motion: JointTrajectory | None = None
+
+    def posture(self, names: tuple[str, ...]) -> Float64Array | None:
+        """At which the joints with these names stand once they have done what they were told [rad]; None where they were told nothing."""
+        return None if self._motion is None or names != self._names else self._motion.position[-1].copy()
+
+    def after(self, piece: JointTrajectory, start: float) -> JointTrajectory:
+        """The motion when a controller gets `piece` at `start` [s]: a cubic to its first point from where it is then, and on from there."""
+        position, velocity = (row for row in self._now(start))
+        time = np.append(start, start + piece.time)
+        return JointTrajectory(time, np.vstack([position, piece.position]), np.vstack([velocity, piece.velocity]))
+
+    def take(self, names: tuple[str, ...], motion: JointTrajectory) -> None:
+        """The arm was told this; times on the clock of the commands [s]."""
+        self._names, self._motion = names, motion
+
+    def forget(self) -> None:
+        """Nobody knows where the arm is: it was told where to stand, and may not have come there."""
+        self._motion = None
+
+    def rest(self, names: tuple[str, ...], posture: Float64Array) -> None:
+        """The arm stands at `posture` [rad]: it was told to before, or has shown that it does."""
+        self.take(names, JointTrajectory(np.zeros(1), posture[None, :], np.zeros((1, len(posture)))))
+
+    def _now(self, time: float) -> tuple[Float64Array, Float64Array]:
+        assert self._motion is not None, "an arm is told where it stands first"
+        return self._motion.follow(np.array([time]))
+
+
+class CommandLink:
+    """Sends the pieces of one motion; nothing moves the arm any more once it was held.
+
+    Each piece passes one last check: a controller that follows it from what it was told before keeps to the limits of every joint. A piece
+    that does not is not sent; the arm then stands at the end of the one before, which is at rest.
+
+    Args:
+        arm: that is moved.
+        commanded: what it was told before.
+        limits: of its joints.
+    """
+
+    def __init__(self, arm: Arm, commanded: Commanded, limits: JointLimits) -> None:
+        self._arm, self._commanded, self._limits = arm, commanded, limits
+        self._lock = threading.Lock()
+        self._is_held = False
+
+    def move(self, piece: JointTrajectory, now: float, *, is_stamped: bool = False) -> bool:
+        """Start a piece `now` [s] in place of the one under way; false where it would break a limit. Raises PlanningError after `hold`."""
+        with self._lock:
+            if self._is_held:
+                raise PlanningError(PushCode.CANCELED, "the arm is held; it is not moved any more.")
+            return self._send(piece, now, now if is_stamped else None)
+
+    def hold(self, piece: JointTrajectory, now: float) -> bool:
+        """End the motion with a piece; false where it would break a limit: the arm then stops at the end of the one before."""
+        with self._lock:
+            self._is_held = True
+            return self._send(piece, now, None)
+
+    def _send(self, piece: JointTrajectory, now: float, start: float | None) -> bool:
+        motion = self._commanded.after(piece, now)
+        if not self._limits.are_kept_by(motion):
+            return False
+        self._arm.send(self._limits.names, piece, start)
+        self._commanded.take(self._limits.names, motion)
+        return True

@@ -1,0 +1,163 @@
+"""Models and states from outside: every number is checked when it is read, and whatever is wrong is said in one line."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import push_ident as pi
+from helpers.damaged_models import DAMAGE, DAMAGED_TEXT, right_model, unreadable_paths
+from push_ident.errors import InputError, ModelFileError
+from push_ident.identification.model_file import load_model, model_of_text
+from push_ident.identification.online import OnlineIdentifier
+from push_ident.identification.prior import MapPrior
+from push_ident.identification.quadratic import Quadratic
+from push_ident.identification.result import WarmStart
+from push_ident.identification.state_file import load_state, save_state
+
+STATE = json.loads((Path(__file__).parent / "files" / "state_2.json").read_text())
+LINE = 700
+"""Characters of one line: what is repeated of a foreign text, and the text around it."""
+
+
+def refused(load: Callable[[], object], pattern: str) -> None:
+    with pytest.raises(ModelFileError, match=pattern) as caught:
+        load()
+    text = str(caught.value)
+    assert len(text) < LINE and text.isprintable(), text
+
+
+def written(tmp_path: Path, content: Any) -> Path:
+    path = tmp_path / "file.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def test_right_model_loads_with_its_numbers(tmp_path: Path) -> None:
+    content = right_model()
+    object_id, posterior = load_model(written(tmp_path, content))
+    assert object_id == "o1"
+    assert posterior.z.tolist() == content["z"]
+    assert posterior.model.mass.tolist() == content["mass"]
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damaged_model_is_refused_with_what_is_wrong(name: str, tmp_path: Path) -> None:
+    change, pattern = DAMAGE[name]
+    content = right_model()
+    change(content)
+    path = written(tmp_path, content)
+    refused(lambda: load_model(path), pattern)
+    refused(lambda: model_of_text(json.dumps(content), "model of object o1"), pattern)
+
+
+@pytest.mark.parametrize("name", DAMAGED_TEXT)
+def test_text_that_is_no_model_is_refused_with_what_is_wrong(name: str, tmp_path: Path) -> None:
+    make, pattern = DAMAGED_TEXT[name]
+    path = written(tmp_path, make())
+    refused(lambda: load_model(path), pattern)
+
+
+def test_a_path_that_no_file_can_be_read_from_is_one_line(tmp_path: Path) -> None:
+    for path in (*unreadable_paths(tmp_path).values(), tmp_path / "a\0b", tmp_path / "\ud800"):
+        for load in (load_model, load_state):
+            refused(lambda load=load, path=path: load(path), "Cannot read ")
+        with pytest.raises(ModelFileError, match="Cannot read"):
+            pi.predict(path, [])
+
+
+@pytest.mark.parametrize(("place", "filler"), [('"z": [', "null,"), ('"covariance": [', "0,")])
+def test_millions_of_wrong_values_take_bounded_memory(place: str, filler: str, tmp_path: Path) -> None:
+    text = json.dumps(right_model())
+    path = written(tmp_path, text.replace(place, place + filler * (15_000_000 // len(filler))))
+    code = (
+        "import sys; from pathlib import Path; from push_ident.errors import ModelFileError\n"
+        "from push_ident.identification.model_file import load_model\n"
+        "try: load_model(Path(sys.argv[1]))\n"
+        "except ModelFileError: print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])"
+    )
+    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, timeout=120)
+    assert int(done.stdout) < 1_000_000, done.stderr  # [kB]: 8 GB where every wrong value is remembered
+
+
+def push_of(content: dict[str, Any]) -> dict[str, Any]:
+    push: dict[str, Any] = content["pushes"][0]
+    return push
+
+
+STATE_DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "model of it": (lambda c: c["model"].update(total_mass=-1.0), "The total mass is -1"),
+    "pose beyond the table": (lambda c: push_of(c)["pose"].__setitem__(0, [1e6, 0.0, 0.0]), "a coordinate is"),
+    "yaw without meaning": (lambda c: push_of(c)["pose"].__setitem__(0, [0.0, 0.0, 1e300]), "a yaw is"),
+    "pose known to nothing": (lambda c: push_of(c)["pose_covariance"].__setitem__(0, (1e9 * np.eye(3)).tolist()), "entries over"),
+    "asymmetric covariance": (lambda c: push_of(c)["pose_covariance"][0][0].__setitem__(1, 1e-7), "not symmetric"),
+    "ragged covariance": (lambda c: push_of(c)["pose_covariance"][0].__setitem__(0, [1.0, 0.0]), "pose_covariance"),
+    "poses of another day": (lambda c: push_of(c)["pose_time"].__setitem__(-1, 1e6), "after the pusher"),
+    "stamps of no clock": (lambda c: push_of(c)["pose_time"].__setitem__(-1, 1e12), "a stamp is"),
+    "fewer times than poses": (lambda c: push_of(c)["pose_time"].pop(), "shape"),
+    "pusher beyond the table": (lambda c: push_of(c)["pusher"].__setitem__(0, [1e6, 0.0]), "a coordinate is"),
+    "push without end": (lambda c: push_of(c)["pusher_time"].__setitem__(-1, 3e4), "duration of a push"),
+    "path without end": (lambda c: push_of(c)["pusher"].__setitem__(0, [90.0, 0.0]), "path of the pusher"),
+    "radius of another unit": (lambda c: push_of(c).update(radius=8.0), "radius of a pusher"),
+    "forces without times": (lambda c: push_of(c).update(force=[[1.0, 0.0]]), "forces without their times"),
+    "force beyond any arm": (lambda c: push_of(c).update(wrench_time=[0.0, 0.1], force=[[1.0, 0.0], [1e9, 0.0]]), "a force is"),
+    "negative order": (lambda c: push_of(c).update(order=-1), "order"),
+    "order that no message has": (lambda c: push_of(c).update(order=10**30), "order"),
+    "ragged hessian": (lambda c: c["past"]["hessian"][0].pop(), "rows of 5 to 6 numbers"),
+    "hessian that is not symmetric": (lambda c: c["past"]["hessian"][0].__setitem__(1, 1e3), "not symmetric"),
+    "hessian below zero": (lambda c: c["past"]["hessian"][0].__setitem__(0, -1e3), "eigenvalue"),
+    "precision beyond rounding": (lambda c: c["past"]["hessian"][0].__setitem__(0, 1e300), "`hessian` has"),
+    "gradient that leads nowhere": (lambda c: c["past"]["gradient"].__setitem__(0, 1e300), "`gradient` changes"),
+    "point without meaning": (lambda c: c["past"]["point"].__setitem__(0, 1e300), "`point` changes"),
+    "negative number of pushes": (lambda c: c["past"].update(n_pushes=-1), "n_pushes"),
+    "prior of other unknowns": (lambda c: c["prior"].update(feet=3.0), "Its prior has"),
+    "prior that is infinite": (lambda c: c["prior"].update(friction=1e300), "a friction coefficient is"),
+    "unknown status": (lambda c: c.update(status="SPLENDID"), "`status` is 'SPLENDID'"),
+    "negative error": (lambda c: c["record"]["latest"][0].update(error=-1.0), "0 or more"),
+    "errors of no push": (lambda c: c["record"].update(n=0), "Sums of 0 errors"),
+    "score of no time": (lambda c: c["record"]["latest"][0].update(start=float("nan")), "start"),
+    "unknown format": (lambda c: c.update(format="push_ident/state/99"), "expected `push_ident/state/3`"),
+    "effect that is none": (lambda c: c.update(known=[{"name": "x", "value": [], "std": [], "share": 1.0}]), "There is no effect"),
+    "share beyond all": (
+        lambda c: c.update(known=[{"name": "table_tilt", "value": [0.0, 0.0], "std": [0.1, 0.1], "share": 7.0}]),
+        "share of the pushes",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", STATE_DAMAGE)
+def test_damaged_state_is_refused_with_what_is_wrong(name: str, tmp_path: Path) -> None:
+    change, pattern = STATE_DAMAGE[name]
+    content = json.loads(json.dumps(STATE))
+    change(content)
+    path = written(tmp_path, content)
+    refused(lambda: load_state(path), pattern)
+
+
+@pytest.mark.parametrize(
+    "start", [WarmStart("equal", np.full(5, 1e300)), WarmStart("uneven load", np.zeros(5), MapPrior(0.7, 1e9, 0.7, 0.25))]
+)
+def test_start_of_a_solve_that_no_fit_reaches_is_refused(start: WarmStart, tmp_path: Path) -> None:
+    state = load_state(Path(__file__).parent / "files" / "state_2.json").state
+    object.__setattr__(state, "warm_starts", (start,))
+    save_state(tmp_path / "o1.state.json", state, object_id="o1")
+    refused(lambda: load_state(tmp_path / "o1.state.json"), f"The start `{start.name}` has")
+
+
+def test_model_with_a_singular_covariance_cannot_be_learned_on(tmp_path: Path) -> None:
+    """Such a file passes: rounding can make a covariance singular. As information it would be without bound."""
+    content = right_model()
+    n = len(content["z"])
+    content["covariance"] = np.full((n, n), 0.01).tolist()
+    _, posterior = load_model(written(tmp_path, content))
+    with pytest.raises(InputError, match="singular"):
+        OnlineIdentifier.known(posterior)
+    with pytest.raises(InputError, match="singular"):
+        Quadratic.beyond_unit_normal(np.zeros(2), np.ones((2, 2)))

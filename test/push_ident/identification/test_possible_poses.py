@@ -1,0 +1,200 @@
+"""Poses that no push can have made are left out, or the push is refused; all others are learned, the surprising ones too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.diagnosis import simulated_pushes
+from helpers.paths import ROOT, recording
+from push_ident.bags.importers import import_cmu_icra16, import_cmu_mocap
+from push_ident.identification.observation import rest_frames
+from push_ident.identification.possible_poses import ImpossiblePosesError, check_poses, why_no_object_ends_there
+from push_ident.identification.prior import Prior
+from push_ident.identification.result import prior_posterior
+from push_ident.identification.session import ObjectSession, SessionOptions
+from push_ident.offline.loading import load_pushes
+from push_ident.types import Float64Array, PoseTrack, PushRecord, SolveStatus
+
+TILT = ROOT / "test" / "system" / "baseline" / "bags" / "tilt"
+ASIDE, AROUND = np.array([0.15, 0.2, 0.0]), np.array([0.0, 0.0, np.pi])
+PUSHES = simulated_pushes(4, 3)
+EFFECTS: tuple[dict[str, list[float]], ...] = (
+    {"table_tilt": [0.06, 0.06]},
+    {"table_anisotropy": [0.4, 0.3]},
+    {"tool_offset": [6e-3, 6e-3]},
+    {"pusher_lag": [0.06]},
+    {"pose_latency": [0.1]},
+    {"restitution": [0.9]},
+)
+"""Three times the usual size and more."""
+
+
+def of_importer(importer: Callable[[Path, Path], object], *parts: str) -> Callable[[Path], list[PushRecord]]:
+    def read(folder: Path) -> list[PushRecord]:
+        importer(recording(*parts), folder / "bag")
+        return load_pushes([folder / "bag"]).records
+
+    return read
+
+
+SOURCES: dict[str, Callable[[Path], list[PushRecord]]] = {
+    "own engine": lambda folder: PUSHES,
+    "with effects": lambda folder: [record for effects in EFFECTS for record in simulated_pushes(2, 4, effects)],
+    "bullet": lambda folder: load_pushes([TILT]).records,
+    "another maker": lambda folder: load_pushes([recording("contract_sample", "bag")]).records,
+    "real arm": of_importer(import_cmu_icra16, "cmu_icra16", "30_90_30_30_30_90__exp_08_11_30.txt"),
+    "motion capture": of_importer(import_cmu_mocap, "cmu_mocap", "robot_multi_push_3out_3.bag"),
+}
+
+
+@pytest.fixture(scope="module", params=SOURCES)
+def pushes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[PushRecord]:
+    """Of engines, a simulator that is not ours, and real arms."""
+    return SOURCES[request.param](tmp_path_factory.mktemp("bag"))
+
+
+def displaced(record: PushRecord, frames: slice | np.ndarray, by: Float64Array, *, covariance: Float64Array | None = None) -> PushRecord:
+    pose, covariances = record.poses.pose.copy(), record.poses.covariance.copy()
+    pose[frames] += by
+    if covariance is not None:
+        covariances[frames] = covariance
+    return replace(record, poses=replace(record.poses, pose=pose, covariance=covariances))
+
+
+def middle(record: PushRecord) -> int:
+    """A frame in the middle of the motion."""
+    before, after, _ = rest_frames(record)
+    return int(before[-1] + after[0] + 1) // 2
+
+
+def why(record: PushRecord) -> str:
+    checked = check_poses(record)
+    return checked.why or why_no_object_ends_there(checked.record, prior_posterior(record.shape, Prior()), Prior())
+
+
+def test_pushes_as_they_were_are_possible_to_the_last_pose(pushes: list[PushRecord]) -> None:
+    assert [check_poses(record).record is record for record in pushes] == [True] * len(pushes)
+    assert [why(record) for record in pushes] == [""] * len(pushes)
+
+
+@pytest.mark.parametrize("by", [ASIDE, AROUND], ids=["25 cm aside", "half a turn"])
+def test_push_whose_pose_jumps_and_stays_there_is_impossible(pushes: list[PushRecord], by: Float64Array) -> None:
+    assert all(why(displaced(record, slice(middle(record), None), by)) for record in pushes)
+
+
+@pytest.mark.parametrize("by", [ASIDE, AROUND], ids=["25 cm aside", "half a turn"])
+def test_so_it_is_where_only_its_ends_are_known(pushes: list[PushRecord], by: Float64Array) -> None:
+    for record in pushes:
+        before, after, _ = rest_frames(record)
+        pose = np.array([record.poses.pose[before[-1]], record.poses.pose[after[-1]]])
+        ends = replace(record, poses=PoseTrack(record.poses.time[[before[-1], after[-1]]], pose, record.poses.covariance[:2]))
+        assert why(ends) == "" and why(displaced(ends, slice(1, None), by))
+
+
+@pytest.mark.parametrize("by", [np.array([0.05, 0.0, 0.0]), AROUND], ids=["5 cm", "half a turn"])
+def test_excursion_of_0_4_s_is_left_out_and_named_and_the_rest_stays(by: Float64Array) -> None:
+    for record in PUSHES:
+        frames = slice(middle(record) - 6, middle(record) + 6)
+        checked = check_poses(displaced(record, frames, by))
+        kept = np.delete(np.arange(len(record.poses.time)), frames)
+        assert checked.why == "" and checked.n_left_out == 12
+        np.testing.assert_array_equal(checked.record.poses.time, record.poses.time[kept])
+        np.testing.assert_allclose(checked.record.poses.pose, record.poses.pose[kept], atol=1e-12)
+        assert f"12 of {len(record.poses.time)} poses" in checked.note and "no push can have made them" in checked.note
+
+
+def test_single_wrong_poses_anywhere_are_left_out() -> None:
+    record = PUSHES[0]
+    wrong = np.array([0, 7, middle(record), len(record.poses.time) - 1])
+    checked = check_poses(displaced(record, wrong, AROUND))
+    assert checked.n_left_out == 4 and not np.any(np.isin(record.poses.time[wrong], checked.record.poses.time))
+    # Flips of a tracker, one frame in seven.
+    checked = check_poses(displaced(record, np.arange(3, len(record.poses.time), 7), AROUND))
+    assert checked.n_left_out == len(np.arange(3, len(record.poses.time), 7))
+
+
+def test_poses_that_contradict_each_other_in_most_of_a_push_or_a_rest_are_not_believed() -> None:
+    record = PUSHES[0]
+    rng = np.random.default_rng(0)
+    pose = record.poses.pose + np.column_stack([rng.normal(0.0, 0.05, (len(record.poses.pose), 2)), np.zeros(len(record.poses.pose))])
+    assert check_poses(replace(record, poses=replace(record.poses, pose=pose))).why
+    before, after, _ = rest_frames(record)
+    assert "before the contact" in check_poses(displaced(record, slice(0, before[-1] - 1), ASIDE)).why
+    assert "stays there to the end" in check_poses(displaced(record, slice(after[0] + 1, None), ASIDE)).why
+
+
+def test_pose_of_which_nothing_is_known_is_neither_impossible_nor_a_bridge() -> None:
+    record, unknown = PUSHES[0], np.eye(3)
+    wild = slice(middle(record), middle(record) + 5)
+    assert why(displaced(record, slice(None), np.zeros(3), covariance=unknown)) == ""
+    checked = check_poses(displaced(record, wild, ASIDE, covariance=unknown))
+    assert checked.why == "" and checked.note == "" and checked.n_left_out == 0
+    assert not np.any(np.isin(record.poses.time[wild], checked.record.poses.time))
+    bridged = displaced(record, slice(wild.stop, None), ASIDE)
+    assert "stays there to the end" in check_poses(displaced(bridged, wild, 0.5 * ASIDE, covariance=unknown)).why
+
+
+def test_noise_that_is_five_times_the_stated_one_is_noise() -> None:
+    for record in PUSHES:
+        assert check_poses(
+            replace(record, poses=replace(record.poses, covariance=record.poses.covariance / 25.0))
+        ).record.poses.time.size == (record.poses.time.size)
+
+
+def test_stamps_of_arrival_in_bursts_are_no_jump() -> None:
+    """Every third pose arrives together with the one before."""
+    noise = np.array([2e-4, 2e-4, 1e-3])
+    for record in simulated_pushes(4, 5, noise=noise):
+        time = record.poses.time.copy()
+        time[2::3] = time[1::3][: len(time[2::3])] + 1e-3
+        assert check_poses(replace(record, poses=replace(record.poses, time=time))).record.poses.time.size == time.size
+
+
+def test_frames_that_are_missing_are_no_jump() -> None:
+    for record in PUSHES:
+        before, after, _ = rest_frames(record)
+        kept = np.concatenate([before, after])
+        poses = record.poses
+        hidden = replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept]))
+        assert check_poses(hidden).record is hidden and why(hidden) == ""
+
+
+def test_estimate_is_that_without_the_impossible_push_and_the_next_is_learned() -> None:
+    session, other = (ObjectSession("o1", PUSHES[0].shape, SessionOptions()) for _ in range(2))
+    jumping = displaced(PUSHES[1], slice(middle(PUSHES[1]), None), ASIDE)
+    session.finish(PUSHES[0])
+    under_way = middle(PUSHES[1]) + 4
+    poses = jumping.poses
+    partial = replace(jumping, poses=PoseTrack(poses.time[:under_way], poses.pose[:under_way], poses.covariance[:under_way]))
+    assert session.update(partial) is None
+    with pytest.raises(ImpossiblePosesError, match="no push can have made its poses: its pose moves by 2"):
+        session.finish(jumping)
+    scores = [session.finish(PUSHES[2]), *(other.finish(PUSHES[i]) for i in (0, 2))]
+    assert all(score is not None and score.explained for score in scores) and session.n_pushes == 2
+    np.testing.assert_array_equal(session.posterior.z, other.posterior.z)
+
+
+def test_excursion_does_not_reach_the_estimate() -> None:
+    record = PUSHES[0]
+    frames = slice(middle(record) - 6, middle(record) + 6)
+    poses, kept = record.poses, np.delete(np.arange(len(record.poses.time)), frames)
+    without = replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept]))
+    session, other = (ObjectSession("o1", record.shape, SessionOptions()) for _ in range(2))
+    assert session.finish(displaced(record, frames, ASIDE)) is not None and other.finish(without) is not None
+    assert session.checked is not None and session.checked.n_left_out == 12
+    np.testing.assert_array_equal(session.posterior.z, other.posterior.z)
+
+
+def test_push_that_surprises_the_model_is_learned() -> None:
+    """It turned the object the other way: wrong for the model of the pushes before, possible for another object."""
+    pose = PUSHES[2].poses.pose.copy()
+    pose[:, 2] = 2.0 * pose[0, 2] - pose[:, 2]
+    session = ObjectSession("o1", PUSHES[0].shape, SessionOptions())
+    scores = [session.finish(record) for record in (*PUSHES[:2], replace(PUSHES[2], poses=replace(PUSHES[2].poses, pose=pose)))]
+    assert session.n_pushes == 3 and scores[-1] is not None and scores[-1].mahalanobis2 > 50.0
+    assert session.status is not SolveStatus.UNEXPLAINED
