@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 
 # As nodes and commands have it: with several threads the last bits of a sum depend on how they shared it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

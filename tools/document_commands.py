@@ -46,7 +46,8 @@ def section_of(name: str, command: Any) -> str:
 
 def commands_of(group: Any, before: str = "") -> Iterator[tuple[str, Any]]:
     """Names and commands, those of a group with its name before theirs."""
-    for name, command in group.commands.items():
+    for listed in group.commands:
+        name, command, _ = group.resolve_command(typer.Context(group), [listed])
         if hasattr(command, "commands"):
             yield from commands_of(command, f"{before}{name} ")
         else:

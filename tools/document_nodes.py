@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from push_ident.nodes.cell_node import AUTOSTART
+from push_ident.nodes.base.cell_node import AUTOSTART
 
 SOURCE = Path(__file__).resolve().parent.parent / "src"
 PACKAGES = ("push_ident", "push_ident_sim")

@@ -113,7 +113,7 @@ def live_graph(log: Callable[[str], None] = lambda text: None, *, push: bool = T
 
     from push_ident.bags.contract import Role, topic_of
     from push_ident.cli.supervisor import Supervisor, node_command, node_commands
-    from push_ident.nodes.client import CellClient
+    from push_ident.nodes.client.cell_client import CellClient
 
     graph: Graph = {}
     context = Context()
@@ -222,7 +222,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="compare with security/policy.xml instead of writing it")
     options = parser.parse_args()
-    from push_ident.nodes.network import own_domain
+    from push_ident.nodes.base.network import own_domain
 
     os.environ.setdefault("ROS_DOMAIN_ID", str(own_domain()))
     graph = live_graph(lambda text: print(text, file=sys.stderr))

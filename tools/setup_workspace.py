@@ -352,7 +352,7 @@ def environment_line(ros: Ros) -> str:
         prefixes.append(str(VENV))
         defaults = {
             "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-            # The profile binds every socket to 127.0.0.1; LOCALHOST would add sockets on every interface (nodes/network.py).
+            # The profile binds every socket to 127.0.0.1; LOCALHOST would add sockets on every interface (nodes/base/network.py).
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
             "FASTRTPS_DEFAULT_PROFILES_FILE": str(ROOT / "src" / "push_ident" / "config" / "fastdds_local.xml"),
         }

@@ -39,7 +39,7 @@ setup(
     name=package,
     version=version,
     packages=find_packages(include=[package, f"{package}.*"]),
-    package_data={"": ["py.typed", "*.html", "*.j2"], f"{package}.bags": ["msg/*.msg"], f"{package}.nodes": ["*.xml"]},
+    package_data={"": ["py.typed", "*.html", "*.j2"], f"{package}.bags": ["msg/*.msg"], f"{package}.nodes.base": ["*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package}"]),
         (f"share/{package}", ["package.xml"]),

@@ -10,7 +10,7 @@ import numpy as np
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
 
 from helpers.memory_cell import Cell
-from push_ident.nodes.convert import stamp_from_msg
+from push_ident.nodes.convert.messages import stamp_from_msg
 from push_ident.pushing.joint_limits import JointLimits
 from push_ident.pushing.trajectory import JointTrajectory
 from push_ident.types import Float64Array

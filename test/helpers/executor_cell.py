@@ -28,7 +28,7 @@ from trajectory_msgs.msg import JointTrajectory
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.convert import force_to_msg, planar_pose_to_msg, shape_to_msgs, stamp_from_msg
+from push_ident.nodes.convert.messages import force_to_msg, planar_pose_to_msg, shape_to_msgs, stamp_from_msg
 from push_ident.types import ObjectShape
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import HandStatus, PushRecord

@@ -21,7 +21,7 @@ from visualization_msgs.msg import MarkerArray
 
 from helpers.depth_scene import HAMMER, Prism, circle, look_at, rectangle, render
 from helpers.paths import CONFIG
-from push_ident.nodes.convert import (
+from push_ident.nodes.convert.messages import (
     depth_frame_to_msgs,
     position_to_msg,
     stamp_to_msg,

@@ -8,7 +8,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
-from push_ident.nodes.convert import planar_pose_to_msg
+from push_ident.nodes.convert.messages import planar_pose_to_msg
 
 
 def right_pose() -> PoseWithCovarianceStamped:

@@ -16,7 +16,7 @@ import pytest
 from helpers.executor_cell import Stalls
 from helpers.sockets import Socket, descendants, sockets_of
 from push_ident.cli.supervisor import Supervisor, node_commands
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 
 pytestmark = pytest.mark.alone
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from push_ident.cli.supervisor import Supervisor, node_commands
-from push_ident.nodes.client import CellClient
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.client.cell_client import CellClient
 
 pytestmark = [pytest.mark.alone, pytest.mark.long]
 

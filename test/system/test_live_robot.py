@@ -13,8 +13,8 @@ from helpers.robots import robot_path
 from push_ident.cli.push import contact_goal
 from push_ident.cli.robot import robot_for
 from push_ident.cli.supervisor import Supervisor, node_command
-from push_ident.nodes.client import CellClient
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.client.cell_client import CellClient
 from push_ident_msgs.action import ExecutePush
 
 pytestmark = pytest.mark.alone

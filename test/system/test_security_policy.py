@@ -14,8 +14,8 @@ from types import ModuleType
 import pytest
 
 from helpers.paths import ROOT
+from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.executables import NODES
-from push_ident.nodes.network import own_domain
 from push_ident_sim.executables import NODES as SIM_NODES
 
 POLICY = ROOT / "security" / "policy.xml"

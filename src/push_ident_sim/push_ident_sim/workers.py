@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from push_ident.nodes.lifetime import end_with_parent
+from push_ident.nodes.base.lifetime import end_with_parent
 
 __all__ = ["describe_machine", "single_threads"]
 

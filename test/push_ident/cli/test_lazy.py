@@ -23,7 +23,7 @@ def test_list_of_commands_imports_none_of_them() -> None:
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert said.endswith("imported []\n")
-    for name in LazyGroup.places:
+    for name in LazyGroup.lazy_subcommands:
         assert f"\n  {name} " in said
 
 
@@ -39,7 +39,7 @@ def test_identify_of_poses_imports_nothing_slow_for_images_arms_pages_or_quantil
 def test_every_command_has_a_summary_and_help() -> None:
     runner = CliRunner()
     listed = runner.invoke(app, ["--help"]).output.splitlines()
-    for name in LazyGroup.places:
+    for name in LazyGroup.lazy_subcommands:
         line = next(line for line in listed if line.startswith(f"  {name} "))
         assert len(line.split(maxsplit=1)[1]) > 20
         asked = runner.invoke(app, [name, "--help"])

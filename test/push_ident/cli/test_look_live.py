@@ -26,7 +26,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from helpers.commands import run_here
 from helpers.depth_scene import CAMERA, Prism, rectangle, render
-from push_ident.nodes.convert import depth_frame_to_msgs, transform_to_msg
+from push_ident.nodes.convert.messages import depth_frame_to_msgs, transform_to_msg
 from push_ident.types import CameraIntrinsics
 
 pytestmark = pytest.mark.live

@@ -26,7 +26,7 @@ from push_ident.cli.robot import robot_for
 from push_ident.cli.robot_live import find_live
 from push_ident.cli.robot_parameters import check_parameters
 from push_ident.cli.supervisor import node_commands, node_names
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 from push_ident.pushing.robot.finding import Finding, Level
 from push_ident.pushing.robot.robot_file import Robot, read_robot
 

@@ -18,18 +18,18 @@ from rich.console import Console
 from helpers.executor_cell import Stalls
 from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.supervisor import NodeCommand, Supervisor, node_commands
-from push_ident.nodes.lifetime import stop_signals_blocked
+from push_ident.nodes.base.lifetime import stop_signals_blocked
 
 pytestmark = pytest.mark.alone
 
 NODE = """
 import os, subprocess, sys, time
 from pathlib import Path
-from push_ident.nodes.lifetime import LIFETIME
+from push_ident.nodes.base.lifetime import LIFETIME
 LIFETIME.begin()
 time.sleep(float(sys.argv[3]))
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.run import run_node
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.run import run_node
 folder, name = Path(sys.argv[1]), sys.argv[2]
 
 class Tested(CellNode):

@@ -8,7 +8,7 @@ import pytest
 
 from helpers.executor_cell import Cell
 from helpers.spinning import spinning
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,9 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from std_msgs.msg import String
 
-from push_ident.nodes.arrivals import Arrivals
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.arrivals import Arrivals
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.network import own_domain
 
 
 def info(number: int | None, age: float = 0.0) -> dict[str, Any]:

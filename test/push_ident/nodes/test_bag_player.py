@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from push_ident.bags.writer import BagWriter
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 
 pytestmark = pytest.mark.live
 

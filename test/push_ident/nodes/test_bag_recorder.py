@@ -24,9 +24,9 @@ from rclpy.parameter import Parameter
 from helpers.executor_cell import Stalls
 from push_ident.bags.opening import open_bag
 from push_ident.bags.salvage import salvage
-from push_ident.nodes.convert import position_to_msg
-from push_ident.nodes.network import own_domain
-from push_ident.nodes.recording_port import RECORDING_QOS
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.convert.messages import position_to_msg
+from push_ident.nodes.recording.recording_port import RECORDING_QOS
 
 pytestmark = pytest.mark.alone
 

@@ -21,10 +21,10 @@ from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from push_ident.nodes.client import CellClient, CellTimeout
-from push_ident.nodes.convert import planar_pose_to_msg, stamp_to_msg
-from push_ident.nodes.guard import is_guarded
-from push_ident.nodes.network import process_domain
+from push_ident.nodes.base.guard import is_guarded
+from push_ident.nodes.base.network import process_domain
+from push_ident.nodes.client.cell_client import CellClient, CellTimeout
+from push_ident.nodes.convert.messages import planar_pose_to_msg, stamp_to_msg
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import MassFrictionMap
 from push_ident_sim.fuzz.mutate_message import mutate_message

@@ -9,7 +9,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from push_ident.errors import FrameError, InputError
 from push_ident.geometry.outline import cells_in_outline
-from push_ident.nodes.convert import (
+from push_ident.nodes.convert.messages import (
     camera_accuracy_from_msg,
     camera_accuracy_to_msg,
     cylinder_radius_from_msg,

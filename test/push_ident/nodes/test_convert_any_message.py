@@ -18,7 +18,7 @@ from helpers.objects import hammer_shape
 from push_ident.errors import PushIdentError
 from push_ident.geometry.table import Table
 from push_ident.limits import LIMITS
-from push_ident.nodes.convert import (
+from push_ident.nodes.convert.messages import (
     cylinder_radius_from_msg,
     cylinder_to_msg,
     depth_frame_from_msgs,
@@ -36,8 +36,8 @@ from push_ident.nodes.convert import (
     stamp_to_msg,
     transform_from_msg,
 )
-from push_ident.nodes.convert_model import pusher_path_from_msg
-from push_ident.nodes.convert_table import table_from_msg, table_to_msg
+from push_ident.nodes.convert.model import pusher_path_from_msg
+from push_ident.nodes.convert.table import table_from_msg, table_to_msg
 from push_ident.types import CameraIntrinsics, DepthFrame
 from push_ident_msgs.msg import PushRecord
 from push_ident_sim.fuzz.mutate_message import mutate_message

@@ -14,12 +14,12 @@ from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.geometry.table import Table
 from push_ident.identification.result import prior_posterior
-from push_ident.nodes.convert import planar_pose_of
-from push_ident.nodes.convert_model import posterior_from_msg, posterior_to_msg
-from push_ident.nodes.convert_table import table_from_msg, table_to_msg
+from push_ident.nodes.convert.messages import planar_pose_of
+from push_ident.nodes.convert.model import posterior_from_msg, posterior_to_msg
+from push_ident.nodes.convert.table import table_from_msg, table_to_msg
 from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_from_msg, result_to_msg
 from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values, push_settings
-from push_ident.nodes.table_input import table_of_corners
+from push_ident.nodes.input.table import table_of_corners
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal

@@ -12,7 +12,7 @@ from geometry_msgs.msg import Point
 from visualization_msgs.msg import Marker, MarkerArray
 
 from push_ident.errors import InputError
-from push_ident.nodes.convert_goal_markers import GoalDrawing, draw_goal, goal_markers_from_msg, goal_markers_to_msg
+from push_ident.nodes.convert.goal_markers import GoalDrawing, draw_goal, goal_markers_from_msg, goal_markers_to_msg
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.curved_planner import CurvedPush
 from push_ident.planning.goal import Goal

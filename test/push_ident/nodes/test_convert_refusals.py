@@ -9,7 +9,7 @@ from geometry_msgs.msg import Point
 from visualization_msgs.msg import Marker, MarkerArray
 
 from push_ident.errors import InputError
-from push_ident.nodes.convert_refusals import refusals_from_msg, refusals_to_msg
+from push_ident.nodes.convert.refusals import refusals_from_msg, refusals_to_msg
 from push_ident.perception.refusals import Reason, Refusal, summary_of
 
 OUTLINE = np.array([[0.1, 0.1], [0.2, 0.1], [0.2, 0.2]])

@@ -12,8 +12,8 @@ from rclpy.context import Context
 from helpers.robots import robot_path
 from push_ident.cli.robot import robot_for
 from push_ident.errors import InputError
-from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.perception.perception_node import PerceptionNode
 from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
 

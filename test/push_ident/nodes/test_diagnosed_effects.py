@@ -14,8 +14,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from helpers.node_process import NodeProcess, Talker
 from push_ident.identification.known_effects import effects_in_use
-from push_ident.nodes.convert_model import posterior_from_msg
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.convert.model import posterior_from_msg
 from push_ident.planning.belief import Belief
 from push_ident_msgs.action import DiagnoseGap
 from push_ident_msgs.msg import GapReport, ModelPosterior

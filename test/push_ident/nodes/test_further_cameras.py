@@ -15,10 +15,10 @@ from helpers.spinning import spinning
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.geometry.se3 import pose_of_quaternion
-from push_ident.nodes.convert import (
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.convert.messages import (
     shape_from_msgs,
 )
-from push_ident.nodes.network import own_domain
 from push_ident.perception.parameter_file import pose_lines
 
 pytestmark = pytest.mark.live

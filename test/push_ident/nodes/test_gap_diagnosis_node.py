@@ -23,7 +23,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from helpers.executor_cell import Stalls
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 from push_ident_msgs.action import DiagnoseGap
 from push_ident_msgs.msg import GapReport
 from push_ident_sim.injected import InjectedEffects

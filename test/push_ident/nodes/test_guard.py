@@ -32,25 +32,25 @@ from helpers.node_process import NodeProcess, Talker, node_commands
 from helpers.wrong_poses import right_pose, wrong_poses
 from push_ident.errors import InputError
 from push_ident.geometry.outline import cells_in_outline
-from push_ident.nodes.bag_player_node import BagPlayerNode
-from push_ident.nodes.bag_recorder_node import BagRecorderNode
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.convert import (
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.executors import make_executor
+from push_ident.nodes.base.guard import Guard
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.base.stamps import StampCheck
+from push_ident.nodes.convert.messages import (
     joints_from_msg,
     planar_pose_from_msg,
     shape_from_msgs,
     shape_to_msgs,
     stamp_from_msg,
 )
-from push_ident.nodes.executors import make_executor
 from push_ident.nodes.gap_diagnosis.gap_diagnosis_node import GapDiagnosisNode
 from push_ident.nodes.goal_pushing.goal_pushing_node import GoalPushingNode
-from push_ident.nodes.guard import Guard
 from push_ident.nodes.identification.identification_node import IdentificationNode
-from push_ident.nodes.network import own_domain
 from push_ident.nodes.perception.perception_node import PerceptionNode
 from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
-from push_ident.nodes.stamps import StampCheck
+from push_ident.nodes.recording.bag_player_node import BagPlayerNode
+from push_ident.nodes.recording.bag_recorder_node import BagRecorderNode
 from push_ident.nodes.viewer.viewer_node import ViewerNode
 from push_ident.types import ObjectShape
 from push_ident_msgs.msg import PushRecord

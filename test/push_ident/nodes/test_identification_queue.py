@@ -20,11 +20,11 @@ from helpers.node_process import Talker
 from helpers.spinning import spinning
 from push_ident.geometry.outline import cells_in_outline
 from push_ident.identification.session import ObjectSession
-from push_ident.nodes.convert import outline_std_to_msg, planar_pose_to_msg, shape_to_msgs
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.convert.messages import outline_std_to_msg, planar_pose_to_msg, shape_to_msgs
 from push_ident.nodes.identification import identification_node
 from push_ident.nodes.identification.identification_node import IdentificationNode
 from push_ident.nodes.identification.work_queue import Kind, WorkQueue
-from push_ident.nodes.network import own_domain
 from push_ident.types import ObjectShape
 from push_ident_msgs.srv import LoadModel, SaveModel
 

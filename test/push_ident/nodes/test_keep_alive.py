@@ -18,7 +18,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from helpers.executor_cell import CONTACT, QUICK, Call, Cell, Stalls, ask, start_node, wait_for, wait_until_ready
 from push_ident.cli.supervisor import node_command
-from push_ident.nodes.keep_alive import KeepAlive
+from push_ident.nodes.base.keep_alive import KeepAlive
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
 
@@ -36,7 +36,7 @@ COMMAND = ("push", "--at", "0.05,0", "--direction", str(np.pi), "--object", "box
 STUCK = """
 import sys, time
 from pathlib import Path
-from push_ident.nodes.client import CellClient
+from push_ident.nodes.client.cell_client import CellClient
 from push_ident.cli.push import contact_goal
 import numpy as np
 flag = Path(sys.argv[1])

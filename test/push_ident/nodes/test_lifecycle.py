@@ -17,8 +17,8 @@ from rclpy.parameter import Parameter
 from helpers.executor_cell import CONTACT, Cell, send, start_node, wait_for, wait_until_ready
 from helpers.node_process import NodeProcess, Talker, node_commands
 from helpers.spinning import spinning
+from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.executables import NODES
-from push_ident.nodes.network import own_domain
 from push_ident.pushing.push import PushCode
 from push_ident_sim.executables import NODES as SIM_NODES
 from push_ident_sim.faults.lifecycle import Lifecycle

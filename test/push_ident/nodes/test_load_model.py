@@ -17,9 +17,9 @@ from helpers.node_process import NodeProcess, Talker
 from helpers.wrong_poses import right_pose
 from push_ident.errors import InputError, PushIdentError
 from push_ident.files import write_whole
-from push_ident.nodes.convert import shape_to_msgs
-from push_ident.nodes.network import own_domain
-from push_ident.nodes.paths import file_to_read, file_to_write
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.base.paths import file_to_read, file_to_write
+from push_ident.nodes.convert.messages import shape_to_msgs
 from push_ident.types import CellGrid, ObjectShape
 from push_ident_msgs.srv import LoadModel
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from push_ident.nodes.network import PROFILE, RANGE, choose_network, listens_on, own_domain, process_domain
+from push_ident.nodes.base.network import PROFILE, RANGE, choose_network, listens_on, own_domain, process_domain
 
 
 def chosen(**environ: str) -> tuple[str, str]:
@@ -53,7 +53,7 @@ def test_another_middleware_gets_the_range_of_ros() -> None:
     assert chosen(RMW_IMPLEMENTATION="rmw_cyclonedds_cpp") == ("LOCALHOST", "")
 
 
-HOLD = "from push_ident.nodes.network import own_domain; print(own_domain(), flush=True); input()"
+HOLD = "from push_ident.nodes.base.network import own_domain; print(own_domain(), flush=True); input()"
 
 
 def test_a_domain_belongs_to_one_process_until_it_ends() -> None:
@@ -67,7 +67,7 @@ def test_a_domain_belongs_to_one_process_until_it_ends() -> None:
         assert process.returncode == 1  # end of file
 
 
-HOLD_ALL = "from push_ident.nodes.network import own_domain; print([own_domain() for _ in range(300)][-202:], flush=True); input()"
+HOLD_ALL = "from push_ident.nodes.base.network import own_domain; print([own_domain() for _ in range(300)][-202:], flush=True); input()"
 
 
 def test_a_process_that_has_had_all_domains_gets_its_own_again_in_turn_and_others_get_none() -> None:
@@ -77,7 +77,7 @@ def test_a_process_that_has_had_all_domains_gets_its_own_again_in_turn_and_other
     program = (
         "import subprocess, sys\n"
         "from push_ident.errors import InputError\n"
-        "from push_ident.nodes.network import own_domain\n"
+        "from push_ident.nodes.base.network import own_domain\n"
         f"held = subprocess.Popen([sys.executable, '-c', {HOLD_ALL!r}], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)\n"
         "print(held.stdout.readline())\n"
         "try:\n    own_domain()\nexcept InputError as error:\n    print(error)\n"

@@ -11,8 +11,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from push_ident.errors import InputError
-from push_ident.nodes.network import own_domain
-from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.base.parameters import Parameter, Parameters
 
 TABLE = (
     Parameter("speed", 0.05, "speed of the push [m/s]", 0.001, 0.5),

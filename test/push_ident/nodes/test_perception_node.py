@@ -26,15 +26,15 @@ from helpers.spinning import spinning
 from push_ident.geometry.outline import polygon_area
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.geometry.se3 import pose_of_quaternion
-from push_ident.nodes.convert import (
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.convert.messages import (
     camera_accuracy_from_msg,
     planar_pose_from_msg,
     shape_from_msgs,
     stamp_from_msg,
     stamp_to_msg,
 )
-from push_ident.nodes.convert_refusals import refusals_from_msg
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.convert.refusals import refusals_from_msg
 from push_ident.perception.depth import points_in_table
 from push_ident_sim.faults.lifecycle import Lifecycle
 

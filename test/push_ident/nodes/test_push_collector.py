@@ -26,9 +26,9 @@ from shape_msgs.msg import SolidPrimitive
 from helpers.executor_cell import wait_for
 from helpers.objects import hammer, random_records
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.convert import cylinder_to_msg, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg
-from push_ident.nodes.convert_table import EDGE_TOPIC, edge_to_msg
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.convert.messages import cylinder_to_msg, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg
+from push_ident.nodes.convert.table import EDGE_TOPIC, edge_to_msg
 from push_ident.physics.overhang import TableEdge
 from push_ident.types import PushRecord
 from push_ident_msgs.msg import MassFrictionMap

@@ -37,8 +37,8 @@ from helpers.executor_cell import (
 from helpers.wrong_poses import wrong_poses
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.convert import stamp_from_msg
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.convert.messages import stamp_from_msg
 from push_ident.nodes.push_executor.arm_lease import ArmLease
 from push_ident.nodes.push_executor.hand_port import RobotiqHand
 from push_ident.nodes.push_executor.parameters import PARAMETERS

@@ -12,11 +12,11 @@ from rclpy.context import Context
 
 from helpers.paths import CONFIG
 from push_ident.errors import InputError
-from push_ident.nodes.bag_recorder_node import BagRecorderNode
-from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.perception.perception_node import PerceptionNode
 from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
+from push_ident.nodes.recording.bag_recorder_node import BagRecorderNode
 from push_ident.nodes.viewer.viewer_node import ViewerNode
 
 FULL = 10_000_000

@@ -22,8 +22,8 @@ pytestmark = pytest.mark.alone
 SCRIPT = """
 import sys, time
 from push_ident.errors import InputError
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.run import run_node
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.run import run_node
 
 class Tested(CellNode):
     def __init__(self):

@@ -28,7 +28,9 @@ from visualization_msgs.msg import MarkerArray
 from push_ident.identification.prediction import predict
 from push_ident.identification.result import prior_posterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
-from push_ident.nodes.convert import (
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_to_msg
+from push_ident.nodes.convert.messages import (
     depth_frame_to_msgs,
     planar_pose_to_msg,
     position_to_msg,
@@ -37,10 +39,8 @@ from push_ident.nodes.convert import (
     stamp_to_msg,
     transform_to_msg,
 )
-from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_to_msg
-from push_ident.nodes.convert_model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
-from push_ident.nodes.convert_refusals import refusals_to_msg
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.convert.model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
+from push_ident.nodes.convert.refusals import refusals_to_msg
 from push_ident.nodes.viewer.rerun_scene import RerunScene
 from push_ident.perception.refusals import Reason, Refusal
 from push_ident.physics.scenario import PushScenario

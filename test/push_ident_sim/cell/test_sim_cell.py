@@ -17,7 +17,7 @@ from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se3 import pose_of_quaternion
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath

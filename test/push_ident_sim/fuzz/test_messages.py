@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from push_ident.errors import InputError
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 from push_ident_sim.fuzz.cases import read_case, read_cases
 from push_ident_sim.fuzz.run import FUZZED, Settings, fuzz_messages, nodes_of
 

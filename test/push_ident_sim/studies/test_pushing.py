@@ -10,7 +10,7 @@ from geometry_msgs.msg import Point
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.nodes.convert import stamp_to_msg
+from push_ident.nodes.convert.messages import stamp_to_msg
 from push_ident.pushing.motion import ArmPlan, MotionSettings, plan_push
 from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.push import PushCode, PushPlan2D

@@ -24,11 +24,11 @@ from push_ident.cli.push_to import GoalText, finish, push_to_goal
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.extras import need_ros
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
 
 if TYPE_CHECKING:
-    from push_ident.nodes.client import CellClient
+    from push_ident.nodes.client.cell_client import CellClient
 
 __all__ = ["demo_command"]
 
@@ -78,7 +78,7 @@ def demo_command(
     columns = (SpinnerColumn(), Description(), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn())
     with Supervisor(commands, log_dir=run / "log") as supervisor:
         show_view(view)
-        from push_ident.nodes.client import CellClient
+        from push_ident.nodes.client.cell_client import CellClient
 
         with CellClient(check=supervisor.check) as client, Progress(*columns, console=console) as progress:
             task = progress.add_task("starting the cell", total=n_train + (n_test if where is None else 0))

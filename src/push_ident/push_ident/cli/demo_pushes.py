@@ -23,7 +23,7 @@ from push_ident.pushing.sampling import is_near_edge
 from push_ident.types import Float64Array, PusherPath
 
 if TYPE_CHECKING:
-    from push_ident.nodes.client import CellClient
+    from push_ident.nodes.client.cell_client import CellClient
     from push_ident_msgs.action import ExecutePush
 
 __all__ = ["DemoPush", "DemoPushes"]
@@ -69,7 +69,7 @@ class DemoPushes:
     """
 
     def __init__(self, client: CellClient, object_id: str, seed: int, folder: Path, show: Callable[[str, int], None]) -> None:
-        from push_ident.nodes.camera_view import CameraView
+        from push_ident.nodes.client.camera_view import CameraView
 
         self._client, self._object_id, self._seed, self._folder, self._show = client, object_id, seed, folder, show
         self._camera = CameraView(client.node)
@@ -136,7 +136,7 @@ class DemoPushes:
 
     def _push(self, planned: ExecutePush.Result) -> bool:
         """Predict a planned push, make it and compare; whether it was made."""
-        from push_ident.nodes.convert_model import pusher_path_from_msg
+        from push_ident.nodes.convert.model import pusher_path_from_msg
         from push_ident_msgs.action import ExecutePush
 
         client, object_id, number = self._client, self._object_id, len(self.made) + 1
@@ -194,7 +194,7 @@ class DemoPushes:
 
     def _learned(self, n: int) -> None:
         """Wait until `n` pushes are learned; one that identification refused, such as for missing poses, is said and left."""
-        from push_ident.nodes.client import CellTimeout
+        from push_ident.nodes.client.cell_client import CellTimeout
 
         try:
             self._client.wait_for_map(self._object_id, n, _LEARN)

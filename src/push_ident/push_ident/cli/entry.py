@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from typing import Final, NoReturn
 
-from push_ident.nodes.lifetime import LIFETIME
+from push_ident.nodes.base.lifetime import LIFETIME
 
 __all__ = ["main"]
 

@@ -26,7 +26,7 @@ from push_ident.cli.supervisor import Supervisor, node_commands, node_names
 from push_ident.errors import InputError, PushIdentError
 from push_ident.extras import need_ros
 from push_ident.geometry.se3 import quaternion_of_pose
-from push_ident.nodes.network import listens_on, own_domain
+from push_ident.nodes.base.network import listens_on, own_domain
 from push_ident.offline.loading import most_pushed
 from push_ident.physics.simulation import compile_kernels
 
@@ -129,7 +129,7 @@ def replay_command(
         compile_kernels(effects=True)  # the first time a minute or more, in which the node would seem to stand still
     with Supervisor(commands, log_dir=out / "log" if out else None) as supervisor:
         show_view(view)
-        from push_ident.nodes.client import CellClient
+        from push_ident.nodes.client.cell_client import CellClient
 
         with CellClient(check=supervisor.check) as client, console.status("playing") as status:
             client.wait(
@@ -293,7 +293,7 @@ def _ros(problems: list[str]) -> dict[str, str]:
 
 
 def _topics(seconds: float, problems: list[str]) -> list[dict[str, Any]]:
-    from push_ident.nodes.listen import listen_to_contract
+    from push_ident.nodes.client.listen import listen_to_contract
 
     rows = listen_to_contract(seconds)
     if not rows:

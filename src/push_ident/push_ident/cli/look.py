@@ -153,7 +153,7 @@ def _check_live(source: str, intrinsics: str, unit: float | None) -> None:
 def _listen(topic: str, seconds: float, show: Callable[[str], None]) -> _Seen:
     """What a camera that runs now has. Raises InputError or FrameError."""
     need_ros()
-    from push_ident.nodes.depth_capture import DepthCapture  # without --live no ROS is needed
+    from push_ident.nodes.client.depth_capture import DepthCapture  # without --live no ROS is needed
 
     with DepthCapture(topic, seconds=seconds, on_progress=show) as camera:
         console.print(f"listening to {camera.topic} and {camera.info_topic} for up to {seconds:g} s", highlight=False, soft_wrap=True)

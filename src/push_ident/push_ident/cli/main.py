@@ -8,36 +8,36 @@ from typing import Annotated
 import typer
 
 from push_ident import __version__
-from push_ident.cli.lazy import LazyGroup
+from push_ident.cli.lazy import LazyCommand, LazyGroup
 from push_ident.cli.output import console, warn
 from push_ident.errors import PushIdentError
 from push_ident.extras import how_to_get
 
 __all__ = ["app", "main"]
 
-LazyGroup.places = {
-    name: f"push_ident.cli.{place}"
-    for name, place in {
-        "look": "look:look_command",
-        "identify": "identify:identify_command",
-        "predict": "predict:predict_command",
-        "diagnose": "diagnose:diagnose_command",
-        "fleet": "fleet:fleet_command",
-        "export": "export:export_command",
-        "replay": "live:replay_command",
-        "import": "importing:import_app",
-        "up": "live:up_command",
-        "push": "push:push_command",
-        "push-to": "push_to:push_to_command",
-        "experiment": "experiment:experiment_command",
-        "simulate": "simulate:simulate_command",
-        "bench": "bench:bench_command",
-        "faults": "faults:faults_command",
-        "fuzz": "fuzz:fuzz_command",
-        "demo": "demo:demo_command",
-        "doctor": "live:doctor_command",
-        "salvage": "salvage:salvage_command",
-    }.items()
+LazyGroup.lazy_subcommands = {
+    name: LazyCommand(f"push_ident.cli.{place}", summary)
+    for name, place, summary in (
+        ("look", "look:look_command", "Find table, noise and objects in depth images"),
+        ("identify", "identify:identify_command", "Identify the mass and friction maps from recorded pushes"),
+        ("predict", "predict:predict_command", "Predict recorded pushes with a model and compare"),
+        ("diagnose", "diagnose:diagnose_command", "Report which missing effect causes a gap, and where"),
+        ("fleet", "fleet:fleet_command", "Identify many bags in parallel"),
+        ("export", "export:export_command", "Write a model for a simulator"),
+        ("replay", "live:replay_command", "Play a bag through the live nodes and show the maps"),
+        ("import", "importing:import_app", "Convert own tables and bags, or published recordings"),
+        ("up", "live:up_command", "Start the node processes of a cell; Ctrl-C stops them"),
+        ("push", "push:push_command", "Push an object of a live cell"),
+        ("push-to", "push_to:push_to_command", "Push an object of a live cell to a goal or along a path"),
+        ("experiment", "experiment:experiment_command", "Run an experiment on simulated ground truth"),
+        ("simulate", "simulate:simulate_command", "Push an object in the simulated cell and write a bag"),
+        ("bench", "bench:bench_command", "Measure time and error of the engine and of identification"),
+        ("faults", "faults:faults_command", "Inject faults into live nodes and check what holds"),
+        ("fuzz", "fuzz:fuzz_command", "Send mutated messages to every node"),
+        ("demo", "demo:demo_command", "Push, identify and predict an object of the simulated cell"),
+        ("doctor", "live:doctor_command", "Report packages, ROS, live topics, and what is missing"),
+        ("salvage", "salvage:salvage_command", "Copy the readable messages of a damaged bag"),
+    )
 }
 app = typer.Typer(
     name="push-ident",

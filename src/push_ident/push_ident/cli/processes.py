@@ -19,7 +19,7 @@ from rich.text import Text
 
 from push_ident.files import open_log
 from push_ident.limits import printable
-from push_ident.nodes.lifetime import LIFELINE, stop_signals_blocked
+from push_ident.nodes.base.lifetime import LIFELINE, stop_signals_blocked
 
 __all__ = ["LAST_LINES", "NodeCommand", "NodeExit", "NodeProcess"]
 

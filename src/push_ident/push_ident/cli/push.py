@@ -17,7 +17,7 @@ from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array
 
 if TYPE_CHECKING:
-    from push_ident.nodes.client import CellClient
+    from push_ident.nodes.client.cell_client import CellClient
     from push_ident_msgs.action import ExecutePush
 
 __all__ = ["contact_goal", "push_command", "push_one_by_one", "random_goals"]
@@ -64,7 +64,7 @@ def push_command(
         raise InputError("--distance, --speed and --in-object are for a push --at a point; random pushes draw their own.")
     else:
         goals = random_goals(random or 1, seed, object_id)
-    from push_ident.nodes.client import CellClient
+    from push_ident.nodes.client.cell_client import CellClient
 
     with CellClient() as client, console.status("looking for the cell") as status:
         results = push_one_by_one(client, goals, dry_run, status.update)

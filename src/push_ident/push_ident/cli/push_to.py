@@ -40,7 +40,7 @@ from push_ident.types import Float64Array
 if TYPE_CHECKING:
     from rich.status import Status
 
-    from push_ident.nodes.client import CellClient
+    from push_ident.nodes.client.cell_client import CellClient
     from push_ident_msgs.action import PushToGoal
 
 __all__ = ["GoalText", "finish", "goals_of", "push_to_command", "push_to_goal"]
@@ -167,8 +167,8 @@ def push_to_command(
 
 def _pursue(goals: Sequence[PushToGoal.Goal], reports: list[GoalReport]) -> None:
     """Push to one goal after another, until one is not reached; `reports` gets a report for each that was begun."""
-    from push_ident.nodes.client import CellClient
-    from push_ident.nodes.lifetime import LIFETIME
+    from push_ident.nodes.base.lifetime import LIFETIME
+    from push_ident.nodes.client.cell_client import CellClient
 
     LIFETIME.patience = _TO_WRITE
     with CellClient() as client, console.status("looking for the cell") as status:

@@ -15,7 +15,7 @@ from push_ident.pushing.robot.node_parameters import node_parameters
 from push_ident.pushing.robot.robot_file import Robot
 
 if TYPE_CHECKING:
-    from push_ident.nodes.parameters import Parameter
+    from push_ident.nodes.base.parameters import Parameter
 
 __all__ = ["check_parameters"]
 

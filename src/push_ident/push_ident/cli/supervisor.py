@@ -22,7 +22,7 @@ from push_ident.cli.processes import LAST_LINES, NodeCommand, NodeExit, NodeProc
 from push_ident.cli.restart import Backoff, RestartPolicy
 from push_ident.errors import InputError, PushIdentError
 from push_ident.limits import printable
-from push_ident.nodes.lifetime import LIFETIME, stopping_in_order
+from push_ident.nodes.base.lifetime import LIFETIME, stopping_in_order
 
 __all__ = ["Kind", "NodeCommand", "NodeExit", "Supervisor", "SupervisorError", "config_file", "node_command", "node_commands", "node_names"]
 
@@ -36,7 +36,7 @@ _KILL_AFTER: Final = 1.0
 """Time from SIGTERM to SIGKILL [s]."""
 
 _COULD_NOT_START: Final = 1
-"""Exit code of a node that could not start; see `push_ident.nodes.run`, which imports ROS."""
+"""Exit code of a node that could not start; see `push_ident.nodes.base.run`, which imports ROS."""
 
 _SIM_NODES: Final = ("sim_cell_node", "sim_hand_node")
 """Nodes of the package push_ident_sim; the others belong to push_ident."""

@@ -5,7 +5,7 @@ Importing one chooses the network of the process and the threads of its linear a
 
 import os
 
-from push_ident.nodes.network import choose_network
+from push_ident.nodes.base.network import choose_network
 
 # Before any node is created, in whatever process it is.
 choose_network(os.environ)

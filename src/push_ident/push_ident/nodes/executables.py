@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final, NoReturn
 
 from push_ident.extras import how_to_get
-from push_ident.nodes.lifetime import LIFETIME
+from push_ident.nodes.base.lifetime import LIFETIME
 
 __all__ = ["NODES", "main", "run_executable"]
 
@@ -19,8 +19,8 @@ NODES: Final = {
     "push_executor_node": "push_ident.nodes.push_executor.push_executor_node",
     "identification_node": "push_ident.nodes.identification.identification_node",
     "gap_diagnosis_node": "push_ident.nodes.gap_diagnosis.gap_diagnosis_node",
-    "bag_player_node": "push_ident.nodes.bag_player_node",
-    "bag_recorder_node": "push_ident.nodes.bag_recorder_node",
+    "bag_player_node": "push_ident.nodes.recording.bag_player_node",
+    "bag_recorder_node": "push_ident.nodes.recording.bag_recorder_node",
     "goal_pushing_node": "push_ident.nodes.goal_pushing.goal_pushing_node",
     "viewer_node": "push_ident.nodes.viewer.viewer_node",
 }

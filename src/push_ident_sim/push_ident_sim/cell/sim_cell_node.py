@@ -32,8 +32,10 @@ from push_ident.errors import InputError
 from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.geometry.table import Table
 from push_ident.limits import LIMITS, plain_text
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.convert import (
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.base.run import run_node
+from push_ident.nodes.convert.messages import (
     TABLE_FRAME,
     depth_frame_to_msgs,
     force_to_msg,
@@ -43,9 +45,7 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     stamp_to_msg,
 )
-from push_ident.nodes.convert_table import TABLE_TOPIC, table_to_msg
-from push_ident.nodes.parameters import Parameter
-from push_ident.nodes.run import run_node
+from push_ident.nodes.convert.table import TABLE_TOPIC, table_to_msg
 from push_ident.types import DepthFrame
 from push_ident_sim.cell.camera import DepthCamera
 from push_ident_sim.cell.pace import Meter, Pace

@@ -9,9 +9,9 @@ from typing import Any, Final
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.parameters import Parameter
-from push_ident.nodes.run import run_node
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.base.run import run_node
 from push_ident.pushing.hand import CLOSED, HandMotion
 from push_ident_msgs.msg import HandCommand, HandStatus
 

@@ -16,8 +16,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from push_ident.geometry.outline import cells_in_outline
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.convert import force_to_msg, planar_pose_to_msg, shape_to_msgs, stamp_from_msg, stamp_to_msg
-from push_ident.nodes.convert_tool_path import correction_to_msg, path_goal
+from push_ident.nodes.convert.messages import force_to_msg, planar_pose_to_msg, shape_to_msgs, stamp_from_msg, stamp_to_msg
+from push_ident.nodes.convert.tool_path import correction_to_msg, path_goal
 from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.steering import PathRequest, ToolCorrection
 from push_ident.pushing.tool_path import ToolPath

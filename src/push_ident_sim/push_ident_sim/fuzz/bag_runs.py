@@ -72,11 +72,11 @@ def _fleet(bag: Path, out: Path) -> None:
 
 def _play(bag: Path, out: Path) -> None:
     del out
-    from push_ident.nodes.network import own_domain
+    from push_ident.nodes.base.network import own_domain
 
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
-    from push_ident.nodes.bag_player_node import main
+    from push_ident.nodes.recording.bag_player_node import main
 
     sys.argv = ["bag_player_node", "--ros-args", "-p", f"bag:={bag}", "-p", "rate:=0.0", "-p", "wait:=0.0", "-p", "listeners:=0"]
     sys.exit(main())

@@ -25,9 +25,9 @@ from push_ident.bags.records import write_records
 from push_ident.identification.prediction import predict
 from push_ident.identification.result import prior_posterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
-from push_ident.nodes.convert import position_to_msg, stamp_to_msg, transform_to_msg
-from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_to_msg
-from push_ident.nodes.convert_model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
+from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_to_msg
+from push_ident.nodes.convert.messages import position_to_msg, stamp_to_msg, transform_to_msg
+from push_ident.nodes.convert.model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
 from push_ident.physics.scenario import PushScenario
 from push_ident.pushing.corridor import Corridor
 from push_ident.types import PoseTrack, PusherPath, PushRecord

@@ -20,7 +20,7 @@ from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.geometry.table import Table
-from push_ident.nodes.convert import (
+from push_ident.nodes.convert.messages import (
     TABLE_FRAME,
     cylinder_to_msg,
     depth_frame_to_msgs,
@@ -30,7 +30,7 @@ from push_ident.nodes.convert import (
     shape_to_msgs,
     stamp_to_msg,
 )
-from push_ident.nodes.convert_table import EDGE_TOPIC, TABLE_TOPIC, edge_to_msg, table_to_msg
+from push_ident.nodes.convert.table import EDGE_TOPIC, TABLE_TOPIC, edge_to_msg, table_to_msg
 from push_ident.physics.effects import CAUSES, EFFECTS
 from push_ident.physics.overhang import TableEdge
 from push_ident.physics.scenario import PushScenario

@@ -8,7 +8,7 @@ from typing import Any
 
 from geometry_msgs.msg import Point
 
-from push_ident.nodes.convert import TABLE_FRAME, stamp_to_msg
+from push_ident.nodes.convert.messages import TABLE_FRAME, stamp_to_msg
 from push_ident_msgs.msg import GapEffect, GapPart, GapReport
 
 __all__ = ["report_to_msg"]

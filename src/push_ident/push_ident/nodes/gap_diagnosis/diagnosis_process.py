@@ -13,7 +13,7 @@ from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import PushIdentError
-from push_ident.nodes.lifetime import end_with_parent, stop_signals_blocked
+from push_ident.nodes.base.lifetime import end_with_parent, stop_signals_blocked
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PushRecord
 

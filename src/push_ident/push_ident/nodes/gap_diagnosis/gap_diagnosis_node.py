@@ -16,13 +16,13 @@ from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
 from push_ident.identification.observation import observe_push
 from push_ident.identification.prior import Prior
-from push_ident.nodes.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.base.run import run_node
 from push_ident.nodes.gap_diagnosis.convert_diagnosis import report_to_msg
 from push_ident.nodes.gap_diagnosis.diagnosis_process import DiagnosisProcess
-from push_ident.nodes.parameters import Parameter
-from push_ident.nodes.push_collector import PushCollector
-from push_ident.nodes.run import run_node
-from push_ident.nodes.table_input import CORNERS, TableInput, table_of_corners
+from push_ident.nodes.input.push_collector import PushCollector
+from push_ident.nodes.input.table import CORNERS, TableInput, table_of_corners
 from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
 from push_ident.types import ObjectShape, PushRecord

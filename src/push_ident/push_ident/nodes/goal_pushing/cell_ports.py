@@ -14,15 +14,15 @@ from geometry_msgs.msg import Point
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.frames import TABLE_FRAME
-from push_ident.nodes.convert_tool_path import path_goal
+from push_ident.nodes.convert.tool_path import path_goal
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink, RequestedPush
 from push_ident.nodes.goal_pushing.model_input import ModelInput
 from push_ident.nodes.goal_pushing.parameters import SteeringValues
 from push_ident.nodes.goal_pushing.path_planners import PathPlanners
 from push_ident.nodes.goal_pushing.planner_thread import PlannerThread, WorkUnderWay
 from push_ident.nodes.goal_pushing.steered_push import SteeredPush
-from push_ident.nodes.table_input import TableInput
-from push_ident.nodes.tracked_objects import TrackedObjects
+from push_ident.nodes.input.table import TableInput
+from push_ident.nodes.input.tracked_objects import TrackedObjects
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal, edges_of
 from push_ident.planning.goal_ports import KnownModel, Wish

@@ -12,7 +12,7 @@ from geometry_msgs.msg import Point, Pose
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.limits import LIMITS, check_coordinates, plain_text
-from push_ident.nodes.convert import TABLE_FRAME, planar_pose_of
+from push_ident.nodes.convert.messages import TABLE_FRAME, planar_pose_of
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal

@@ -20,21 +20,21 @@ from visualization_msgs.msg import MarkerArray
 
 from push_ident.errors import PushIdentError
 from push_ident.limits import plain_text
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.convert import cylinder_radius_from_msg
-from push_ident.nodes.convert_goal_markers import GoalDrawing, draw_goal, goal_markers_to_msg
-from push_ident.nodes.convert_table import EDGE_TOPIC, edge_to_msg
-from push_ident.nodes.convert_tool_path import correction_to_msg
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.keep_alive import ClientWatch
+from push_ident.nodes.base.run import run_node
+from push_ident.nodes.convert.goal_markers import GoalDrawing, draw_goal, goal_markers_to_msg
+from push_ident.nodes.convert.messages import cylinder_radius_from_msg
+from push_ident.nodes.convert.table import EDGE_TOPIC, edge_to_msg
+from push_ident.nodes.convert.tool_path import correction_to_msg
 from push_ident.nodes.goal_pushing.cell_ports import CellPorts, CellView, Steering, WishOfClient
 from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_from_msg, result_to_msg
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink
 from push_ident.nodes.goal_pushing.model_input import ModelInput
 from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values, push_settings, session_limits, steering_values
 from push_ident.nodes.goal_pushing.planner_thread import PlannerThread
-from push_ident.nodes.keep_alive import ClientWatch
-from push_ident.nodes.run import run_node
-from push_ident.nodes.table_input import TableInput
-from push_ident.nodes.tracked_objects import TrackedObjects
+from push_ident.nodes.input.table import TableInput
+from push_ident.nodes.input.tracked_objects import TrackedObjects
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal_code import GoalCode, GoalRefusedError
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState, Wish

@@ -9,9 +9,9 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident.identification.known_effects import effects_text
-from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.convert_model import posterior_from_msg
-from push_ident.nodes.discovery import ObjectTopics
+from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.convert.model import posterior_from_msg
+from push_ident.nodes.input.discovery import ObjectTopics
 from push_ident.planning.goal_ports import KnownModel
 from push_ident_msgs.msg import ModelPosterior
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
-from push_ident.nodes.parameters import Parameter
-from push_ident.nodes.table_input import CORNERS, table_of_corners
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.input.table import CORNERS, table_of_corners
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal_ports import SessionLimits
 from push_ident.pushing.push import PushSettings

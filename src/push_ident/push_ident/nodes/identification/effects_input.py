@@ -11,10 +11,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from push_ident.diagnosis.usable_effects import UsableEffects, usable_effects_of_file, usable_effects_of_text
 from push_ident.errors import InputError
 from push_ident.limits import plain_text
-from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.convert import stamp_from_msg
-from push_ident.nodes.parameters import Parameter
-from push_ident.nodes.paths import file_to_read
+from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.base.paths import file_to_read
+from push_ident.nodes.convert.messages import stamp_from_msg
 from push_ident_msgs.msg import GapReport
 from push_ident_msgs.srv import LoadModel
 

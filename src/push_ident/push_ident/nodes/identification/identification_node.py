@@ -23,18 +23,18 @@ from push_ident.identification.prior import Prior
 from push_ident.identification.scoring import PushScore
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.convert import planar_pose_of, position_from_msg
-from push_ident.nodes.convert_model import pusher_path_from_msg
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.base.paths import file_to_read, file_to_write
+from push_ident.nodes.base.run import run_node, settle_memory
+from push_ident.nodes.convert.messages import planar_pose_of, position_from_msg
+from push_ident.nodes.convert.model import pusher_path_from_msg
 from push_ident.nodes.identification.effects_input import USE_DIAGNOSIS, EffectsInput
 from push_ident.nodes.identification.latest_jobs import LatestJobs
 from push_ident.nodes.identification.output import ObjectOutput
 from push_ident.nodes.identification.work_queue import Kind, WorkQueue
-from push_ident.nodes.parameters import Parameter
-from push_ident.nodes.paths import file_to_read, file_to_write
-from push_ident.nodes.push_collector import PushCollector
-from push_ident.nodes.run import run_node, settle_memory
-from push_ident.nodes.table_input import CORNERS, TableInput, table_of_corners
+from push_ident.nodes.input.push_collector import PushCollector
+from push_ident.nodes.input.table import CORNERS, TableInput, table_of_corners
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import compile_kernels
 from push_ident.pushing.push import PushSettings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from push_ident.nodes.guard import Guard
+from push_ident.nodes.base.guard import Guard
 
 __all__ = ["LatestJobs"]
 

@@ -14,8 +14,8 @@ from push_ident.identification.next_push import PlannedPush
 from push_ident.identification.prediction import Prediction
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
-from push_ident.nodes.convert import stamp_to_msg
-from push_ident.nodes.convert_model import (
+from push_ident.nodes.convert.messages import stamp_to_msg
+from push_ident.nodes.convert.model import (
     cloud_to_msg,
     map_status,
     map_to_msg,

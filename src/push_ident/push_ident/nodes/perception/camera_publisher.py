@@ -7,8 +7,8 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.qos import QoSProfile
 
 from push_ident.bags.contract import Role
-from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.convert import camera_accuracy_to_msg, transform_to_msg
+from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.convert.messages import camera_accuracy_to_msg, transform_to_msg
 from push_ident.perception.pipeline import Perception
 from push_ident.types import CameraAccuracy, Float64Array
 

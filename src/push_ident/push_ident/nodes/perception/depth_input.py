@@ -10,9 +10,9 @@ from builtin_interfaces.msg import Time
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.convert import stamp_from_msg
-from push_ident.nodes.depth_pairs import DepthPairs
+from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.convert.messages import stamp_from_msg
+from push_ident.nodes.input.depth_pairs import DepthPairs
 from push_ident.types import DepthFrame
 
 __all__ = ["EVERY_IMAGE", "EVERY_POSE", "DepthInput"]

@@ -10,8 +10,8 @@ from rclpy.node import Node
 
 from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.se3 import pose_of_quaternion
-from push_ident.nodes.convert import TABLE_FRAME
-from push_ident.nodes.parameters import Parameter
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.convert.messages import TABLE_FRAME
 from push_ident.perception.calibration import Calibration, Mark, calibrate
 from push_ident.perception.parameter_file import POSITION, QUATERNION
 from push_ident.types import DepthFrame, Float64Array

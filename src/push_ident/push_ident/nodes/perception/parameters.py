@@ -6,8 +6,8 @@ import re
 from typing import Any, Final
 
 from push_ident.errors import InputError
-from push_ident.nodes.depth_pairs import MAX_SKEW
-from push_ident.nodes.parameters import Parameter
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.input.depth_pairs import MAX_SKEW
 from push_ident.perception.parameter_file import HEADING_STD, POSITION_STD
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import CameraAccuracy

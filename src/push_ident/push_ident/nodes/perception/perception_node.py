@@ -28,8 +28,12 @@ from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.limits import LIMITS
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.convert import (
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.listeners import await_listener
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.base.run import run_node
+from push_ident.nodes.base.stamps import StampCheck
+from push_ident.nodes.convert.messages import (
     cylinder_radius_from_msg,
     joints_from_msg,
     occupancy_to_msg,
@@ -38,18 +42,14 @@ from push_ident.nodes.convert import (
     position_from_msg,
     shape_to_msgs,
 )
-from push_ident.nodes.convert_refusals import refusals_to_msg
-from push_ident.nodes.description_file import description_in
-from push_ident.nodes.listeners import await_listener
-from push_ident.nodes.parameters import Parameter
+from push_ident.nodes.convert.refusals import refusals_to_msg
+from push_ident.nodes.input.description_file import description_in
 from push_ident.nodes.perception.camera_publisher import CameraPublisher
 from push_ident.nodes.perception.depth_input import EVERY_POSE, DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
 from push_ident.nodes.perception.older_images import OlderImages
 from push_ident.nodes.perception.parameters import PARAMETERS, names_of_further_cameras, perception_settings
-from push_ident.nodes.run import run_node
-from push_ident.nodes.stamps import StampCheck
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.parameter_file import pose_lines
 from push_ident.perception.pipeline import Observation, ObservedObject, Perception

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
 from push_ident.errors import InputError
-from push_ident.nodes.convert import force_from_msg
+from push_ident.nodes.convert.messages import force_from_msg
 
 __all__ = ["ForcePort"]
 

@@ -6,7 +6,7 @@ from dataclasses import fields
 from typing import Any, Final, TypeVar
 
 from push_ident.errors import InputError
-from push_ident.nodes.parameters import Parameter
+from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.push_executor.hand_port import HAND_KINDS
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.push import PushSettings

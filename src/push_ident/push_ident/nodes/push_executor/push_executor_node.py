@@ -20,18 +20,18 @@ from std_srvs.srv import Trigger
 
 from push_ident.errors import InputError
 from push_ident.geometry.se3 import quaternion_of_pose
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.convert import TABLE_FRAME, cylinder_to_msg, position_to_msg, stamp_to_msg
-from push_ident.nodes.convert_tool_path import correction_from_msg, path_request_from_goal
-from push_ident.nodes.keep_alive import ClientWatch
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.keep_alive import ClientWatch
+from push_ident.nodes.base.run import run_node
+from push_ident.nodes.convert.messages import TABLE_FRAME, cylinder_to_msg, position_to_msg, stamp_to_msg
+from push_ident.nodes.convert.tool_path import correction_from_msg, path_request_from_goal
+from push_ident.nodes.input.tracked_objects import TrackedObjects
 from push_ident.nodes.push_executor.arm_lease import ArmLease
 from push_ident.nodes.push_executor.arm_port import ArmPort
 from push_ident.nodes.push_executor.force_port import ForcePort
 from push_ident.nodes.push_executor.hand_port import make_hand
 from push_ident.nodes.push_executor.parameters import PARAMETERS, execution_settings
-from push_ident.nodes.recording_port import RecordingPort
-from push_ident.nodes.run import run_node
-from push_ident.nodes.tracked_objects import TrackedObjects
+from push_ident.nodes.recording.recording_port import RecordingPort
 from push_ident.pushing.executed_push import ExecutedPush
 from push_ident.pushing.execution import PushExecution
 from push_ident.pushing.ports import ArmState, ExecutionPorts, Phase

@@ -18,8 +18,12 @@ from visualization_msgs.msg import MarkerArray
 from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se2 import transform_points
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.convert import (
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.parameters import Parameter, Parameters
+from push_ident.nodes.base.run import run_node
+from push_ident.nodes.base.stamps import StampCheck
+from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_from_msg
+from push_ident.nodes.convert.messages import (
     cylinder_radius_from_msg,
     depth_frame_from_msgs,
     intrinsics_from_msg,
@@ -28,13 +32,9 @@ from push_ident.nodes.convert import (
     stamp_from_msg,
     transform_from_msg,
 )
-from push_ident.nodes.convert_goal_markers import GoalDrawing, goal_markers_from_msg
-from push_ident.nodes.convert_refusals import refusals_from_msg
-from push_ident.nodes.discovery import ObjectTopics
-from push_ident.nodes.parameters import Parameter, Parameters
-from push_ident.nodes.run import run_node
-from push_ident.nodes.stamps import StampCheck
-from push_ident.nodes.tracked_objects import TrackedObjects
+from push_ident.nodes.convert.refusals import refusals_from_msg
+from push_ident.nodes.input.discovery import ObjectTopics
+from push_ident.nodes.input.tracked_objects import TrackedObjects
 from push_ident.nodes.viewer.ports import GRPC_PORT, WEB_PORT
 from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
 from push_ident.perception.depth import height_inside, points_in_table

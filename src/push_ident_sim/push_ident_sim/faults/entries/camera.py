@@ -12,7 +12,7 @@ import numpy as np
 
 from push_ident.cli.supervisor import node_commands
 from push_ident.geometry.se3 import pose_of_quaternion
-from push_ident.nodes.convert import stamp_from_msg, stamp_to_msg
+from push_ident.nodes.convert.messages import stamp_from_msg, stamp_to_msg
 from push_ident_sim.cell.camera import INTRINSICS
 from push_ident_sim.faults.fault import Fault, Trial
 from push_ident_sim.faults.harness.cell import CAMERA_CELL

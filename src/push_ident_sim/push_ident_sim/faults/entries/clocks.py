@@ -8,8 +8,8 @@ from functools import partial
 from typing import Any, Final
 
 from push_ident.cli.supervisor import node_commands
-from push_ident.nodes.convert import stamp_from_msg, stamp_to_msg
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.convert.messages import stamp_from_msg, stamp_to_msg
 from push_ident.pushing.push import PushCode
 from push_ident_sim.faults.fault import Fault, Trial
 from push_ident_sim.faults.harness.cell import ARM_CELL

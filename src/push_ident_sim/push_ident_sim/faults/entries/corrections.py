@@ -9,7 +9,7 @@ import numpy as np
 
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import signed_distance
-from push_ident.nodes.convert_tool_path import correction_to_msg, path_goal
+from push_ident.nodes.convert.tool_path import correction_to_msg, path_goal
 from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.steering import PathRequest, ToolCorrection

@@ -21,7 +21,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from push_ident.cli.supervisor import NodeCommand, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 from push_ident.pushing.push import PushCode
 from push_ident_sim.cell.robot import HOME, robot_description
 from push_ident_sim.faults.fault import Fault, Impossible, Trial

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
 from push_ident.errors import PushIdentError
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.srv import SaveModel
 from push_ident_sim.faults.harness.monitor import Goal, Monitor, until

@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from push_ident.errors import PushIdentError
-from push_ident.nodes.convert import stamp_from_msg
+from push_ident.nodes.convert.messages import stamp_from_msg
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushRecord
 from push_ident_sim.cell.robot import JOINT_NAMES

@@ -14,7 +14,7 @@ from typing import Final
 
 from push_ident.cli.supervisor import NodeCommand
 from push_ident.files import open_log
-from push_ident.nodes.lifetime import LIFELINE, stop_signals_blocked
+from push_ident.nodes.base.lifetime import LIFELINE, stop_signals_blocked
 from push_ident_sim.faults.harness.priority import as_urgent_as_this_one
 
 __all__ = ["TRACEBACK", "Process"]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError
-from push_ident.nodes.network import process_domain
+from push_ident.nodes.base.network import process_domain
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import ObjectModel, PusherPath

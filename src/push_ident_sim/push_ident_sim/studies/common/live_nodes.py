@@ -24,7 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from push_ident.cli.supervisor import NodeCommand, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.files import open_log
-from push_ident.nodes.lifetime import LIFELINE
+from push_ident.nodes.base.lifetime import LIFELINE
 from push_ident_msgs.msg import MassFrictionMap
 
 __all__ = [

@@ -20,7 +20,7 @@ from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.se2 import compose, inverse, wrap_angle
-from push_ident.nodes.client import CellClient, CellTimeout
+from push_ident.nodes.client.cell_client import CellClient, CellTimeout
 from push_ident.types import Float64Array
 from push_ident_sim.objects import make_object
 from push_ident_sim.studies.common.base import Json

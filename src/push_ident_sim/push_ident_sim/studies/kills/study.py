@@ -18,7 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
-from push_ident.nodes.network import process_domain
+from push_ident.nodes.base.network import process_domain
 from push_ident.nodes.push_executor.parameters import PARAMETERS
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush

@@ -21,8 +21,8 @@ from shape_msgs.msg import SolidPrimitive
 
 from push_ident.cli.supervisor import node_commands
 from push_ident.errors import PushIdentError
-from push_ident.nodes.convert import cylinder_to_msg, depth_frame_to_msgs, position_to_msg, stamp_to_msg
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.convert.messages import cylinder_to_msg, depth_frame_to_msgs, position_to_msg, stamp_to_msg
 from push_ident.pushing.push import PushSettings
 from push_ident.types import DepthFrame
 from push_ident_sim.cell.camera import DepthCamera, DepthNoise

@@ -22,7 +22,7 @@ from push_ident.identification.identify import identify
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.session import ObjectSession, SessionOptions
 from push_ident.identification.state_file import load_state
-from push_ident.nodes.network import own_domain
+from push_ident.nodes.base.network import own_domain
 from push_ident.offline.loading import load_pushes
 from push_ident.types import PushRecord
 from push_ident_sim.objects import OBJECT_NAMES, make_object

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
-from push_ident.nodes.run import NICENESS
+from push_ident.nodes.base.run import NICENESS
 from push_ident_sim.faults.harness.cell import ARM_CELL, Cell, live_cell
 from push_ident_sim.faults.harness.hold import measure_hold
 from push_ident_sim.faults.harness.priority import set_priority, urgent

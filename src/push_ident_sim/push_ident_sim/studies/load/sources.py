@@ -24,7 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from shape_msgs.msg import SolidPrimitive
 
-from push_ident.nodes.convert import (
+from push_ident.nodes.convert.messages import (
     cylinder_to_msg,
     depth_frame_to_msgs,
     force_to_msg,

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from push_ident.nodes.run import NICENESS
+from push_ident.nodes.base.run import NICENESS
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, new_figure, save
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment

@@ -27,7 +27,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from push_ident.errors import PerceptionError
-from push_ident.nodes.convert import depth_frame_to_msgs, stamp_from_msg, stamp_to_msg
+from push_ident.nodes.convert.messages import depth_frame_to_msgs, stamp_from_msg, stamp_to_msg
 from push_ident.types import DepthFrame
 from push_ident_sim.cell.camera import DepthCamera, DepthNoise
 from push_ident_sim.objects import make_object

@@ -28,8 +28,8 @@ from push_ident.cli.supervisor import NodeCommand, Supervisor, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.se2 import yaw_of_quaternion
-from push_ident.nodes.convert import force_from_msg, stamp_from_msg
-from push_ident.nodes.network import process_domain
+from push_ident.nodes.base.network import process_domain
+from push_ident.nodes.convert.messages import force_from_msg, stamp_from_msg
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
 from push_ident_sim.cell.robot import HOME, robot_description

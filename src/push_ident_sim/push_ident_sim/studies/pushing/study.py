@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.nodes.convert import stamp_from_msg
+from push_ident.nodes.convert.messages import stamp_from_msg
 from push_ident.nodes.push_executor.parameters import PARAMETERS
 from push_ident.pushing.pacing import SPLICE
 from push_ident.pushing.push import PushCode

@@ -15,7 +15,7 @@ import numpy as np
 
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import InputError
-from push_ident.nodes.client import CellClient
+from push_ident.nodes.client.cell_client import CellClient
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import DiagnoseGap, ExecutePush
 from push_ident_msgs.msg import GapReport

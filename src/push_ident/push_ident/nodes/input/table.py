@@ -13,9 +13,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.geometry.table import Table
-from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.convert_table import EDGE_TOPIC, TABLE_TOPIC, edge_from_msg, table_from_msg
-from push_ident.nodes.parameters import Parameter
+from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.convert.table import EDGE_TOPIC, TABLE_TOPIC, edge_from_msg, table_from_msg
 from push_ident.physics.overhang import TableEdge
 from push_ident.types import PushRecord
 

@@ -33,7 +33,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from unique_identifier_msgs.msg import UUID
 
-from push_ident.nodes.cell_node import CellNode
+from push_ident.nodes.base.cell_node import CellNode
 
 __all__ = ["ClientWatch", "KeepAlive", "ServerWatch", "cancellation"]
 

@@ -22,9 +22,9 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from push_ident.errors import FrameError, InputError, PushIdentError
 from push_ident.limits import plain_text
-from push_ident.nodes.convert import transform_from_msg
-from push_ident.nodes.depth_pairs import MAX_SKEW, DepthPairs
-from push_ident.nodes.network import COMMAND_LINE, RANGE
+from push_ident.nodes.base.network import COMMAND_LINE, RANGE
+from push_ident.nodes.convert.messages import transform_from_msg
+from push_ident.nodes.input.depth_pairs import MAX_SKEW, DepthPairs
 from push_ident.perception.depth_image import ACCEPTED_ENCODINGS
 from push_ident.types import DepthFrame, Float64Array
 

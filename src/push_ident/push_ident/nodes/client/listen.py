@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from push_ident.bags.contract import Role, role_of
 from push_ident.errors import PushIdentError
-from push_ident.nodes.network import COMMAND_LINE
+from push_ident.nodes.base.network import COMMAND_LINE
 
 __all__ = ["listen_to_contract"]
 

@@ -22,9 +22,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident.errors import InputError
 from push_ident.limits import plain_text
-from push_ident.nodes.arrivals import Arrivals
-from push_ident.nodes.guard import Guard, is_guarded, refusal
-from push_ident.nodes.parameters import Parameter, Parameters
+from push_ident.nodes.base.arrivals import Arrivals
+from push_ident.nodes.base.guard import Guard, is_guarded, refusal
+from push_ident.nodes.base.parameters import Parameter, Parameters
 
 __all__ = ["AUTOSTART", "CellNode", "Component", "Health"]
 

@@ -22,9 +22,9 @@ from std_msgs.msg import Bool
 from push_ident.bags.contract import Role, role_of, topic_of
 from push_ident.bags.raw import RawMessage, bag_topics, raw_messages
 from push_ident.errors import BagError
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.parameters import Parameter
-from push_ident.nodes.run import run_node
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.base.run import run_node
 
 __all__ = ["PARAMETERS", "BagPlayerNode", "live_object_id", "main"]
 

@@ -8,8 +8,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from push_ident.nodes.convert import transform_from_msg
-from push_ident.nodes.depth_pairs import MAX_SKEW, DepthPairs
+from push_ident.nodes.convert.messages import transform_from_msg
+from push_ident.nodes.input.depth_pairs import MAX_SKEW, DepthPairs
 from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["CameraView"]

@@ -18,9 +18,9 @@ from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
 from push_ident.errors import PushIdentError
-from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.executors import make_executor
-from push_ident.nodes.lifetime import LIFETIME
+from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.executors import make_executor
+from push_ident.nodes.base.lifetime import LIFETIME
 
 __all__ = ["COULD_NOT_START", "FAILED", "NICENESS", "run_node", "settle_memory"]
 

@@ -29,14 +29,14 @@ from unique_identifier_msgs.msg import UUID
 
 from push_ident.errors import PushIdentError
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.nodes.convert import cylinder_radius_from_msg, planar_pose_from_msg
-from push_ident.nodes.discovery import ObjectTopics
-from push_ident.nodes.executors import make_executor
-from push_ident.nodes.guard import Guard
-from push_ident.nodes.keep_alive import KeepAlive, ServerWatch, cancellation
-from push_ident.nodes.lifetime import stopping_in_order
-from push_ident.nodes.network import COMMAND_LINE
-from push_ident.nodes.shapes import ShapeInput
+from push_ident.nodes.base.executors import make_executor
+from push_ident.nodes.base.guard import Guard
+from push_ident.nodes.base.keep_alive import KeepAlive, ServerWatch, cancellation
+from push_ident.nodes.base.lifetime import stopping_in_order
+from push_ident.nodes.base.network import COMMAND_LINE
+from push_ident.nodes.convert.messages import cylinder_radius_from_msg, planar_pose_from_msg
+from push_ident.nodes.input.discovery import ObjectTopics
+from push_ident.nodes.input.shapes import ShapeInput
 from push_ident.types import Float64Array, ObjectShape
 from push_ident_msgs.action import DiagnoseGap, ExecutePush, PushToGoal
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction

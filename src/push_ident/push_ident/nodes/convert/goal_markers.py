@@ -14,7 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
-from push_ident.nodes.convert import TABLE_FRAME
+from push_ident.nodes.convert.messages import TABLE_FRAME
 from push_ident.planning.goal_ports import GoalProgress, GoalState
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_steps import PathStep

@@ -11,7 +11,7 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import CameraInfo, Image
 
 from push_ident.errors import PushIdentError
-from push_ident.nodes.convert import depth_frame_from_msgs, stamp_from_msg
+from push_ident.nodes.convert.messages import depth_frame_from_msgs, stamp_from_msg
 from push_ident.types import DepthFrame
 
 __all__ = ["MAX_SKEW", "DepthPairs"]

@@ -18,7 +18,7 @@ from push_ident.identification.prediction import Prediction
 from push_ident.identification.result import ModelPosterior
 from push_ident.identification.scoring import PushScore, ScoreSummary
 from push_ident.limits import LIMITS, plain_text
-from push_ident.nodes.convert import (
+from push_ident.nodes.convert.messages import (
     TABLE_FRAME,
     object_frame,
     planar_pose_to_msg,

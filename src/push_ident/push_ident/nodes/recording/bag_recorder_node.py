@@ -18,11 +18,11 @@ from push_ident.bags.contract import Role, role_of
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.geometry.se3 import pose_of_quaternion
-from push_ident.nodes.arrivals import Arrivals
-from push_ident.nodes.cell_node import CellNode, Component, Health
-from push_ident.nodes.parameters import Parameter
-from push_ident.nodes.recording_port import RECORDING_PERIOD, RECORDING_QOS, RECORDING_TOPIC, REPEATED
-from push_ident.nodes.run import run_node
+from push_ident.nodes.base.arrivals import Arrivals
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.base.run import run_node
+from push_ident.nodes.recording.recording_port import RECORDING_PERIOD, RECORDING_QOS, RECORDING_TOPIC, REPEATED
 
 __all__ = ["PARAMETERS", "BagRecorderNode", "main"]
 

@@ -6,7 +6,7 @@ from geometry_msgs.msg import PolygonStamped
 from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Float32MultiArray
 
-from push_ident.nodes.convert import outline_from_msg, outline_std_from_msg, shape_from_msgs
+from push_ident.nodes.convert.messages import outline_from_msg, outline_std_from_msg, shape_from_msgs
 from push_ident.types import ObjectShape
 
 __all__ = ["ShapeInput"]

@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from push_ident.errors import InputError
 from push_ident.limits import LIMITS, check_coordinates, plain_text
-from push_ident.nodes.convert import TABLE_FRAME
+from push_ident.nodes.convert.messages import TABLE_FRAME
 from push_ident.perception.refusals import Refusal
 from push_ident.types import Float64Array
 

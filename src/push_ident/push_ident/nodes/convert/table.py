@@ -11,7 +11,7 @@ from geometry_msgs.msg import Point32, PolygonStamped
 from push_ident.errors import InputError
 from push_ident.geometry.table import Table
 from push_ident.limits import check_coordinates, plain_text
-from push_ident.nodes.convert import TABLE_FRAME, outline_from_msg
+from push_ident.nodes.convert.messages import TABLE_FRAME, outline_from_msg
 from push_ident.physics.overhang import TableEdge
 from push_ident.types import Float64Array
 

@@ -12,11 +12,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.cell_node import CellNode
-from push_ident.nodes.convert import planar_pose_from_msg
-from push_ident.nodes.discovery import ObjectTopics
-from push_ident.nodes.shapes import ShapeInput
-from push_ident.nodes.stamps import StampCheck
+from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.stamps import StampCheck
+from push_ident.nodes.convert.messages import planar_pose_from_msg
+from push_ident.nodes.input.discovery import ObjectTopics
+from push_ident.nodes.input.shapes import ShapeInput
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array, ObjectShape

@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 
 from push_ident.errors import PushIdentError
 from push_ident.limits import LIMITS
-from push_ident.nodes.network import COMMAND_LINE
+from push_ident.nodes.base.network import COMMAND_LINE
 
 __all__ = ["CellNames", "Heard", "listen_to_arms"]
 

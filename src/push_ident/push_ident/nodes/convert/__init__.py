@@ -1,0 +1,1 @@
+"""Between messages and the values of `types.py`, both ways; nothing else knows the messages."""

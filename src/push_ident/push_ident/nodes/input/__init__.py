@@ -1,0 +1,1 @@
+"""What a node hears of objects, tables, depth images and pushes."""

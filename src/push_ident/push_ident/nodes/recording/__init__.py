@@ -1,0 +1,1 @@
+"""Bags written from topics, and played to them."""
