@@ -12,12 +12,12 @@ from helpers.diagnosis import NOISE, simulated_pushes, traced_by_camera, with_co
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import fit_base
-from push_ident.diagnosis.pattern_family import VariesWith
 from push_ident.diagnosis.policy import ResidualPolicy
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.residuals import correlation_in_motion
 from push_ident.diagnosis.result import Diagnosis, Verdict
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.something_else.family import VariesWith
 from push_ident.errors import InputError
 from push_ident.identification.observation import noise_correlation
 from push_ident.types import PoseTrack

@@ -13,7 +13,7 @@ from push_ident.diagnosis.odds import SOMETHING_ELSE, OutsideEvidence, Probabili
 from push_ident.diagnosis.policy import DecisionPolicy, SelectionPolicy
 from push_ident.diagnosis.scores import EffectScore
 from push_ident.diagnosis.selection import Candidate, Selection, Step
-from push_ident.diagnosis.something_else import SomethingElse
+from push_ident.diagnosis.something_else.evidence import SomethingElse
 
 POLICY = SelectionPolicy()
 NO_TRACE = OutsideEvidence(-math.inf, -math.inf)

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from push_ident.diagnosis.pattern_precision import AmplitudePrecision
+from push_ident.diagnosis.something_else.precision import AmplitudePrecision
 
 
 def test_blocks_of_pushes_say_the_same_as_all_columns_together() -> None:

@@ -11,12 +11,12 @@ from helpers.diagnosis import TRUTH, simulated_pushes
 from helpers.objects import with_forces
 from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.held_out import folds_of
-from push_ident.diagnosis.pattern_family import Acts, VariesWith
-from push_ident.diagnosis.pattern_words import PatternWords, describe_pattern
 from push_ident.diagnosis.policy import UnknownPolicy
 from push_ident.diagnosis.scores import clipped_start
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.something_else import SomethingElse, error_with_patterns, find_something_else
+from push_ident.diagnosis.something_else.evidence import SomethingElse, error_with_patterns, find_something_else
+from push_ident.diagnosis.something_else.family import Acts, VariesWith
+from push_ident.diagnosis.something_else.words import PatternWords, describe_pattern
 from push_ident.identification.fit import Fit
 from push_ident.types import PushRecord
 

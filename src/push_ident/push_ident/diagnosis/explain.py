@@ -14,9 +14,9 @@ from push_ident.diagnosis.next_push import (
     separating_push,
 )  # fmt: skip
 from push_ident.diagnosis.odds import SOMETHING_ELSE
-from push_ident.diagnosis.pattern_words import PatternWords, describe_pattern
 from push_ident.diagnosis.residual_groups import group_residuals
 from push_ident.diagnosis.result import Diagnosis, Verdict
+from push_ident.diagnosis.something_else.words import PatternWords, describe_pattern
 from push_ident.diagnosis.state import Decision, DiagnosisState, Validation
 from push_ident.diagnosis.wording import (
     sentence_of_doubt,

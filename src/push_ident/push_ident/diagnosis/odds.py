@@ -21,7 +21,7 @@ from scipy.special import logsumexp
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.selection import RivalFit, Selection
-from push_ident.diagnosis.something_else import SomethingElse
+from push_ident.diagnosis.something_else.evidence import SomethingElse
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 

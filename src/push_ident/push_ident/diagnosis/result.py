@@ -11,12 +11,12 @@ from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.held_out import Gap, HeldOutFits
 from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.odds import Probabilities
-from push_ident.diagnosis.pattern_words import PatternWords
 from push_ident.diagnosis.policy import DecisionPolicy
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.selection import Selection
-from push_ident.diagnosis.something_else import SomethingElse
+from push_ident.diagnosis.something_else.evidence import SomethingElse
+from push_ident.diagnosis.something_else.words import PatternWords
 from push_ident.identification.fit import Fit
 from push_ident.identification.next_push import PlannedPush
 

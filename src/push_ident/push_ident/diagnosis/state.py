@@ -12,7 +12,7 @@ from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.result import FoundEffect, Gate, Verdict
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.something_else import SomethingElse
+from push_ident.diagnosis.something_else.evidence import SomethingElse
 from push_ident.identification.fit import Fit
 from push_ident.types import PushRecord
 

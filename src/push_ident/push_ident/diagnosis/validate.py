@@ -20,7 +20,7 @@ from push_ident.diagnosis.odds import (
 from push_ident.diagnosis.policy import UnknownPolicy, ValidationPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, standardized_residuals
 from push_ident.diagnosis.selection import Selection
-from push_ident.diagnosis.something_else import SomethingElse, error_with_patterns, find_something_else
+from push_ident.diagnosis.something_else.evidence import SomethingElse, error_with_patterns, find_something_else
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fit import Fit

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.diagnosis.pattern_family import Acts, VariesWith
-from push_ident.diagnosis.patterns import RADIUS, waves
-from push_ident.diagnosis.something_else import Pattern
+from push_ident.diagnosis.something_else.evidence import Pattern
+from push_ident.diagnosis.something_else.family import Acts, VariesWith
+from push_ident.diagnosis.something_else.patterns import RADIUS, waves
 from push_ident.types import Float64Array
 
 __all__ = ["PatternWords", "describe_pattern"]

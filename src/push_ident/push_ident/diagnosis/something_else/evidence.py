@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from push_ident.diagnosis.pattern_family import Family, Member
-from push_ident.diagnosis.pattern_precision import AmplitudePrecision
-from push_ident.diagnosis.patterns import pattern_families
 from push_ident.diagnosis.policy import UnknownPolicy
 from push_ident.diagnosis.residuals import draw_noise
+from push_ident.diagnosis.something_else.family import Family, Member
+from push_ident.diagnosis.something_else.patterns import pattern_families
+from push_ident.diagnosis.something_else.precision import AmplitudePrecision
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fit import Fit
 from push_ident.identification.prediction import cell_displacement

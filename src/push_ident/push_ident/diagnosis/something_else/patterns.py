@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.diagnosis.pattern_family import (
+from push_ident.diagnosis.something_else.family import (
     Acts,
     Family,
     Rows,
