@@ -37,7 +37,7 @@ from types import FrameType
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-LONG, MANY, LARGE = 60, 8, 500
+LONG, MANY, LARGE = 60, 8, 800
 """Lines of a function, parameters of a function, lines of a module."""
 ENTRIES = ("push_ident.identification.identify:identify", "push_ident.diagnosis.diagnose:diagnose")
 LOADERS = ("push_ident.offline.loading:load_pushes", "push_ident.bags.loading:load_pushes")
