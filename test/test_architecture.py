@@ -34,6 +34,14 @@ ORDER = [
     "cli",
 ]
 """A stage imports what stands before it; `types`, `errors` and `limits` know each other; `files` writes for all."""
+ROOMS = {
+    "nodes": [
+        "base convert",
+        "executables input recording",
+        "__main__ client gap_diagnosis goal_pushing identification perception push_executor viewer",
+    ],
+}
+"""Rooms of a stage, folders and single modules, one level a line: a room imports from the levels before its own, not from its neighbours."""
 ROS = {"rclpy", "push_ident_msgs", "std_msgs", "geometry_msgs", "sensor_msgs", "nav_msgs", "diagnostic_msgs", "builtin_interfaces"}
 
 
@@ -62,6 +70,23 @@ def test_stage_imports_only_earlier_stages(path: Path) -> None:
             other = ORDER.index(parts[1])
             assert other <= max(own, 3), f"{path.name} ({ORDER[own]}) imports {name}, which stands below it"
         assert parts[0] != "push_ident_sim", f"{path.name} imports the simulated cell"
+
+
+def rooms_of(stage: str) -> set[str]:
+    """Folders and modules of a stage."""
+    return {p.stem for p in (CORE / stage).iterdir() if p.suffix == ".py" or any(p.glob("*.py"))} - {"__init__"}
+
+
+@pytest.mark.parametrize("stage", ROOMS)
+def test_rooms_of_a_stage_import_only_earlier_rooms(stage: str) -> None:
+    levels = {room: level for level, rooms in enumerate(ROOMS[stage]) for room in rooms.split()}
+    assert set(levels) == rooms_of(stage), f"ROOMS names the rooms of {stage}"
+    for path in sorted((CORE / stage).rglob("*.py")):
+        room = path.relative_to(CORE / stage).parts[0].removesuffix(".py")
+        for name in imported(path):
+            parts = name.split(".")
+            if room in levels and parts[:2] == ["push_ident", stage] and len(parts) > 2 and parts[2] in levels and parts[2] != room:
+                assert levels[parts[2]] < levels[room], f"{path.relative_to(CORE)} imports {name}, which is not in a room before its own"
 
 
 @pytest.mark.parametrize("path", [p for p in CORE_FILES if stage_of(p) not in ("nodes", "cli")], ids=lambda p: str(p.relative_to(CORE)))
