@@ -176,8 +176,8 @@ def index_of_decisions(folder: Path) -> str:
     lines = [
         "# Decisions",
         "",
-        "Why things are as they are: one record for each decision that had an alternative, with the evidence it rests on. "
-        "A decision that is revised gets a new record, and the old one says which.",
+        "Why things are as they are: one record for each topic that had an alternative, with the measurement that decided. "
+        "Numbers in a record were measured when it was written; those of this version are in the [results](../results/index.md).",
         "",
         "| no. | decision | status |",
         "|---|---|---|",

@@ -32,7 +32,7 @@ Made from the code of the nodes. Names of topics are relative and can be remappe
 [contract of bags](../how-to/own-data.md).
 
 All nodes are lifecycle nodes that start themselves, unless `autostart` is false. What a node cannot use it refuses, and it names the last
-refusal in `/diagnostics`: [decision 50](../decisions/0050-nodes-are-hard-to-break.md).
+refusal in `/diagnostics`: [decision 37](../decisions/0037-guarded-nodes.md).
 """
 CALLS = {
     "create_publisher": "publishes",

@@ -28,7 +28,7 @@ ROOT_DOCUMENTS = (
 )
 ELSEWHERE = ("camera.yaml", "camera_info.yaml", "joint_limits.yaml", "my_robot.yaml", "parameters.yaml", "perception.yaml")
 """Files that documents name and that are made by a command or belong to an arm."""
-PARTS = ("**Status**: ", "**Context**: ", "**Decision**: ", "**Evidence**: ", "**Consequences**: ")
+PARTS = ("**Status**:", "**Context**:", "**Decision**:", "**Evidence**:", "**Consequences**:")
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +131,18 @@ def test_record_of_a_decision_is_complete(record: Path) -> None:
 def test_records_of_decisions_are_numbered_without_a_gap() -> None:
     numbers = [int(path.name[:4]) for path in sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))]
     assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_decisions_that_code_and_documents_name_exist() -> None:
+    records = {path.name for path in (ROOT / "docs" / "decisions").glob("[0-9]*.md")}
+    numbers = {int(name[:4]) for name in records}
+    suffixes, missing = (".py", ".md", ".yaml", ".msg", ".action", ".srv"), []
+    files = [path for folder in ("src", "test", "tools", "docs") for path in (ROOT / folder).rglob("*") if path.suffix in suffixes]
+    for path in (*files, *(ROOT / name for name in (*ROOT_DOCUMENTS, "SAFETY.md"))):
+        text = path.read_text(encoding="utf-8")
+        missing += [f"{path.name}: {name}" for name in re.findall(r"decisions/(\d{4}[\w-]*\.md)", text) if name not in records]
+        missing += [f"{path.name}: {n}" for n in re.findall(r"\b[Dd]ecision (\d+)\b", text) if int(n) not in numbers]
+    assert not missing
 
 
 @pytest.fixture(scope="module")

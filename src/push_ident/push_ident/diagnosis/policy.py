@@ -223,7 +223,7 @@ class AccountPolicy:
     to 3 %."""
     posterior_scale: float = 0.75
     """Standard deviation of the unknowns in the draws, in those of the fit's posterior [1]. Set on effect-free tuning cases (both engines,
-    seeds below 50, 6 and 14 pushes; decision 70), where maps mispredicted held-out pushes by 0.76 of what the posterior states: a fit
+    seeds below 50, 6 and 14 pushes; decision 21), where maps mispredicted held-out pushes by 0.76 of what the posterior states: a fit
     assumes rather too large errors of its frames, and more uneven objects."""
     max_maps_share: float = 0.41
     """Part of maps that are not known yet, in parts of the poses' noise, above which the pushes are too few to know [1]: errors add in

@@ -26,7 +26,7 @@ __all__ = ["Parting", "is_part_missing"]
 
 _MISSING: Final = 4e-4
 """Least area that shows that a part is missing [m^2]: below `min_object_area`. Whole objects lack at most 2e-4 along the edges of their
-steps (decision 62)."""
+steps (decision 15)."""
 _OPEN: Final = (0.1, 0.6)
 """Where no pose fits, a fraction of open border between these shows parts that moved against each other [-]: below, nothing is missing;
 above, the object is gone."""

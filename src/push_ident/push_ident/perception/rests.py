@@ -48,7 +48,7 @@ _KEPT: Final = 6
 """Rests that are kept of an object: what bounds the time of a refinement."""
 _BETTER: Final = 0.9
 """An outline is replaced where the latest rest scatters less about the new one, by this factor [-]. Of 59 outlines in the check of
-decision 65 none ended worse; of exact cameras the ratio is mostly nearer to 1."""
+decision 13 none ended worse; of exact cameras the ratio is mostly nearer to 1."""
 _SAME_CELLS: Final = 0.1
 """Share of the cells that may lie outside the outline or be missing in it, before the object gets cells anew [-]: its masses and frictions
 belong to the old ones. A part that was hidden and is larger needs cells of its own."""

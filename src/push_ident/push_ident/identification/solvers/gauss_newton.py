@@ -37,7 +37,7 @@ _NEGLIGIBLE: Final = 7.0
 _EVENNESS: Final = 0.05
 """Standard deviation of the unknowns of maps where cells are taken as equal, in units of the caller's prior: some 4 % of a cell [-]."""
 EVEN_ODDS: Final = 0.1
-"""Prior odds of equal cells against uneven ones: few objects are so even, and one push seldom tells which ones (decision 92) [-]."""
+"""Prior odds of equal cells against uneven ones: few objects are so even, and one push seldom tells which ones (decision 5) [-]."""
 _UNEVEN_MATERIAL, _UNEVEN_LOAD = STARTS
 _ADOPTED: Final = "adopted model"
 _EQUAL: Final = "equal cells"
