@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Polygon
 from PIL import Image
 
+from push_ident.api.plots import draw_cells
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.identify import identify, uniform_model
-from push_ident.identification.picture import draw_cells
 from push_ident.identification.prediction import cell_error, predict
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.scenario import PushScenario

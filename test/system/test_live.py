@@ -75,5 +75,5 @@ def test_demo_sees_pushes_identifies_and_predicts_in_the_live_simulated_cell(tmp
     assert content["per_push"][0]["predicted_m"] < 0.02 and content["per_push"][0]["ways"]
     assert "push 2 predicted, expected to" in done.stdout
     folder = next(path for path in tmp_path.iterdir() if path.is_dir())
-    assert {"bag", "model.json", "map.png", "pushes.png", "report.html", "result.json", "log"} <= {path.name for path in folder.iterdir()}
+    assert {"bag", "model.json", "report.html", "result.json", "log"} <= {path.name for path in folder.iterdir()}
     assert run("identify", folder / "bag").returncode == 0

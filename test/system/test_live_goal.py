@@ -31,7 +31,7 @@ def test_unknown_object_is_pushed_to_a_goal_in_the_live_simulated_cell(tmp_path:
     assert all(f"push {push['number']}: " in done.stdout for push in pushes)
     assert pushes[-1]["expected"] is not None and pushes[-1]["chance"] > 0.2
     folder = next(path for path in tmp_path.iterdir() if path.is_dir())
-    files = {"bag", "model.json", "goal.png", "pushes.png", "report.html", "result.json", "log"}
+    files = {"bag", "model.json", "report.html", "result.json", "log"}
     assert files <= {path.name for path in folder.iterdir()}
 
 

@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 
 from helpers.commands import run_here
-from helpers.objects import hammer
 from push_ident.cli.goal_messages import EdgeLine, edge_message, goal_message, path_message
 from push_ident.cli.goal_report import GoalReport, PathReport, PushLine, last_feedback
 from push_ident.cli.push_to import GoalText, goals_of
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw
-from push_ident.planning.goal import Goal
-from push_ident.planning.goal_picture import draw_goal_pushes
 from push_ident_msgs.action import PushToGoal
 
 
@@ -159,10 +156,3 @@ def test_report_of_a_path_says_how_near_its_goals_the_object_came() -> None:
     part = PathReport([*good, failed], 5)
     assert not part.is_reached and part.content()["n_reached"] == 2 and not PathReport(good, 3).is_reached
     assert PathReport([failed], 1).content()["rms_position_m"] is None
-
-
-def test_picture_has_a_panel_for_each_push(tmp_path: Path) -> None:
-    outline = hammer(1).shape.outline
-    pushes = [(None, np.array([0.02, 0.0, 0.1])), *[(np.array([0.05, 0.01 * i, 0.2]), np.array([0.05, 0.012 * i, 0.21])) for i in range(5)]]
-    draw_goal_pushes(tmp_path / "goal.png", outline, np.zeros(3), pushes, Goal(np.array([0.05, 0.05, 0.2])), title="six pushes")
-    assert (tmp_path / "goal.png").stat().st_size > 10_000

@@ -8,22 +8,23 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Ellipse
+from matplotlib.patches import Circle, Ellipse, Polygon, Rectangle
 
 from push_ident.diagnosis.report.figures import ranking_bars
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.comparison import Comparison
-from push_ident.identification.picture import draw_cells
 from push_ident.identification.proposal import Proposal
 from push_ident.identification.result import Identification, ModelPosterior
+from push_ident.limits import plain_text
 from push_ident.offline.loading import LoadedPushes
-from push_ident.pages.page import figure_text
-from push_ident.types import Float64Array, PushRecord
+from push_ident.types import Float64Array, ObjectShape, PushRecord
 
-__all__ = ["Picture", "draw"]
+__all__ = ["Picture", "draw", "draw_cells"]
 
 _DPI = 80
 _ACCENT, _LIGHT, _WARM, _GREY = "#1f5fa8", "#9fb8d6", "#c0561d", "#8a95a1"
@@ -131,16 +132,34 @@ def _diagnosis(diagnosis: Diagnosis, title: str) -> Picture:
     figure = Picture(figsize=(9.0, 4.8), layout="constrained")
     ax = figure.subplots()
     bars, limit = ranking_bars(diagnosis.selection, diagnosis.policy.selection.min_log_bayes_factor)
-    names = [figure_text(bar.name) for bar in bars]
+    names = [_text(bar.name) for bar in bars]
     ax.barh(names, [bar.width for bar in bars], color=[_ACCENT if bar.found else _LIGHT for bar in bars])
     for row, bar in enumerate(bars):
-        ax.text(max(bar.width, limit) + 1.0, row, figure_text(bar.text), va="center", fontsize=9)
+        ax.text(max(bar.width, limit) + 1.0, row, _text(bar.text), va="center", fontsize=9)
     ax.axvline(limit, color="black", linewidth=0.8, linestyle="--")
     ax.invert_yaxis()
     ax.set_xlim(0.0, 130.0)
     ax.set_xticks([0.0, limit], ["0", f"{diagnosis.policy.selection.min_log_bayes_factor:.0f}"])
     ax.set_xlabel("log Bayes factor [nat]; dashed: from here on detected")
     return _titled(figure, title or f"Which effect explains the gap: {diagnosis.verdict.value}")
+
+
+def draw_cells(ax: Axes, shape: ObjectShape, values: Float64Array, colours: str, limits: tuple[float, float]) -> PatchCollection:
+    """Colour the cells of an object by `values`, shape (n_cells,), inside its outline."""
+    size = shape.cells.size
+    squares = [Rectangle((x - size / 2, y - size / 2), size, size) for x, y in shape.cells.centres]
+    patches = PatchCollection(squares, cmap=colours, edgecolor="white", linewidth=0.3)
+    patches.set_array(values)
+    patches.set_clim(*limits)
+    ax.add_collection(patches)
+    ax.add_patch(Polygon(shape.outline, fill=False, edgecolor="black", linewidth=1.0))
+    ax.set_aspect("equal")
+    ax.autoscale_view()
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter(lambda metres, _: f"{1e3 * metres:.0f}")
+    ax.set_xlabel("x [mm]", fontsize=8)
+    ax.tick_params(labelsize=7)
+    return patches
 
 
 def _grid(n: int) -> tuple[Picture, list[Any]]:
@@ -167,9 +186,14 @@ def _finish(ax: Any, title: str, *, is_first: bool) -> None:
         ax.legend(fontsize=8, frameon=False)
 
 
+def _text(text: str) -> str:
+    """Foreign text for a figure: one line, and no formula; matplotlib would parse what stands between two `$`, and fail."""
+    return plain_text(text).replace("$", r"\$")
+
+
 def _titled(figure: Picture, title: str) -> Picture:
     width = int(_CHARACTERS * figure.get_figwidth())
-    figure.suptitle("\n".join(textwrap.wrap(figure_text(title), width)), fontsize=12)
+    figure.suptitle("\n".join(textwrap.wrap(_text(title), width)), fontsize=12)
     return figure
 
 

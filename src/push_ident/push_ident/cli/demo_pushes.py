@@ -1,15 +1,15 @@
-"""The pushes of the demo: each is planned, predicted, drawn and then made, and what the camera sees after it is compared."""
+"""The pushes of the demo: each is planned, predicted and then made, and its end is compared with the prediction."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from push_ident.cli.demo_picture import PushPicture, draw_pushes
 from push_ident.cli.output import console, millimetres
 from push_ident.errors import PushIdentError
 from push_ident.identification.identify import uniform_model
@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 
 __all__ = ["DemoPush", "DemoPushes"]
 
-_OK: Final = 0
-_NO_CONTACT: Final = -5
+_OK, _NO_CONTACT = 0, -5
+_STARTUP: Final = 30.0
+"""For the executor to know the object, and its arm to answer [s]."""
 _MAX_REFUSALS: Final = 10
 _DRAWS: Final = 10
 """Random pushes that are drawn for one: a tenth of a second each, where pushing an object back takes as long as a push."""
@@ -40,157 +41,135 @@ _PHASES: Final = ("planning", "approach", "pushing, identifying", "rest", "retre
 
 @dataclass(slots=True)
 class DemoPush:
-    """Errors of one push; NaN where nothing was known before it."""
+    """One push: direction [rad], distance [m], speed [m/s]; poses of the object (x, y, yaw) in the table frame [m, m, rad]."""
 
     direction: float
-    """[rad]"""
     distance: float
-    """[m]"""
     speed: float
-    """[m/s]"""
+    before: list[float]
+    after: list[float] = field(default_factory=list)
     moved_m: float = np.nan
     predicted_m: float = np.nan
     expected_m: float = np.nan
     uniform_m: float = np.nan
-    """Mean displacement of the cells, their error as predicted, the error that was expected, and that of equal cells [m]."""
+    """Mean displacement of the cells; their error as predicted, as expected, and of equal cells [m]: NaN where nothing was known."""
     ways: list[dict[str, Any]] = field(default_factory=list)
-    """Ends that were predicted, each with its chance."""
+    """Ends that were predicted, each with its chance, the likelier first."""
+
+    def content(self) -> dict[str, Any]:
+        """For JSON, without what was not predicted."""
+        return {key: value for key, value in asdict(self).items() if not isinstance(value, float) or np.isfinite(value)}
+
+    @property
+    def expectation(self) -> str:
+        """What was predicted, for people."""
+        ends = " or ".join(f"{way['chance']:.0%}" for way in self.ways)
+        two = f"; two ways it may end: {ends}" if len(self.ways) > 1 else ""
+        return f"expected to {millimetres(self.expected_m)}{two}" if self.ways else "nothing known yet"
 
 
 class DemoPushes:
-    """Makes pushes and keeps what came of them.
+    """Makes pushes of an object and keeps what came of them; `show` is `rich.progress.Progress.update` of its task."""
 
-    Args:
-        client: of the cell.
-        object_id: of the object.
-        seed: of the pushes.
-        folder: of the picture and the model.
-        show: called with what is done now, and the number of pushes that are newly done.
-    """
-
-    def __init__(self, client: CellClient, object_id: str, seed: int, folder: Path, show: Callable[[str, int], None]) -> None:
-        from push_ident.nodes.client.camera_view import CameraView
-
-        self._client, self._object_id, self._seed, self._folder, self._show = client, object_id, seed, folder, show
-        self._camera = CameraView(client.node)
-        self._pictures: list[PushPicture] = []
-        self._refusals = 0
-        self._asked = 0
-        self._due = 0
-        """Pushes that will be learned once identification has caught up."""
+    def __init__(self, client: CellClient, object_id: str, seed: int, model: Path, show: Callable[..., None]) -> None:
+        self._client, self._object_id, self._seed, self._model, self._show = client, object_id, seed, model, show
+        self._refusals = self._asked = 0
+        self._due = 0  # pushes that will be learned once identification has caught up
         self.made: list[DemoPush] = []
 
-    def make(self, n: int) -> None:
-        """Make random pushes, each predicted from those before it.
+    def await_executor(self) -> None:
+        """Wait until the executor knows the object and its arm answers. Raises PushIdentError where no push can be planned."""
+        deadline = time.monotonic() + _STARTUP
+        while (result := self._execute("RANDOM", dry_run=True)).error_code != _OK:
+            if time.monotonic() > deadline:
+                raise PushIdentError(f"no push can be planned {_STARTUP:.0f} s after the start: {result.error_text}")
+            time.sleep(0.5)
 
-        Raises:
-            PushIdentError: the cell does not answer, or one push after another could not be made.
-        """
-        done = 0
-        while done < n:
+    def make(self, n: int) -> list[DemoPush]:
+        """Make random pushes, each predicted from those before it. Raises PushIdentError where one after another could not be made."""
+        first = len(self.made)
+        while len(self.made) < first + n:
             self._recentre()
-            planned = self._planned()
-            if planned is not None and self._push(planned):
-                done += 1
+            if (planned := self._planned()) is not None:
+                self._push(planned)
+        return self.made[first:]
+
+    def _execute(self, mode: str, on_feedback: Callable[[Any], None] | None = None, **goal: Any) -> ExecutePush.Result:
+        from push_ident_msgs.action import ExecutePush
+
+        message = ExecutePush.Goal(mode=getattr(ExecutePush.Goal, f"MODE_{mode}"), object_id=self._object_id, **goal)
+        return self._client.execute_push(message, on_feedback=on_feedback)
 
     def _recentre(self) -> None:
         """Push an object near the edge of the workspace back: pushes are made as they were predicted, from where it lies."""
-        from push_ident_msgs.action import ExecutePush
-
-        if not is_near_edge(self._client.shape(self._object_id), self._at_rest(-np.inf), PushSettings()):
-            return
-        self._show("pushing it back to the middle", 0)
-        known = self._n_learned()
-        result = self._client.execute_push(ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RECENTRE, object_id=self._object_id))
-        if result.error_code == _OK:
-            # It is learned during the next push, which is predicted from the pushes before it.
-            self._due = known + 1
+        if self._is_near_edge(np.zeros(3)):
+            self._show(description="pushing it back to the middle")
+            known = self._n_learned()
+            if self._execute("RECENTRE").error_code == _OK:
+                # It is learned during the next push, which is predicted from the pushes before it.
+                self._due = known + 1
 
     def _planned(self) -> ExecutePush.Result | None:
         """A random push that the arm can make, one that ends away from the edge if there is; None where the arm refused one."""
         first = None
         for _ in range(_DRAWS):
-            planned = self._drawn()
-            if planned is None or not self._ends_near_edge(planned):
+            seed = int(np.random.SeedSequence([self._seed, self._asked]).generate_state(1)[0])
+            self._asked += 1
+            planned = self._execute("RANDOM", seed=seed, dry_run=True)
+            if planned.error_code != _OK:
+                self._refused(planned)
+                return None
+            # The object, moved along the whole push, should not have to be pushed back.
+            if not self._is_near_edge(planned.distance * np.array([np.cos(planned.direction), np.sin(planned.direction), 0.0])):
                 return planned
             first = first or planned
         return first
 
-    def _drawn(self) -> ExecutePush.Result | None:
-        """A random push that the arm can make; None where it refused this one."""
-        from push_ident_msgs.action import ExecutePush
+    def _is_near_edge(self, motion: Float64Array) -> bool:
+        """Whether the object is near the edge of the workspace after a motion (x, y, yaw)."""
+        pose = self._client.pose_at_rest(self._object_id, after=-np.inf)
+        return is_near_edge(self._client.shape(self._object_id), pose + motion, PushSettings())
 
-        seed = int(np.random.SeedSequence([self._seed, self._asked]).generate_state(1)[0])
-        self._asked += 1
-        goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=self._object_id, seed=seed, dry_run=True)
-        result = self._client.execute_push(goal)
-        if result.error_code != _OK:
-            self._refused(result)
-            return None
-        return result
-
-    def _ends_near_edge(self, planned: ExecutePush.Result) -> bool:
-        """Whether the object, moved along a whole push, would have to be pushed back."""
-        way = planned.distance * np.array([np.cos(planned.direction), np.sin(planned.direction), 0.0])
-        return is_near_edge(self._client.shape(self._object_id), self._at_rest(-np.inf) + way, PushSettings())
-
-    def _push(self, planned: ExecutePush.Result) -> bool:
-        """Predict a planned push, make it and compare; whether it was made."""
+    def _push(self, planned: ExecutePush.Result) -> None:
+        """Predict a planned push, make it and compare."""
         from push_ident.nodes.convert.model import pusher_path_from_msg
-        from push_ident_msgs.action import ExecutePush
 
-        client, object_id, number = self._client, self._object_id, len(self.made) + 1
-        shape, before = client.shape(object_id), self._at_rest(-np.inf)
-        push = DemoPush(planned.direction, planned.distance, planned.speed)
-        picture = self._picture(before)
+        number, client, object_id = len(self.made) + 1, self._client, self._object_id
+        shape, before = client.shape(object_id), client.pose_at_rest(object_id, after=-np.inf)
+        push = DemoPush(planned.direction, planned.distance, planned.speed, before.tolist())
         path = pusher_path_from_msg(planned.tool_path, client.pusher_radius)
-        predicted = self._predict(push, picture, path, before) if self._n_learned() else None
-        self._draw()
-        goal = ExecutePush.Goal(
-            mode=ExecutePush.Goal.MODE_CONTACT,
-            object_id=object_id,
-            contact_point=planned.contact_point,
-            direction=planned.direction,
-            distance=planned.distance,
-            speed=planned.speed,
-        )
+        predicted = self._predict(push, path, before) if self._n_learned() else None
         known = max(self._n_learned(), self._due)
-        result = client.execute_push(goal, on_feedback=lambda feedback: self._show(f"push {number}: {_PHASES[feedback.phase]}", 0))
+        plan = {name: getattr(planned, name) for name in ("contact_point", "direction", "distance", "speed")}
+        result = self._execute("CONTACT", lambda feedback: self._show(description=f"push {number}: {_PHASES[feedback.phase]}"), **plan)
         if result.error_code not in (_OK, _NO_CONTACT):
-            self._pictures.pop()
             self._refused(result)
-            return False
-        after = self._at_rest(client.poses(object_id)[-1][0])
-        push.moved_m = cell_error(shape.cells, before, after)
+            return
+        after = client.pose_at_rest(object_id, after=client.poses(object_id)[-1][0])
+        push.after, push.moved_m = after.tolist(), cell_error(shape.cells, before, after)
+        text = f"push {number}: travel {millimetres(push.moved_m)}"
         if predicted is not None:
-            push.predicted_m = cell_error(shape.cells, predicted, after)
             uniform = simulate(uniform_model(shape), PushScenario(path, before, path.time[-1:])).pose[-1]
-            push.uniform_m = cell_error(shape.cells, uniform, after)
-        picture.seen, picture.error_m = after, push.predicted_m
-        self._draw()
+            push.predicted_m, push.uniform_m = (cell_error(shape.cells, pose, after) for pose in (predicted, uniform))
+            text += f"; error of the prediction {millimetres(push.predicted_m)}, equal cells {millimetres(push.uniform_m)}"
         self.made.append(push)
         self._refusals = 0
         if result.error_code == _OK:
             self._learned(known + 1)
-        self._show(f"push {number} is made", 1)
-        self._say(number, push)
-        return True
+        self._show(description=f"push {number} is made", advance=1)
+        console.print(text, highlight=False)
 
-    def _predict(self, push: DemoPush, picture: PushPicture, path: PusherPath, before: Float64Array) -> Float64Array:
+    def _predict(self, push: DemoPush, path: PusherPath, before: Float64Array) -> Float64Array:
         """What the model of the node expects of a push: the last pose."""
-        file = self._folder / "model.json"
-        self._client.save_model(self._object_id, str(file.resolve()))
-        _, posterior = load_model(file)
-        found = predict(posterior, PushScenario(path, before, path.time))
-        push.expected_m = picture.expected_m = found.cell_error_std
-        # Where there is one way only, it is drawn where the mean model ends: that is the prediction.
-        ways = ways_of(posterior.unknowns.shape.cells, found)
-        picture.ways = ways if len(ways) > 1 else [Way(1.0, found.pose[-1])]
-        push.ways = [{"chance": way.chance, "end": way.end.tolist()} for way in picture.ways]
-        both = " or ".join(f"{way.chance:.0%}" for way in ways)
-        unsure = f"; two ways it may end: {both}" if len(ways) > 1 else ""
-        console.print(f"push {len(self.made) + 1} predicted, expected to {millimetres(found.cell_error_std)}{unsure}", highlight=False)
-        return found.pose[-1]
+        self._client.save_model(self._object_id, str(self._model.resolve()))
+        _, posterior = load_model(self._model)
+        prediction = predict(posterior, PushScenario(path, before, path.time))
+        ways = ways_of(posterior.unknowns.shape.cells, prediction)
+        # Where there is one way only, the prediction is where the mean model ends.
+        ways = ways if len(ways) > 1 else [Way(1.0, prediction.pose[-1])]
+        push.expected_m, push.ways = prediction.cell_error_std, [{"chance": way.chance, "end": way.end.tolist()} for way in ways]
+        console.print(f"push {len(self.made) + 1} predicted, {push.expectation}", highlight=False)
+        return prediction.pose[-1]
 
     def _learned(self, n: int) -> None:
         """Wait until `n` pushes are learned; one that identification refused, such as for missing poses, is said and left."""
@@ -205,28 +184,6 @@ class DemoPushes:
     def _n_learned(self) -> int:
         latest = self._client.latest_map(self._object_id)
         return 0 if latest is None else int(latest.n_pushes)
-
-    def _at_rest(self, after: float) -> Float64Array:
-        return self._client.pose_at_rest(self._object_id, after=after)
-
-    def _picture(self, before: Float64Array) -> PushPicture:
-        """Of the push that is next, with what the camera sees now."""
-        view = self._camera
-        missing = "no depth image, or no pose of the camera; is perception_node running?"
-        self._client.wait(lambda: view.frame is not None and view.camera_in_table is not None, 20.0, missing)
-        assert view.frame is not None and view.camera_in_table is not None
-        outline = self._client.shape(self._object_id).outline
-        self._pictures.append(PushPicture(view.frame, view.camera_in_table, before, outline))
-        return self._pictures[-1]
-
-    def _draw(self) -> None:
-        draw_pushes(self._folder / "pushes.png", self._pictures, title="Each push is predicted from those before it, then made")
-
-    def _say(self, number: int, push: DemoPush) -> None:
-        travel = f"push {number}: travel {millimetres(push.moved_m)}"
-        if np.isfinite(push.predicted_m):
-            travel += f"; error of the prediction {millimetres(push.predicted_m)}, equal cells {millimetres(push.uniform_m)}"
-        console.print(travel, highlight=False)
 
     def _refused(self, result: ExecutePush.Result) -> None:
         console.print(f"push not executed: {result.error_text}", style="yellow", highlight=False, soft_wrap=True)

@@ -69,7 +69,6 @@ _SHOWN_PROBABILITY = 0.01
 _RecordOption = Annotated[
     bool, typer.Option("--record", help="In the report: each push predicted from those before it; about a second a push.")
 ]
-_PicturesOption = Annotated[bool, typer.Option("--pictures", help="Into --out also map.png and knowledge.png, for slides.")]
 
 
 def identify_command(
@@ -88,7 +87,6 @@ def identify_command(
     max_simulations: Annotated[int | None, typer.Option(min=1, help="Largest number of simulated pushes.", show_default=False)] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of methods that draw at random.")] = 0,
     record: _RecordOption = False,
-    pictures: _PicturesOption = False,
 ) -> None:
     """Identify the mass and friction maps of one object from recorded pushes."""
     if out is not None:
@@ -126,7 +124,7 @@ def identify_command(
     if out is not None:
         from push_ident.cli.identify_files import write_files  # models and pages take a quarter of a second to import
 
-        write_files(out, result, loaded, fitted, held_out, record=record, pictures=pictures)
+        write_files(out, result, loaded, fitted, held_out, record=record)
     for line in found:
         warn(f"! {line}")
     if result.status.is_failure:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from push_ident.cli.output import console
-from push_ident.identification.identifiability import identifiability
 from push_ident.identification.model_file import save_model
 from push_ident.identification.push_errors import PushErrors
 from push_ident.identification.report import Provenance, write_report
@@ -23,7 +22,6 @@ def write_files(
     test: PushErrors,
     *,
     record: bool = False,
-    pictures: bool = False,
 ) -> None:
     """Write model and report, and name the files, `result.json` included.
 
@@ -34,7 +32,6 @@ def write_files(
         train: errors of the pushes of the fit.
         test: errors of the others.
         record: predict each push from those before it, for the report; an identification for each push.
-        pictures: write the maps and the identifiability as PNG too.
 
     Raises:
         PushIdentError: a file cannot be written.
@@ -55,12 +52,5 @@ def write_files(
         loaded.records[0].pusher.radius,
         scores,
     )
-    names = ["report.html", "model.json", "result.json"]
-    if pictures:
-        from push_ident.identification.picture import draw_identifiability, draw_maps
-
-        draw_maps(out / "map.png", result.posterior, title=f"object {loaded.object_id}, {len(sources)} pushes")
-        known = identifiability(result.posterior)
-        draw_identifiability(out / "knowledge.png", result.posterior, known, title=f"Identifiability from {len(sources)} pushes")
-        names += ["map.png", "knowledge.png"]
+    names = ("report.html", "model.json", "result.json")
     console.print(f"written: {', '.join(str(out / name) for name in names)}", highlight=False, soft_wrap=True)

@@ -74,6 +74,8 @@ class CellPanel:
     region: Float64Array | None = None
     """A closed line to mark, such as the 90 % region of a centre, shape (n, 2)."""
     arrow: Arrow | None = None
+    top: float | None = None
+    """Value of the last colour, where maps are compared; None: the largest of these values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +142,7 @@ def cell_panel(panel: CellPanel) -> str:
         return left + scale * float(point[0] - low[0]), MARGIN + scale * float(high[1] - point[1])
 
     bottom, top = float(np.nanmin([0.0, *panel.values])), float(np.nanmax([0.0, *panel.values]))
+    top = top if panel.top is None else panel.top
     parts = []
     side = scale * panel.size
     for number, (centre, value) in enumerate(zip(panel.centres, panel.values, strict=True), 1):

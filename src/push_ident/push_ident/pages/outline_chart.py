@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
+import numpy as np
+
 from push_ident.limits import printable
 from push_ident.pages.chart import MARGIN, WIDTH, bar_of_length, svg_of, titled_polygon
 from push_ident.types import Float64Array
 
-__all__ = ["Placed", "outline_panel"]
+__all__ = ["Placed", "outline_panel", "outline_panels"]
 
 _FOOT = 34.0
 """Height of the bar of length under the drawing, in its units."""
@@ -25,13 +27,20 @@ class Placed:
     corners: Float64Array
     """On the table [m], shape (n_vertices, 2); two points are a line."""
     style: str
-    """`before`, `goal`, `predicted`, `seen`, `edge`, `outline`, `meets`, `missed` or `trace`, a class of the page's styles."""
+    """`before`, `goal`, `predicted`, `other`, `seen`, `edge`, `outline`, `meets`, `missed` or `trace`, a class of the page's styles."""
     text: str
     """Shown under the pointer."""
     closed: bool = True
     """Whether it ends where it begins."""
     label: str = ""
     """A few letters in its middle."""
+
+
+def outline_panels(drawings: Sequence[tuple[str, Sequence[Placed]]]) -> list[tuple[str, str]]:
+    """Title and figure of each drawing, all of one scale."""
+    corners = np.vstack([one.corners for _, placed in drawings for one in placed])
+    frame = np.array([corners.min(axis=0), corners.max(axis=0)])
+    return [(title, outline_panel(title, placed, frame)) for title, placed in drawings]
 
 
 def outline_panel(title: str, placed: Sequence[Placed], frame: Float64Array) -> str:

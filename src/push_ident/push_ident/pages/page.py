@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from push_ident.errors import InputError
 from push_ident.files import write_whole
-from push_ident.limits import plain_text, printable
+from push_ident.limits import printable
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+__all__ = ["FigureSection", "page_text", "write_page"]
 
-__all__ = ["figure_text", "page_text", "svg", "write_page"]
-
-
-def figure_text(text: str) -> str:
-    """Foreign text for a figure: one line, and no formula; matplotlib would parse what stands between two `$`, and fail."""
-    return plain_text(text).replace("$", r"\$")
+_COMMON = ("page.html.j2", "figures.html.j2")
+"""Templates of this package."""
 
 
-def svg(figure: Figure) -> str:
-    """A figure as an SVG element for a page. Labels stay text, so that they can be searched and read aloud."""
-    import matplotlib
+@dataclass(frozen=True, slots=True)
+class FigureSection:
+    """A section of figures beside one another; a template shows it with `{% include "figures.html.j2" %}`, its name is `section` there."""
 
-    buffer = io.StringIO()
-    # With a fixed salt the same report gives the same file.
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "push_ident"}):
-        figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
+    heading: str
+    figures: Sequence[tuple[str, str]]
+    """Caption and SVG of each."""
+    note: str
 
 
 def page_text(package: str, template: str, context: Mapping[str, Any]) -> str:
@@ -40,7 +33,7 @@ def page_text(package: str, template: str, context: Mapping[str, Any]) -> str:
 
     Args:
         package: package that contains the template.
-        template: name of the template; it may extend `page.html.j2`, the common layout.
+        template: name of the template; it may extend `page.html.j2`, the common layout, and include `figures.html.j2`.
         context: values of the template's variables.
 
     Returns:
@@ -50,7 +43,7 @@ def page_text(package: str, template: str, context: Mapping[str, Any]) -> str:
     from markupsafe import Markup
 
     def load(name: str) -> str:
-        where = files(__package__ if name == "page.html.j2" else package)
+        where = files(__package__ if name in _COMMON else package)
         return where.joinpath(name).read_text(encoding="utf-8")
 
     environment = Environment(

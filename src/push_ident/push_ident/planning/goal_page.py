@@ -13,7 +13,7 @@ from push_ident import __version__
 from push_ident.geometry.se2 import transform_points, wrap_angle
 from push_ident.pages.chart import Mark, Row, Series, row_chart
 from push_ident.pages.outline_chart import Placed, outline_panel
-from push_ident.pages.page import write_page
+from push_ident.pages.page import FigureSection, write_page
 from push_ident.types import Float64Array
 
 __all__ = ["write_goal_page"]
@@ -32,12 +32,13 @@ _EDGE_POINTS = 2000
 """Along an edge, to find the part of it that a drawing shows."""
 
 
-def write_goal_page(path: Path, content: Mapping[str, Any]) -> None:
+def write_goal_page(path: Path, content: Mapping[str, Any], sections: Sequence[FigureSection] = ()) -> None:
     """Write the page.
 
     Args:
         path: HTML file.
         content: what `push-ident push-to --json` writes, of one goal or of goals in a row along a path; also of one that was broken off.
+        sections: further figures.
 
     Raises:
         InputError: the file cannot be written.
@@ -52,6 +53,7 @@ def write_goal_page(path: Path, content: Mapping[str, Any]) -> None:
         "code": last["code"],
         "text": last["text"],
         "goals": [_goal(goal, number if n_goals > 1 else 0) for number, goal in enumerate(goals, 1)],
+        "sections": sections,
         "version": f"push_ident {__version__}, Python {platform.python_version()}",
     }
     write_page(path, __package__, "goal.html.j2", context)

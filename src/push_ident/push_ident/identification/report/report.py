@@ -21,7 +21,7 @@ from push_ident.identification.report.figures import draw_errors, draw_maps, dra
 from push_ident.identification.result import Candidate, Identification, ModelPosterior
 from push_ident.identification.scoring import PushScore, summarise_scores
 from push_ident.identification.supports import Support, supports
-from push_ident.pages.page import page_text
+from push_ident.pages.page import FigureSection, page_text
 from push_ident.types import SolveStatus
 
 __all__ = ["Provenance", "report_text", "write_report"]
@@ -49,9 +49,10 @@ def write_report(
     provenance: Provenance,
     pusher_radius: float,
     record: Sequence[PushScore] = (),
+    sections: Sequence[FigureSection] = (),
 ) -> None:
     """Write the page of `report_text` to `path`. Raises InputError where it cannot be written."""
-    write_whole(path, report_text(result, train, test, provenance, pusher_radius, record), "the report", error=InputError)
+    write_whole(path, report_text(result, train, test, provenance, pusher_radius, record, sections), "the report", error=InputError)
 
 
 def report_text(
@@ -61,6 +62,7 @@ def report_text(
     provenance: Provenance,
     pusher_radius: float,
     record: Sequence[PushScore] = (),
+    sections: Sequence[FigureSection] = (),
 ) -> str:
     """The page of an identification.
 
@@ -71,6 +73,7 @@ def report_text(
         provenance: sources of the data.
         pusher_radius: of the pusher that would make the next push [m].
         record: predictions made before each push, in order.
+        sections: further figures.
 
     Returns:
         HTML, all in one file.
@@ -88,6 +91,7 @@ def report_text(
         "error_rows": [_error_row("pushes of the fit", train), _error_row("held-out pushes", test)],
         "held_out": bool(test.pushes),
         "record": _record(record),
+        "sections": sections,
         "quantities": [_quantity(q) for q in known.quantities],
         "legend": dict.fromkeys(q.knowledge.value for q in known.quantities),
         "priors": _candidates(result.candidates),
