@@ -18,6 +18,7 @@ ORDER = [
     "extras",
     "limits",
     "files",
+    "checked_json",
     "pages",
     "geometry",
     "perception",
@@ -33,15 +34,24 @@ ORDER = [
     "nodes",
     "cli",
 ]
-"""A stage imports what stands before it; `types`, `errors` and `limits` know each other; `files` writes for all."""
+"""A stage imports what stands before it; `types`, `errors` and `limits` know each other; `files` and `checked_json` serve all."""
 ROOMS = {
+    "identification": [
+        "observing unknowns",
+        "results",
+        "export fitting",
+        "predicting solvers",
+        "identify report",
+        "online",
+        "push_study",
+    ],
     "nodes": [
         "base convert",
         "executables input recording",
         "__main__ client gap_diagnosis goal_pushing identification perception push_executor viewer",
     ],
 }
-"""Rooms of a stage: its folders and single modules, one level a line. A room imports from levels before its own, not from its neighbours."""
+"""Rooms of a stage: its folders and single modules, a level a line. A room imports from levels before its own, not from its neighbours."""
 ROS = {"rclpy", "push_ident_msgs", "std_msgs", "geometry_msgs", "sensor_msgs", "nav_msgs", "diagnostic_msgs", "builtin_interfaces"}
 
 

@@ -18,9 +18,11 @@ from matplotlib.patches import Circle, Patch, Polygon
 from PIL import Image
 
 from push_ident.api.plots import draw_cells
+from push_ident.geometry.cells import cell_error
 from push_ident.geometry.se2 import transform_points
-from push_ident.identification.identify import identify, uniform_model
-from push_ident.identification.prediction import cell_error, predict
+from push_ident.identification.identify import identify
+from push_ident.identification.predicting.prediction import predict
+from push_ident.identification.unknowns.mechanics import uniform_model
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from push_ident.identification.prediction import cell_error
+from push_ident.geometry.cells import cell_error
 from push_ident.nodes.client.cell_client import CellClient
 from push_ident_msgs.action import ExecutePush
 

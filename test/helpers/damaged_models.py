@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 
 from helpers.objects import hammer_shape
-from push_ident.identification.model_file import model_text
-from push_ident.identification.prior import Prior
-from push_ident.identification.result import Estimate, ModelPosterior
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.results.model_file import model_text
+from push_ident.identification.results.posterior import Estimate, ModelPosterior
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import CellGrid, SolveStatus
 
 __all__ = ["DAMAGE", "DAMAGED_TEXT", "right_model", "unreadable_paths"]
@@ -25,7 +25,7 @@ def right_model() -> dict[str, Any]:
     """A hammer with uneven maps, its cells in the order of a grid."""
     shape = hammer_shape()
     rows = np.lexsort(np.round(shape.cells.centres, 6).T)
-    unknowns = Unknowns(replace(shape, cells=CellGrid(shape.cells.centres[rows], shape.cells.size)), Prior(max_modes=8))
+    unknowns = UnknownsSpec.of(replace(shape, cells=CellGrid(shape.cells.centres[rows], shape.cells.size)), Prior(max_modes=8))
     rng = np.random.default_rng(3)
     root = 0.2 * rng.normal(size=(unknowns.size, unknowns.size)) / np.sqrt(unknowns.size)
     covariance = root @ root.T + 0.01 * np.eye(unknowns.size)

@@ -12,7 +12,7 @@ from helpers.objects import hammer, random_records
 from push_ident.diagnosis.account import Account, ExpectedErrors
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.residuals import FrameResiduals
-from push_ident.identification.fit import Fit
+from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import Float64Array, ObjectModel, PoseTrack, PushRecord

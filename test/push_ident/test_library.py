@@ -18,8 +18,8 @@ from helpers.objects import hammer, random_records, square
 from push_ident.api.one_thread import in_one_thread
 from push_ident.bags.records import write_records
 from push_ident.errors import InputError
-from push_ident.identification.model_file import save_model
-from push_ident.identification.result import Identification
+from push_ident.identification.results.model_file import save_model
+from push_ident.identification.results.result import Identification
 from push_ident.offline.loading import LoadedPushes
 
 LONGEST_REPR = 400

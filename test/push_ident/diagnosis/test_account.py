@@ -13,9 +13,9 @@ from push_ident.diagnosis.fits import fit_base, fit_effects
 from push_ident.diagnosis.held_out import measure_gap
 from push_ident.diagnosis.policy import AccountPolicy, ValidationPolicy
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.identification.fit import Fit
-from push_ident.identification.observation import Observation, observe_push
-from push_ident.identification.prediction import cell_error
+from push_ident.geometry.cells import cell_error
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.observing.observation import Observation, observe_push
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import Float64Array, PushRecord

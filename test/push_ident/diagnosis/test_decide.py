@@ -7,8 +7,8 @@ import pytest
 from helpers.diagnosis import stub_fit
 from push_ident.diagnosis.decide import confusion_sets, verdict_of
 from push_ident.diagnosis.policy import SelectionPolicy
-from push_ident.diagnosis.result import FoundEffect, Verdict
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
+from push_ident.diagnosis.verdict import FoundEffect, Verdict
 
 
 def selection_of(*found: str, swaps: tuple[RivalFit, ...] = ()) -> Selection:

@@ -15,11 +15,12 @@ from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.policy import ResidualPolicy
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.residuals import correlation_in_motion
-from push_ident.diagnosis.result import Diagnosis, Verdict
+from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.something_else.family import VariesWith
+from push_ident.diagnosis.verdict import Verdict
 from push_ident.errors import InputError
-from push_ident.identification.observation import noise_correlation
+from push_ident.identification.observing.observation import noise_correlation
 from push_ident.types import PoseTrack
 
 TILT = 0.02  # [rad]

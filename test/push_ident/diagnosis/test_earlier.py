@@ -12,7 +12,7 @@ from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.held_out import HeldOutFits, folds_of
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.identification.fit import Fit
+from push_ident.identification.fitting.fit import Fit
 from push_ident.types import PushRecord
 
 SETTINGS = DiagnosisSettings()

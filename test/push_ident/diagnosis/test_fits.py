@@ -10,8 +10,8 @@ import pytest
 from helpers.diagnosis import simulated_pushes
 from push_ident.diagnosis.fits import fit_base, without_pushes
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.identification.budget import Meter
-from push_ident.identification.levenberg_marquardt import minimise
+from push_ident.identification.fitting.budget import Meter
+from push_ident.identification.fitting.levenberg_marquardt import minimise
 from push_ident.types import SolveStatus
 
 

@@ -15,7 +15,7 @@ from push_ident.diagnosis.gates import check_data, check_pushes
 from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.state import DiagnosisState
-from push_ident.identification.observation import NoiseModel, observe_push
+from push_ident.identification.observing.observation import NoiseModel, observe_push
 from push_ident.types import PoseTrack, PushRecord
 
 

@@ -8,9 +8,9 @@ from helpers.diagnosis import TRUTH, simulated_pushes
 from helpers.objects import with_forces
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.fits import fit_base
-from push_ident.diagnosis.result import Verdict
 from push_ident.diagnosis.scores import effect_information, score_effects
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.verdict import Verdict
 from push_ident.physics.effects import CAUSES, FORCE_CAUSES
 from push_ident.types import PushRecord
 

@@ -15,7 +15,7 @@ from push_ident.diagnosis.scores import EffectScore
 from push_ident.diagnosis.select import choose_refits, required_log_bayes_factor, select_effects
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.identification.fit import Fit
+from push_ident.identification.fitting.fit import Fit
 from push_ident.types import SolveStatus
 
 POLICY = SelectionPolicy()

@@ -17,7 +17,7 @@ from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.something_else.evidence import SomethingElse, error_with_patterns, find_something_else
 from push_ident.diagnosis.something_else.family import Acts, VariesWith
 from push_ident.diagnosis.something_else.words import PatternWords, describe_pattern
-from push_ident.identification.fit import Fit
+from push_ident.identification.fitting.fit import Fit
 from push_ident.types import PushRecord
 
 N_PUSHES, FIRST = 8, 4

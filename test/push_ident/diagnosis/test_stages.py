@@ -12,12 +12,12 @@ from push_ident.diagnosis.decide import decide
 from push_ident.diagnosis.explain import explain
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.odds import Probabilities
-from push_ident.diagnosis.result import Gate, Verdict
 from push_ident.diagnosis.select import select
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
 from push_ident.diagnosis.validate import validate
+from push_ident.diagnosis.verdict import Gate, Verdict
 
 SETTINGS = DiagnosisSettings()
 ZERO = np.zeros(4)

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from push_ident.diagnosis.result import Verdict
 from push_ident.diagnosis.usable_effects import usable_effects, usable_effects_of_file, usable_effects_of_text
+from push_ident.diagnosis.verdict import Verdict
 from push_ident.errors import InputError, ModelFileError
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from helpers.diagnosis import account_of_parts, frame_residuals, gap_of
 from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.residual_groups import ResidualGroup
-from push_ident.diagnosis.result import FoundEffect
 from push_ident.diagnosis.something_else.words import PatternWords
+from push_ident.diagnosis.verdict import FoundEffect
 from push_ident.diagnosis.wording import (
     sentence_of_doubt,
     sentence_of_effects,
@@ -21,7 +21,7 @@ from push_ident.diagnosis.wording import (
     sentence_of_unknown,
     sentence_of_unsupported,
 )  # fmt: skip
-from push_ident.identification.next_push import PlannedPush
+from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.pushing.push import PushPlan2D
 from push_ident.types import PusherPath
 

@@ -13,7 +13,7 @@ from push_ident.cli.main import app
 from push_ident.errors import InputError
 from push_ident.fleet import FleetOptions, find_jobs, read_table, run_fleet, write_index, write_table
 from push_ident.fleet.job import Outcome
-from push_ident.identification.model_file import load_model
+from push_ident.identification.results.model_file import load_model
 
 pytestmark = pytest.mark.live
 

@@ -10,16 +10,15 @@ import pytest
 
 from helpers.objects import hammer, random_records, square
 from push_ident.geometry.se2 import compose
+from push_ident.identification.fitting.problem import FitProblem, unknowns_of_push
 from push_ident.identification.identify import identify
-from push_ident.identification.next_push import PlannedPush, RankingOptions, rank_pushes
-from push_ident.identification.nuisances import nuisances_of
-from push_ident.identification.observation import NoiseModel, observe_push
-from push_ident.identification.online import OnlineIdentifier
-from push_ident.identification.prediction import held_out_errors, predict
-from push_ident.identification.prior import Prior
-from push_ident.identification.problem import FitProblem, unknowns_of_push
-from push_ident.identification.result import prior_posterior
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.observing.observation import NoiseModel, observe_push
+from push_ident.identification.online.identifier import OnlineIdentifier
+from push_ident.identification.predicting.next_push import PlannedPush, RankingOptions, rank_pushes
+from push_ident.identification.predicting.prediction import held_out_errors, predict
+from push_ident.identification.results.posterior import prior_posterior
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec, nuisance_effects
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import CameraAccuracy, ObjectShape, PushRecord
 
@@ -68,8 +67,8 @@ def test_online_the_camera_stays_an_unknown_from_push_to_push() -> None:
 def test_gradient_with_a_traced_outline_and_a_camera_equals_central_differences() -> None:
     shape = traced(RECORDS[0].shape)
     records = [replace(record, shape=shape) for record in from_the_camera(RECORDS[:2], ACCURACY)]
-    prior = Prior(max_modes=4).seen_by(record.poses.camera for record in records)
-    problem = FitProblem(records, Unknowns(shape, prior, effects=nuisances_of(shape, prior)))
+    prior = Prior(max_modes=4).with_camera_accuracy(record.poses.camera for record in records)
+    problem = FitProblem(records, UnknownsSpec.of(shape, prior, effects=nuisance_effects(shape, prior)))
     assert problem.unknowns_of_push == unknowns_of_push(shape) == 5
     x = 0.2 * np.random.default_rng(1).normal(size=problem.size)
     gradient = problem.evaluate(x).gradient

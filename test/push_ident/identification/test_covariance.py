@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from push_ident.identification.covariance import lower_root
+from push_ident.identification.results.covariance import lower_root
 
 
 def test_root_of_a_positive_definite_covariance_is_that_of_cholesky() -> None:

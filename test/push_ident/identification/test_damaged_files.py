@@ -15,12 +15,12 @@ import pytest
 import push_ident as pi
 from helpers.damaged_models import DAMAGE, DAMAGED_TEXT, right_model, unreadable_paths
 from push_ident.errors import InputError, ModelFileError
-from push_ident.identification.model_file import load_model, model_of_text
-from push_ident.identification.online import OnlineIdentifier
-from push_ident.identification.prior import MapPrior
-from push_ident.identification.quadratic import Quadratic
-from push_ident.identification.result import WarmStart
-from push_ident.identification.state_file import load_state, save_state
+from push_ident.identification.online.identifier import OnlineIdentifier
+from push_ident.identification.online.state_file import load_state, save_state
+from push_ident.identification.results.model_file import load_model, model_of_text
+from push_ident.identification.results.result import WarmStart
+from push_ident.identification.unknowns.prior import MapPrior
+from push_ident.identification.unknowns.quadratic import Quadratic
 
 STATE = json.loads((Path(__file__).parent / "files" / "state_2.json").read_text())
 LINE = 700
@@ -79,7 +79,7 @@ def test_millions_of_wrong_values_take_bounded_memory(place: str, filler: str, t
     path = written(tmp_path, text.replace(place, place + filler * (15_000_000 // len(filler))))
     code = (
         "import sys; from pathlib import Path; from push_ident.errors import ModelFileError\n"
-        "from push_ident.identification.model_file import load_model\n"
+        "from push_ident.identification.results.model_file import load_model\n"
         "try: load_model(Path(sys.argv[1]))\n"
         "except ModelFileError: print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])"
     )

@@ -15,11 +15,11 @@ from helpers.objects import hammer, random_records
 from helpers.paths import ROOT, recording
 from push_ident.bags.importers import import_cmu_icra16
 from push_ident.errors import PushIdentError
-from push_ident.identification.budget import Budget
-from push_ident.identification.evidence import explain
+from push_ident.identification.fitting.budget import Budget
 from push_ident.identification.identify import identify
-from push_ident.identification.observation import rest_frames
-from push_ident.identification.session import ObjectSession, SessionOptions
+from push_ident.identification.observing.observation import rest_frames
+from push_ident.identification.online.session import ObjectSession, SessionOptions
+from push_ident.identification.results.explanation import explain
 from push_ident.offline.loading import load_pushes
 from push_ident.types import CellGrid, ObjectShape, PoseTrack, PushRecord, SolveStatus
 

@@ -18,15 +18,15 @@ from pybullet_utils.bullet_client import BulletClient
 from helpers.objects import hammer, random_push
 from push_ident.cli.main import main
 from push_ident.errors import InputError
+from push_ident.geometry.cells import cell_error
 from push_ident.geometry.convex import convex_pieces
 from push_ident.geometry.outline import cells_in_outline, points_in_polygon, polygon_area, signed_distance
 from push_ident.identification.export.description import describe
 from push_ident.identification.export.files import SUFFIXES, write_description
-from push_ident.identification.model_file import load_model, save_model
-from push_ident.identification.prediction import cell_error
-from push_ident.identification.prior import Prior
-from push_ident.identification.result import Estimate, ModelPosterior
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.results.model_file import load_model, save_model
+from push_ident.identification.results.posterior import Estimate, ModelPosterior
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.effect_values import effect_values
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, body_of_cells, simulate
@@ -362,7 +362,7 @@ def test_effects_that_a_format_cannot_express_stand_in_a_comment(format_name: st
 
 @pytest.fixture(scope="module")
 def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    parameters = Unknowns(MODELS["arrow"].shape, Prior())
+    parameters = UnknownsSpec.of(MODELS["arrow"].shape, Prior())
     z = np.random.default_rng(3).normal(size=parameters.size)
     posterior = ModelPosterior(parameters, z, np.eye(len(z)), Estimate(0.83, 0.4), total_mass_identifiable=False)
     path = tmp_path_factory.mktemp("models") / "model--1.json"

@@ -11,16 +11,17 @@ import pytest
 
 from helpers.objects import hammer, random_records, square
 from push_ident.errors import InputError
-from push_ident.identification.feet import Feet, feet_load
+from push_ident.identification.fitting.problem import Evaluation, FitProblem
 from push_ident.identification.identify import identify
-from push_ident.identification.online import OnlineIdentifier, OnlineState
-from push_ident.identification.prediction import held_out_errors
-from push_ident.identification.prior import Prior
-from push_ident.identification.problem import Evaluation, FitProblem
-from push_ident.identification.push_errors import push_errors
-from push_ident.identification.result_json import result_json
-from push_ident.identification.supports import supports
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.online.identifier import OnlineIdentifier, OnlineState
+from push_ident.identification.predicting.prediction import held_out_errors
+from push_ident.identification.predicting.push_errors import push_errors
+from push_ident.identification.report.result_json import result_json
+from push_ident.identification.results.supports import supports
+from push_ident.identification.unknowns.load import Feet, feet_load
+from push_ident.identification.unknowns.mechanics import feet_at, foot_position_unknowns, log_derivatives_at, model_at
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
 SHAPE = square(9, 0.012)
@@ -49,7 +50,7 @@ def test_three_feet_bear_what_statics_gives_them() -> None:
     weight = np.exp(0.3 * np.random.default_rng(0).normal(size=len(SHAPE.cells)))
     weight /= weight.sum()
     feet = feet_load(weight, SHAPE.cells.centres, Feet(PLACES, 0.6 * 0.012, np.array([0.3, -0.5, 0.2])))
-    assert feet.place == pytest.approx(PLACES, abs=1e-4)
+    assert feet.position == pytest.approx(PLACES, abs=1e-4)
     assert feet.share == pytest.approx(statics(weight @ SHAPE.cells.centres), abs=1e-2)
     assert feet.load.sum() == pytest.approx(1.0) and np.all(feet.load > 0)
     assert feet.load @ SHAPE.cells.centres == pytest.approx(weight @ SHAPE.cells.centres, abs=2e-4)
@@ -63,24 +64,24 @@ def test_feet_that_cannot_balance_still_have_a_load() -> None:
 
 @pytest.mark.parametrize("number", [2, 3, 4])
 def test_derivative_is_that_of_differences(number: int) -> None:
-    unknowns = Unknowns(hammer(1).shape, Prior(max_modes=5, feet=number))
+    unknowns = UnknownsSpec.of(hammer(1).shape, Prior(max_modes=5, feet=number))
     z, h = np.random.default_rng(number).normal(size=unknowns.size), 1e-6
-    d_mass, d_friction = unknowns.log_derivatives(z)
+    d_mass, d_friction = log_derivatives_at(unknowns, z)
     for k in range(unknowns.size):
         step = h * np.eye(unknowns.size)[k]
-        above, below = unknowns.model(z + step), unknowns.model(z - step)
+        above, below = model_at(unknowns, z + step), model_at(unknowns, z - step)
         assert d_mass[:, k] == pytest.approx(np.log(above.mass / below.mass) / (2 * h), abs=1e-6)
         assert d_friction[:, k] == pytest.approx(np.log(above.friction / below.friction) / (2 * h), abs=1e-6)
 
 
 def test_places_are_unknowns_and_back() -> None:
-    unknowns = Unknowns(SHAPE, Prior(max_modes=5, feet=3))
+    unknowns = UnknownsSpec.of(SHAPE, Prior(max_modes=5, feet=3))
     z = np.zeros(unknowns.size)
-    z[unknowns.slice_of("foot_places")] = unknowns.foot_place_unknowns(PLACES)
-    z[unknowns.slice_of("foot_width")] = -8.0
-    assert unknowns.feet(z).place == pytest.approx(PLACES, abs=1e-3)
+    z[unknowns.slices["foot_positions"]] = foot_position_unknowns(unknowns, PLACES)
+    z[unknowns.slices["foot_width"]] = -8.0
+    assert feet_at(unknowns, z).position == pytest.approx(PLACES, abs=1e-3)
     with pytest.raises(InputError, match="whole base"):
-        Unknowns(SHAPE, Prior(max_modes=5)).feet(np.zeros(3))
+        feet_at(UnknownsSpec.of(SHAPE, Prior(max_modes=5)), np.zeros(3))
 
 
 @pytest.mark.parametrize("number", [1, -1])
@@ -94,7 +95,7 @@ def test_feet_of_a_tripod_are_found_and_written() -> None:
     probability = {candidate.name: candidate.probability for candidate in result.candidates}
     assert probability["three feet"] > 0.5
     found = supports(result.posterior)
-    places, shares = np.array([s.place for s in found]), np.array([s.share for s in found])
+    places, shares = np.array([s.position for s in found]), np.array([s.share for s in found])
     true = statics(SHAPE.cells.centres.mean(axis=0))
     best = min(permutations(range(3)), key=lambda order: float(np.abs(places[list(order)] - PLACES).max()))
     assert places[list(best)] == pytest.approx(PLACES, abs=0.01)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from helpers.objects import hammer, random_records, with_forces
-from push_ident.identification.forces import observe_forces
+from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.identify import identify
-from push_ident.identification.online import OnlineIdentifier
-from push_ident.identification.prior import Prior
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.observing.forces import observe_forces
+from push_ident.identification.online.identifier import OnlineIdentifier
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import Float64Array, WrenchTrack
 
 
@@ -65,14 +65,14 @@ def test_a_pusher_that_stands_still_against_the_object_says_nothing_of_it() -> N
 def problem_with_forces(effects: tuple[str, ...]) -> tuple[FitProblem, Float64Array]:
     truth = hammer(1)
     records = [with_forces(r, truth) for r in random_records(truth, 2, 1)]
-    problem = FitProblem(records, Unknowns(records[0].shape, Prior().felt_in(records), effects=effects))
+    problem = FitProblem(records, UnknownsSpec.of(records[0].shape, Prior().with_force_offset(records), effects=effects))
     return problem, 0.3 * np.random.default_rng(0).normal(size=problem.size)
 
 
 def test_gradient_with_forces_equals_central_differences() -> None:
     problem, x = problem_with_forces(("force_offset", "force_scale", "force_delay", "table_tilt", "pusher_friction"))
     gradient, own = problem.evaluate(x).gradient, problem.unknowns
-    chosen = [0, 5, 41, 60, *range(own.slice_of("effects").start, problem.size)]
+    chosen = [0, 5, 41, 60, *range(own.slices["effects"].start, problem.size)]
     for i in chosen:
         step = np.zeros(problem.size)
         step[i] = 1e-5
@@ -86,7 +86,7 @@ def test_total_mass_and_friction_of_the_object_are_known_together_better_than_ea
     records = [with_forces(r, truth) for r in random_records(truth, 4, 2)]
     posterior = identify(records).posterior
     scale, mass = (posterior.unknowns.slice_of(name).start for name in ("friction_scale", "total_mass"))
-    std = np.array([posterior.unknowns.block(name).std[0] for name in ("friction_scale", "total_mass")])
+    std = np.array([posterior.unknowns.blocks[name].std[0] for name in ("friction_scale", "total_mass")])
     both = posterior.covariance[np.ix_([scale, mass], [scale, mass])] * np.outer(std, std)
     product = np.sqrt(both.sum())
     assert product < 0.06 and product < 0.5 * np.sqrt(np.diag(both)).min()
@@ -126,9 +126,9 @@ def test_pushes_that_are_summed_up_keep_what_their_forces_said() -> None:
     assert masses[-1].std < 0.7 * masses[0].std
     assert abs(masses[-1].value - truth.total_mass) < 3.0 * masses[-1].std
     # A push without forces goes on in the same unknowns.
-    assert online.add(random_records(truth, 5, 2)[4]).posterior.unknowns.block("total_mass").size == 1
+    assert online.add(random_records(truth, 5, 2)[4]).posterior.unknowns.blocks["total_mass"].size == 1
 
 
 def test_pushes_without_forces_are_fitted_as_before() -> None:
     records = random_records(hammer(2), 2, 2)
-    assert identify(records).posterior.unknowns.block("total_mass").size == 0
+    assert identify(records).posterior.unknowns.blocks["total_mass"].size == 0

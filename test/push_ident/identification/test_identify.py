@@ -12,17 +12,17 @@ import pytest
 from helpers.diagnosis import NOISE, simulated_pushes, with_correlated_noise
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError, ModelFileError
-from push_ident.identification.budget import Budget, Sample
-from push_ident.identification.fit import FitOptions
+from push_ident.identification.fitting.budget import Budget, Sample
+from push_ident.identification.fitting.fit import FitOptions
+from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.identify import identify
-from push_ident.identification.model_file import load_model, save_model
-from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
-from push_ident.identification.online import OnlineIdentifier
-from push_ident.identification.prediction import held_out_errors, predict
-from push_ident.identification.prior import Prior
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.result import prior_posterior
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.observing.observation import NoiseModel, noise_correlation, observe_push
+from push_ident.identification.online.identifier import OnlineIdentifier
+from push_ident.identification.predicting.prediction import held_out_errors, predict
+from push_ident.identification.results.model_file import load_model, save_model
+from push_ident.identification.results.posterior import prior_posterior
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import PoseTrack, PushRecord, SolveStatus, WrenchTrack
@@ -75,7 +75,7 @@ def test_end_poses_suffice() -> None:
 
 def test_jacobian_of_the_fit_equals_central_differences() -> None:
     records = random_records(hammer(1), 2, 1)
-    problem = FitProblem(records, Unknowns(records[0].shape, Prior()))
+    problem = FitProblem(records, UnknownsSpec.of(records[0].shape, Prior()))
     x = 0.3 * np.random.default_rng(0).normal(size=problem.size)
     gradient = problem.evaluate(x).gradient
     for i in [0, 5, 41, 60, *range(problem.unknowns.size - 2, problem.size)]:

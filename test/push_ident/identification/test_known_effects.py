@@ -13,9 +13,9 @@ import pytest
 from helpers.diagnosis import NOISE, TRUTH, simulated_pushes
 from push_ident.errors import InputError
 from push_ident.identification.identify import identify
-from push_ident.identification.known_effects import KnownEffect, effects_in_use, effects_text
-from push_ident.identification.prediction import predict
-from push_ident.identification.session import ObjectSession, SessionOptions
+from push_ident.identification.online.session import ObjectSession, SessionOptions
+from push_ident.identification.predicting.prediction import predict
+from push_ident.identification.results.known_effects import KnownEffect, effects_in_use, effects_text
 from push_ident.physics.scenario import PushScenario
 from push_ident.planning.belief import Belief
 from push_ident.types import PushRecord

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from push_ident.identification.load import balanced_load, balanced_load_derivative
+from push_ident.identification.unknowns.load import balanced_load, balanced_load_derivative
 
 GRID = np.array([[x, y] for x in np.arange(-0.05, 0.06, 0.01) for y in np.arange(-0.03, 0.04, 0.01)])
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from helpers.objects import hammer, random_records
-from push_ident.identification.fit import Fit
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.fitting.levenberg_marquardt import minimise
+from push_ident.identification.fitting.map_prior import STARTS, LinearEvidence, MapTransforms
+from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.identify import identify
-from push_ident.identification.levenberg_marquardt import minimise
-from push_ident.identification.map_prior import STARTS, LinearEvidence
-from push_ident.identification.prior import MapPrior, Prior
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.unknowns.mechanics import model_at
+from push_ident.identification.unknowns.prior import MapPrior, Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import ObjectModel
 
 OTHER = MapPrior(0.4, 1.2, 0.15, 0.4)
@@ -21,33 +22,33 @@ CENTRE = STARTS["uneven load"].logs
 
 def test_unknowns_under_another_prior_are_the_same_object_in_other_units() -> None:
     shape = hammer(0).shape
-    own = Unknowns(shape, Prior(max_modes=12))
-    other = own.under(OTHER)
+    transforms = MapTransforms(UnknownsSpec.of(shape, Prior(max_modes=12)))
+    other = transforms.spec_under(OTHER)
     y = np.random.default_rng(0).normal(size=other.size)
-    z = own.map_transform(OTHER) @ y
-    assert other.model(y).mass == pytest.approx(own.model(z).mass, rel=1e-9)
-    assert other.model(y).friction == pytest.approx(own.model(z).friction, rel=1e-9)
+    expected = model_at(transforms.spec, transforms.matrix(OTHER) @ y)
+    assert model_at(other, y).mass == pytest.approx(expected.mass, rel=1e-9)
+    assert model_at(other, y).friction == pytest.approx(expected.friction, rel=1e-9)
 
 
 def test_covariance_of_a_map_is_that_of_its_prior_where_every_cell_has_a_mode() -> None:
     shape = hammer(0).shape
-    own = Unknowns(shape, Prior(max_modes=len(shape.cells)))
-    direct = Unknowns(shape, Prior(max_modes=len(shape.cells), correlation_length=OTHER.length)).modes
-    modes = own.under(OTHER).modes
+    transforms = MapTransforms(UnknownsSpec.of(shape, Prior(max_modes=len(shape.cells))))
+    direct = UnknownsSpec.of(shape, Prior(max_modes=len(shape.cells), correlation_length=OTHER.length)).modes
+    modes = transforms.spec_under(OTHER).modes
     assert modes @ modes.T == pytest.approx(direct @ direct.T, abs=1e-6)
 
 
 @pytest.fixture(scope="module")
-def linear() -> tuple[LinearEvidence, Fit, Unknowns]:
+def linear() -> tuple[LinearEvidence, Fit, MapTransforms]:
     records = random_records(hammer(1), 3, 1)
-    own = Unknowns(records[0].shape, Prior(max_modes=15))
+    transforms = MapTransforms(UnknownsSpec.of(records[0].shape, Prior(max_modes=15)))
     start = STARTS["uneven load"]
-    problem = FitProblem(records, own.under(start))
+    problem = FitProblem(records, transforms.spec_under(start))
     fit = Fit(problem, *minimise(problem, np.zeros(problem.size)))
-    return LinearEvidence(own, fit, own.map_transform(start), CENTRE), fit, own
+    return LinearEvidence(transforms, fit, transforms.matrix(start), CENTRE), fit, transforms
 
 
-def test_evidence_has_the_slope_that_differences_show(linear: tuple[LinearEvidence, Fit, Unknowns]) -> None:
+def test_evidence_has_the_slope_that_differences_show(linear: tuple[LinearEvidence, Fit, MapTransforms]) -> None:
     evidence, _, _ = linear
     logs = OTHER.logs
     _, slope = evidence.cost_and_slope(logs)
@@ -58,13 +59,14 @@ def test_evidence_has_the_slope_that_differences_show(linear: tuple[LinearEviden
         assert slope[k] == pytest.approx(difference, rel=1e-2, abs=1e-3)
 
 
-def test_linear_evidence_is_that_of_a_fit_nearby(linear: tuple[LinearEvidence, Fit, Unknowns]) -> None:
-    evidence, fit, own = linear
+def test_linear_evidence_is_that_of_a_fit_nearby(linear: tuple[LinearEvidence, Fit, MapTransforms]) -> None:
+    evidence, fit, transforms = linear
     start = STARTS["uneven load"]
     near = MapPrior.of_logs(start.logs + 0.05)
-    problem = FitProblem(fit.problem.records, own.under(near))
+    problem = FitProblem(fit.problem.records, transforms.spec_under(near))
     x0 = evidence.minimum(near.logs)
-    x0[: own.size] = np.linalg.solve(own.map_transform(near), x0[: own.size])
+    n = transforms.spec.size
+    x0[:n] = np.linalg.solve(transforms.matrix(near), x0[:n])
     direct = Fit(problem, *minimise(problem, x0)).log_evidence - fit.log_evidence
     # The prior of the hyperparameters is in the linear evidence only.
     prior = 0.5 * float(np.sum(((near.logs - CENTRE) / [1.0, 1.0, 1.0, 0.5]) ** 2))

@@ -9,8 +9,9 @@ import pytest
 
 from helpers.objects import hammer, hammer_shape, random_records
 from push_ident.errors import InputError
-from push_ident.identification.identify import identify, uniform_model
-from push_ident.identification.next_push import (
+from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.identify import identify
+from push_ident.identification.predicting.next_push import (
     Criterion,
     PlannedPush,
     PoseSensor,
@@ -22,10 +23,10 @@ from push_ident.identification.next_push import (
     rank_pushes,
     reference_pushes,
 )
-from push_ident.identification.prediction import held_out_errors
-from push_ident.identification.problem import FitProblem
+from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.identification.push_study import CurveOptions, SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
-from push_ident.identification.result import ModelPosterior, prior_posterior
+from push_ident.identification.results.posterior import ModelPosterior, prior_posterior
+from push_ident.identification.unknowns.mechanics import mechanics_at, uniform_model
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.pushing.push import PushSettings
@@ -60,7 +61,7 @@ def test_repeated_push_gives_less_information_than_others(seed: int) -> None:
 
 def test_sensor_slower_than_a_push_sees_both_its_ends() -> None:
     push = _candidates(1, 0)[0]
-    mechanics = prior_posterior(SHAPE).unknowns.mechanics(prior_posterior(SHAPE).z)
+    mechanics = mechanics_at(prior_posterior(SHAPE).unknowns, prior_posterior(SHAPE).z)
     record, status = imagine_push(mechanics, push, sensor=PoseSensor(rate=0.1))
     assert status is SolveStatus.CONVERGED and record is not None
     np.testing.assert_array_equal(record.poses.time, push.pusher.time[[0, -1]])

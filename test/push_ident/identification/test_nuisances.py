@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 from helpers.objects import hammer, random_records
 from push_ident.bags.writer import BagWriter
 from push_ident.cli.main import app
-from push_ident.identification.fit import FitOptions
+from push_ident.identification.fitting.fit import FitOptions
 from push_ident.identification.identify import identify
-from push_ident.identification.observation import NoiseModel
-from push_ident.identification.prediction import held_out_errors
+from push_ident.identification.observing.observation import NoiseModel
+from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.offline.loading import load_pushes
 from push_ident.types import PoseTrack, PushRecord
 

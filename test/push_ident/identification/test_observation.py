@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from helpers.diagnosis import simulated_pushes, with_correlated_noise
-from push_ident.identification.observation import NoiseModel, noise_correlation, observe_push
+from push_ident.identification.observing.observation import NoiseModel, noise_correlation, observe_push
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5])

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from push_ident.errors import ModelFileError
-from push_ident.identification.model_file import load_model
-from push_ident.identification.online import OnlineIdentifier
-from push_ident.identification.state_file import load_state, save_state
+from push_ident.identification.online.identifier import OnlineIdentifier
+from push_ident.identification.online.state_file import load_state, save_state
+from push_ident.identification.results.model_file import load_model
 
 FILES = Path(__file__).parent / "files"
 

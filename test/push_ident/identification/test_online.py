@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ import pytest
 from helpers.objects import hammer, random_records
 from push_ident.errors import ModelFileError
 from push_ident.identification.identify import identify
-from push_ident.identification.online import OnlineIdentifier, OnlineState
-from push_ident.identification.prediction import held_out_errors
-from push_ident.identification.state_file import load_state, save_state
-from push_ident.types import ObjectModel, PoseTrack, PusherPath, PushRecord, WrenchTrack
+from push_ident.identification.online.identifier import OnlineIdentifier, OnlineState
+from push_ident.identification.online.state_file import load_state, save_state
+from push_ident.identification.predicting.prediction import held_out_errors
+from push_ident.identification.results.posterior import prior_posterior
+from push_ident.types import ObjectModel, PoseTrack, PusherPath, PushRecord, SolveStatus, WrenchTrack
 
 TRUTH = hammer(3)
 RECORDS = random_records(TRUTH, 18, 3)
@@ -86,6 +88,20 @@ def test_known_model_is_added_to() -> None:
     together = identify(TRAIN[:6]).posterior
     assert _error(online.posterior.model) == pytest.approx(_error(together.model), abs=4e-4)
     assert online.n_pushes == 2
+
+
+@pytest.mark.parametrize("start", ["failed fit", "adopted model"])
+def test_cell_by_cell_solver_goes_on_past_its_window(start: str) -> None:
+    """After a fit that failed, and after a model was adopted: neither leaves unknowns that the next pushes do not have."""
+    state = OnlineIdentifier.known(prior_posterior(TRUTH.shape)) if start == "adopted model" else _fresh()
+    online = OnlineIdentifier(state, method="fast_gradient", window=1, max_seconds=0.2)
+    if start == "failed fit":
+        far = replace(TRAIN[0], pusher=replace(TRAIN[0].pusher, position=TRAIN[0].pusher.position + 1.0))
+        assert online.add(far).status is SolveStatus.NO_CONTACT
+    for record in TRAIN[1:4]:
+        online.add(record)
+    assert online.n_pushes == (4 if start == "failed fit" else 3)
+    assert len(online.posterior.z) == 2 * len(TRUTH.shape.cells) + 2
 
 
 @pytest.mark.parametrize("damage", ["cut", "bytes", "numbers"])

@@ -12,11 +12,11 @@ import pytest
 from helpers.diagnosis import simulated_pushes
 from helpers.paths import ROOT, recording
 from push_ident.bags.importers import import_cmu_icra16, import_cmu_mocap
-from push_ident.identification.observation import rest_frames
-from push_ident.identification.possible_poses import ImpossiblePosesError, check_poses, why_no_object_ends_there
-from push_ident.identification.prior import Prior
-from push_ident.identification.result import prior_posterior
-from push_ident.identification.session import ObjectSession, SessionOptions
+from push_ident.identification.observing.observation import rest_frames
+from push_ident.identification.online.session import ObjectSession, SessionOptions
+from push_ident.identification.predicting.possible_poses import ImpossiblePosesError, check_poses, why_no_object_ends_there
+from push_ident.identification.results.posterior import prior_posterior
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import load_pushes
 from push_ident.types import Float64Array, PoseTrack, PushRecord, SolveStatus
 

@@ -13,11 +13,11 @@ import pytest
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
 from push_ident.identification.identify import identify
-from push_ident.identification.prediction import held_out_errors
-from push_ident.identification.push_errors import PushErrors
+from push_ident.identification.online.running_record import running_record
+from push_ident.identification.predicting.prediction import held_out_errors
+from push_ident.identification.predicting.push_errors import PushErrors
 from push_ident.identification.report import Provenance, write_report
-from push_ident.identification.result import Identification
-from push_ident.identification.running_record import running_record
+from push_ident.identification.results.result import Identification
 from push_ident.types import PushRecord, SolveStatus
 
 RECORDS = random_records(hammer(3), 5, 3)

@@ -12,9 +12,9 @@ from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
 from push_ident.geometry.outline import edge_normals
 from push_ident.identification.identify import identify
-from push_ident.identification.scoring import PushScore, RunningRecord, summarise_scores
-from push_ident.identification.session import ObjectSession, SessionOptions
-from push_ident.identification.state_file import load_state, save_state
+from push_ident.identification.online.session import ObjectSession, SessionOptions
+from push_ident.identification.online.state_file import load_state, save_state
+from push_ident.identification.predicting.scoring import PushScore, RunningRecord, summarise_scores
 from push_ident.physics.accuracy import MAX_LEVEL, at_level
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
@@ -68,7 +68,7 @@ def test_looped_bag_counts_once() -> None:
 
 
 def test_the_latest_pushes_are_known_in_memory_of_fixed_size(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("push_ident.identification.session.REMEMBERED_PUSHES", 2)
+    monkeypatch.setattr("push_ident.identification.online.session.REMEMBERED_PUSHES", 2)
     session = _session()
     for record in RECORDS[:3]:
         session.finish(record)

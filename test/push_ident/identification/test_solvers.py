@@ -11,16 +11,17 @@ import pytest
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
 from push_ident.identification import solvers
-from push_ident.identification.budget import Budget
-from push_ident.identification.fit import FitOptions
+from push_ident.identification.fitting.budget import Budget
+from push_ident.identification.fitting.fit import FitOptions
+from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.identify import Earlier, identify
-from push_ident.identification.online import OnlineIdentifier
-from push_ident.identification.prediction import held_out_errors
-from push_ident.identification.prior import Prior
-from push_ident.identification.problem import FitProblem
+from push_ident.identification.online.identifier import OnlineIdentifier
+from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.identification.solvers import SOLVERS
 from push_ident.identification.solvers.autograd import reference_cost
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.unknowns.mechanics import model_at, unknowns_of_maps
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import ObjectModel, PoseTrack, PusherPath, PushRecord, SolveStatus
 
 QUICK = [name for name in SOLVERS if name != "autograd"]
@@ -86,7 +87,7 @@ def around_first_motion(record: PushRecord, seconds: float = 0.3) -> PushRecord:
 
 def test_autograd_has_the_gradient_of_its_own_cost() -> None:
     record = around_first_motion(TRAIN[0])
-    problem = FitProblem([record], Unknowns(TRAIN[0].shape, Prior(max_modes=4).without_pressure()))
+    problem = FitProblem([record], UnknownsSpec.of(TRAIN[0].shape, Prior(max_modes=4).without_pressure()))
     x = 0.2 * np.random.default_rng(0).normal(size=problem.size)
     unknowns, cost = reference_cost(problem, x)
     cost.backward()  # type: ignore[no-untyped-call]
@@ -115,7 +116,7 @@ def test_budget_refuses_what_is_no_limit() -> None:
 
 
 def test_gradient_of_the_fit_equals_central_differences_cell_by_cell() -> None:
-    problem = FitProblem(TRAIN[:1], Unknowns(TRAIN[0].shape, Prior(), modes=np.eye(len(TRAIN[0].shape.cells))))
+    problem = FitProblem(TRAIN[:1], UnknownsSpec.of(TRAIN[0].shape, Prior(), modes=np.eye(len(TRAIN[0].shape.cells))))
     x = 0.2 * np.random.default_rng(1).normal(size=problem.size)
     gradient = problem.evaluate(x).gradient
     for i in (3, 60, 75, 130, problem.size - 2):
@@ -126,8 +127,8 @@ def test_gradient_of_the_fit_equals_central_differences_cell_by_cell() -> None:
 
 def test_unknowns_of_given_maps_are_those_maps() -> None:
     truth = hammer(2)
-    parameters = Unknowns(truth.shape, Prior(), modes=np.eye(len(truth.mass)))
-    again = parameters.model(parameters.of_maps(truth.mass, truth.friction, truth.pusher_friction))
+    parameters = UnknownsSpec.of(truth.shape, Prior(), modes=np.eye(len(truth.mass)))
+    again = model_at(parameters, unknowns_of_maps(parameters, truth.mass, truth.friction, truth.pusher_friction))
     assert again.mass * truth.total_mass / again.total_mass == pytest.approx(truth.mass)
     assert again.friction == pytest.approx(truth.friction)
     assert again.pusher_friction == pytest.approx(truth.pusher_friction)
@@ -169,7 +170,7 @@ def test_solvers_do_what_their_capabilities_state(method: str) -> None:
 def test_solver_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "stays_put.py").write_text(
         """
-from push_ident.identification.solver import CellByCellSolver
+from push_ident.identification.fitting.solver import CellByCellSolver
 from push_ident.types import SolveStatus
 
 class StaysPut(CellByCellSolver):

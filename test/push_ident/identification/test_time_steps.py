@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from push_ident.geometry.outline import cells_in_outline
-from push_ident.identification.levenberg_marquardt import minimise
-from push_ident.identification.prior import Prior
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.fitting.levenberg_marquardt import minimise
+from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.unknowns.mechanics import model_at
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.accuracy import SHARE
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
@@ -48,18 +49,18 @@ def _pushes(speed: float, n: int, noise: float, path_noise: float = 0.0) -> list
 
 
 def _fit(records: list[PushRecord], settings: SimulationSettings | None = None) -> tuple[FitProblem, Float64Array, SolveStatus]:
-    problem = FitProblem(records, Unknowns(SHAPE, Prior(), maps=False), settings=settings)
+    problem = FitProblem(records, UnknownsSpec.of(SHAPE, Prior(), maps=False), settings=settings)
     x, _, status = minimise(problem, np.zeros(problem.size))
     return problem, x, status
 
 
 def _friction(problem: FitProblem, x: Float64Array) -> float:
-    return float(problem.unknowns.model(problem.object_unknowns(x)).friction.mean())
+    return float(model_at(problem.unknowns, problem.object_unknowns(x)).friction.mean())
 
 
 def _end_error(records: list[PushRecord], problem: FitProblem, x: Float64Array) -> float:
     """Mean error of the ends of pushes by the fitted model, simulated at very short steps [m]."""
-    model = problem.unknowns.model(problem.object_unknowns(x))
+    model = model_at(problem.unknowns, problem.object_unknowns(x))
     errors = []
     for record in records:
         scenario = PushScenario(record.pusher, np.zeros(3), record.poses.time[-1:])
@@ -91,7 +92,7 @@ def test_slow_pushes_keep_the_default_step_to_the_last_bit() -> None:
 
 
 def test_cost_does_not_jump_while_a_fit_runs() -> None:
-    problem = FitProblem(_pushes(0.3, 4, 2e-4), Unknowns(SHAPE, Prior(), maps=False))
+    problem = FitProblem(_pushes(0.3, 4, 2e-4), UnknownsSpec.of(SHAPE, Prior(), maps=False))
     problem.cost(np.zeros(problem.size))
     before = list(problem.steps)
     assert any(choice is not None and choice.level > 0 for choice in before)
@@ -110,7 +111,7 @@ def test_fit_across_kinks_of_the_cost_converges(wrong: float) -> None:
     for record in records:
         poses = PoseTrack(record.poses.time, record.poses.pose + wrong * rng.normal(size=(2, 3)), record.poses.covariance)
         moved.append(PushRecord("o1", SHAPE, poses, record.pusher, source=record.source))
-    unknowns = Unknowns(SHAPE, Prior())
+    unknowns = UnknownsSpec.of(SHAPE, Prior())
     problem = FitProblem(moved, unknowns, settings=SimulationSettings(step=1 / 240))
     x, end, status = minimise(problem, np.zeros(problem.size))
     assert status is SolveStatus.CONVERGED

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from helpers.objects import hammer
-from push_ident.identification.prediction import Prediction
-from push_ident.identification.ways import ways_of
+from push_ident.identification.predicting.prediction import Prediction
+from push_ident.identification.predicting.ways import ways_of
 from push_ident.types import Float64Array, SolveStatus
 
 CELLS = hammer(3).shape.cells

@@ -10,8 +10,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from helpers.diagnosis import account_of_parts, gap_of
 from push_ident.diagnosis.diagnosis_json import to_json
-from push_ident.diagnosis.result import Diagnosis, Verdict
-from push_ident.identification.next_push import PlannedPush
+from push_ident.diagnosis.result import Diagnosis
+from push_ident.diagnosis.verdict import Verdict
+from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.nodes.gap_diagnosis.convert_diagnosis import report_to_msg
 from push_ident.pushing.push import PushPlan2D
 from push_ident.types import PusherPath

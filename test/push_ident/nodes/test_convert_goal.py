@@ -13,7 +13,7 @@ from helpers.objects import hammer
 from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.geometry.table import Table
-from push_ident.identification.result import prior_posterior
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.nodes.convert.messages import planar_pose_of
 from push_ident.nodes.convert.model import posterior_from_msg, posterior_to_msg
 from push_ident.nodes.convert.table import table_from_msg, table_to_msg

@@ -13,7 +13,7 @@ from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from helpers.node_process import NodeProcess, Talker
-from push_ident.identification.known_effects import effects_in_use
+from push_ident.identification.results.known_effects import effects_in_use
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.model import posterior_from_msg
 from push_ident.planning.belief import Belief

@@ -27,7 +27,7 @@ from helpers.node_process import NodeProcess
 from helpers.spinning import spinning
 from push_ident.geometry.outline import cells_in_outline
 from push_ident.geometry.se2 import compose, inverse, quaternion_of_yaw, rotation, transform_points
-from push_ident.identification.result import prior_posterior
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.nodes.base.keep_alive import KeepAlive
 from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_from_msg
 from push_ident.nodes.convert.model import posterior_from_msg, posterior_to_msg

@@ -19,7 +19,7 @@ from helpers.executor_cell import Stalls
 from helpers.node_process import Talker
 from helpers.spinning import spinning
 from push_ident.geometry.outline import cells_in_outline
-from push_ident.identification.session import ObjectSession
+from push_ident.identification.online.session import ObjectSession
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.messages import outline_std_to_msg, planar_pose_to_msg, shape_to_msgs
 from push_ident.nodes.identification import identification_node

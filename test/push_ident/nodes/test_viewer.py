@@ -25,9 +25,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from visualization_msgs.msg import MarkerArray
 
-from push_ident.identification.prediction import predict
-from push_ident.identification.result import prior_posterior
-from push_ident.identification.scoring import PushScore, ScoreSummary
+from push_ident.identification.predicting.prediction import predict
+from push_ident.identification.predicting.scoring import PushScore, ScoreSummary
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_to_msg
 from push_ident.nodes.convert.messages import (

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.se2 import compose, inverse, transform_points
 from push_ident.geometry.table import Table
-from push_ident.identification.result import prior_posterior
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.physics.batch import BatchPush, rollouts
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief

@@ -11,7 +11,7 @@ import pytest
 
 from helpers.objects import hammer
 from push_ident.errors import InputError
-from push_ident.identification.result import ModelPosterior, prior_posterior
+from push_ident.identification.results.posterior import ModelPosterior, prior_posterior
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from helpers.objects import hammer
-from push_ident.identification.result import prior_posterior
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.planning.belief import Belief
 from push_ident.planning.curved_planner import CurvedPush
 from push_ident.planning.goal_code import GoalCode, GoalRefusedError

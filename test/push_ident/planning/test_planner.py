@@ -9,8 +9,8 @@ import pytest
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import compose, inverse, transform_points
-from push_ident.identification.prior import Prior
-from push_ident.identification.result import prior_posterior
+from push_ident.identification.results.posterior import prior_posterior
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.effect_values import EffectsLike
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
@@ -173,7 +173,7 @@ def test_what_pushes_show_of_the_camera_is_part_of_the_belief() -> None:
     prior = Prior(camera_position_std=2e-3, camera_heading_std=5e-3)
     posterior = prior_posterior(MODEL.shape, prior)
     z = posterior.z.copy()
-    z[posterior.unknowns.slice_of("effects")] = 1.0
+    z[posterior.unknowns.slices["effects"]] = 1.0
     belief = Belief.of(replace(posterior, z=z))
     assert np.linalg.norm(belief.camera[:2]) == pytest.approx(np.hypot(2e-3, 2e-3)) and belief.camera[2] == pytest.approx(5e-3)
     assert belief.mean.effects.names == ()

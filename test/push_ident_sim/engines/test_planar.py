@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from push_ident.errors import InputError, PushIdentError
-from push_ident.identification.prediction import cell_error
+from push_ident.geometry.cells import cell_error
 from push_ident.physics.effect_values import EffectValues
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, simulate

@@ -12,11 +12,11 @@ import pytest
 
 from helpers.paths import ROOT
 from push_ident.diagnosis.diagnose import diagnose
-from push_ident.diagnosis.result import Verdict
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.verdict import Verdict
 from push_ident.errors import InputError
-from push_ident.identification.next_push import PlannedPush
-from push_ident.identification.observation import observe_push
+from push_ident.identification.observing.observation import observe_push
+from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.effects import CAUSES
 from push_ident.pushing.sampling import sample_push
 from push_ident_sim.cell.sensors import PLAIN, SENSORS

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from push_ident.errors import InputError
-from push_ident.identification.result import ModelPosterior, prior_posterior
+from push_ident.identification.results.posterior import ModelPosterior, prior_posterior
 from push_ident.types import CellGrid, ObjectShape
 from push_ident_sim.studies.endurance.comparison import compare_maps
 from push_ident_sim.studies.endurance.meters import growth

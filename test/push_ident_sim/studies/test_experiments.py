@@ -16,9 +16,9 @@ import pytest
 
 from push_ident.cli.main import app
 from push_ident.errors import InputError
+from push_ident.geometry.cells import cell_error
 from push_ident.geometry.se2 import inverse, rotation, transform_points
-from push_ident.identification.observation import observe_push
-from push_ident.identification.prediction import cell_error
+from push_ident.identification.observing.observation import observe_push
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import PusherPath

@@ -10,7 +10,7 @@ from builtin_interfaces.msg import Time
 
 from helpers.objects import hammer, random_records
 from push_ident.errors import PushIdentError
-from push_ident.identification.session import ObjectSession, SessionOptions
+from push_ident.identification.online.session import ObjectSession, SessionOptions
 from push_ident_sim.studies.common.experiment import Case, CaseResult, Json
 from push_ident_sim.studies.common.live_nodes import microseconds
 from push_ident_sim.studies.live import study as live

@@ -11,7 +11,7 @@ import pytest
 
 from push_ident.bags.importers import import_mit
 from push_ident.errors import InputError
-from push_ident.identification.observation import observe_push
+from push_ident.identification.observing.observation import observe_push
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident_sim.recordings.truth import true_model

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from push_ident.geometry.se2 import compose
-from push_ident.identification.budget import Budget
+from push_ident.identification.fitting.budget import Budget
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings

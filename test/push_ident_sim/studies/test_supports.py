@@ -11,9 +11,9 @@ import pytest
 from helpers.paths import ROOT
 from push_ident.cli.main import app
 from push_ident.errors import InputError
+from push_ident.geometry.cells import cell_error
 from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.identification.identify import identify
-from push_ident.identification.prediction import cell_error
 from push_ident.identification.solvers import gauss_newton
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY

@@ -26,15 +26,16 @@ from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
 from push_ident.extras import need
-from push_ident.identification.budget import Budget
-from push_ident.identification.comparison import Comparison, compare_pushes
-from push_ident.identification.fit import FitOptions
+from push_ident.identification.fitting.budget import Budget
+from push_ident.identification.fitting.fit import FitOptions
 from push_ident.identification.identify import identify as _identify
-from push_ident.identification.model_file import load_model
-from push_ident.identification.prior import Prior
-from push_ident.identification.proposal import Proposal, propose_push
-from push_ident.identification.result import Identification, ModelPosterior
+from push_ident.identification.predicting.comparison import Comparison, compare_pushes
+from push_ident.identification.predicting.proposal import Proposal, propose_push
+from push_ident.identification.results.model_file import load_model
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.results.result import Identification
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.types import PushRecord
 

@@ -17,9 +17,10 @@ from push_ident.diagnosis.report.figures import ranking_bars
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
-from push_ident.identification.comparison import Comparison
-from push_ident.identification.proposal import Proposal
-from push_ident.identification.result import Identification, ModelPosterior
+from push_ident.identification.predicting.comparison import Comparison
+from push_ident.identification.predicting.proposal import Proposal
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.results.result import Identification
 from push_ident.limits import plain_text
 from push_ident.offline.loading import LoadedPushes
 from push_ident.types import Float64Array, ObjectShape, PushRecord

@@ -27,9 +27,9 @@ from push_ident.errors import PushIdentError
 from push_ident.extras import need_ros
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.identify import identify
-from push_ident.identification.model_file import load_model
-from push_ident.identification.push_errors import push_errors
+from push_ident.identification.predicting.push_errors import push_errors
 from push_ident.identification.report import Provenance, write_report
+from push_ident.identification.results.model_file import load_model
 from push_ident.nodes.base.network import own_domain
 from push_ident.offline.loading import load_pushes
 from push_ident.pages.chart import CellPanel, cell_panel

@@ -12,10 +12,11 @@ import numpy as np
 
 from push_ident.cli.output import console, millimetres
 from push_ident.errors import PushIdentError
-from push_ident.identification.identify import uniform_model
-from push_ident.identification.model_file import load_model
-from push_ident.identification.prediction import cell_error, predict
-from push_ident.identification.ways import Way, ways_of
+from push_ident.geometry.cells import cell_error
+from push_ident.identification.predicting.prediction import predict
+from push_ident.identification.predicting.ways import Way, ways_of
+from push_ident.identification.results.model_file import load_model
+from push_ident.identification.unknowns.mechanics import uniform_model
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.pushing.push import PushSettings

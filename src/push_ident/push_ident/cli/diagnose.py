@@ -28,8 +28,8 @@ from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.wording import describe_push, detectable_size
 from push_ident.extras import need
-from push_ident.identification.model_file import save_model
-from push_ident.identification.prior import Prior
+from push_ident.identification.results.model_file import save_model
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import load_pushes
 
 __all__ = ["diagnose_command"]

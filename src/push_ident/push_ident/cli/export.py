@@ -13,7 +13,7 @@ from push_ident.cli.output import console, warn
 from push_ident.errors import InputError
 from push_ident.identification.export.description import DEFAULT_HEIGHT, describe
 from push_ident.identification.export.files import SUFFIXES, write_description
-from push_ident.identification.model_file import failure_of_model, load_model
+from push_ident.identification.results.model_file import failure_of_model, load_model
 
 __all__ = ["export_command"]
 

@@ -15,8 +15,8 @@ from push_ident.cli.output import Description, JsonOption, console, millimetres,
 from push_ident.extras import need
 from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
 from push_ident.fleet.job import Outcome
-from push_ident.identification.prior import Prior
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS, solver_of
+from push_ident.identification.unknowns.prior import Prior
 
 __all__ = ["fleet_command"]
 

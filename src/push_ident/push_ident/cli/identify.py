@@ -17,16 +17,15 @@ from push_ident.cli.checks import above_zero, parse_numbers
 from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, millimetres, warn, write_json
 from push_ident.errors import InputError
 from push_ident.extras import need
-from push_ident.identification.budget import Budget
-from push_ident.identification.fit import FitOptions
-from push_ident.identification.identifiability import identifiability
+from push_ident.identification.fitting.budget import Budget
+from push_ident.identification.fitting.fit import FitOptions
 from push_ident.identification.identify import identify
-from push_ident.identification.prior import Prior
-from push_ident.identification.push_errors import PushErrors, push_errors
-from push_ident.identification.quantity_text import before_text, value_text
-from push_ident.identification.result import Identification
-from push_ident.identification.result_json import result_json
+from push_ident.identification.predicting.push_errors import PushErrors, push_errors
+from push_ident.identification.report.result_json import result_json
+from push_ident.identification.results.identifiability import before_text, identifiability, value_text
+from push_ident.identification.results.result import Identification
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS, solver_of
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.physics.simulation import compile_kernels
 from push_ident.types import Float64Array

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from push_ident.cli.output import console
-from push_ident.identification.model_file import save_model
-from push_ident.identification.push_errors import PushErrors
+from push_ident.identification.predicting.push_errors import PushErrors
 from push_ident.identification.report import Provenance, write_report
-from push_ident.identification.result import Identification
+from push_ident.identification.results.model_file import save_model
+from push_ident.identification.results.result import Identification
 from push_ident.offline.loading import LoadedPushes
 
 __all__ = ["write_files"]
@@ -40,7 +40,7 @@ def write_files(
     save_model(out / "model.json", result.posterior, object_id=loaded.object_id, sources=sources, status=result.status)
     scores = []
     if record and not loaded.nuisances:  # the model of these predictions would lack the nuisances
-        from push_ident.identification.running_record import running_record
+        from push_ident.identification.online.running_record import running_record
 
         scores = running_record(loaded.records, result.posterior.prior)
     write_report(

@@ -10,8 +10,8 @@ from rich.table import Table
 
 from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
-from push_ident.identification.comparison import PredictedPush, compare_pushes
-from push_ident.identification.model_file import failure_of_model, load_model
+from push_ident.identification.predicting.comparison import PredictedPush, compare_pushes
+from push_ident.identification.results.model_file import failure_of_model, load_model
 from push_ident.offline.loading import load_pushes
 
 __all__ = ["predict_command"]

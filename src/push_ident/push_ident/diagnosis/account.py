@@ -27,13 +27,13 @@ import numpy as np
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.policy import AccountPolicy
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.covariance import lower_root
-from push_ident.identification.fit import Fit
-from push_ident.identification.next_push import CHATTER
-from push_ident.identification.observation import NoiseModel, Observation
-from push_ident.identification.prediction import cell_displacement, cell_errors
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.unknowns import Mechanics
+from push_ident.geometry.cells import cell_displacement, cell_errors
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.observing.observation import NoiseModel, Observation
+from push_ident.identification.predicting.next_push import CHATTER
+from push_ident.identification.results.covariance import lower_root
+from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at
 from push_ident.physics.accuracy import choose_steps
 from push_ident.physics.effect_values import true_pose
 from push_ident.physics.rollout import PARAM_MASS
@@ -206,8 +206,8 @@ def _errors_of_fold(fit: Fit, pushes: Sequence[int], problem: FitProblem, policy
     # The same for every push and every fold, so that the means over the pushes show what pushes have in common. Cholesky's root gives the
     # maps the same draws whatever effects follow them.
     normal = policy.posterior_scale * np.random.default_rng(0).normal(size=(policy.draws, fit.unknowns.size))
-    drawn = [fit.unknowns.mechanics(z) for z in fit.z + normal @ lower_root(fit.covariance).T]
-    mean = fit.unknowns.mechanics(fit.z)
+    drawn = [mechanics_at(fit.unknowns, z) for z in fit.z + normal @ lower_root(fit.covariance).T]
+    mean = fit.mechanics
     floor = (problem.noise or NoiseModel()).floor
     errors = np.full((len(pushes), 3, policy.draws), np.nan)
     for row, push in enumerate(pushes):
@@ -277,7 +277,7 @@ def _more_pushes(account: Account, problem: FitProblem) -> int | None:
 def _end_by_unknowns(fit: Fit, problem: FitProblem, push: int) -> Float64Array | None:
     """d(cell displacement at the end of a push) / d(unknowns of a fit) [m], shape (3, n_unknowns); None where no derivative predicts it."""
     record, observed = problem.records[push], problem.observations[push]
-    mechanics = fit.unknowns.mechanics(fit.z)
+    mechanics = fit.mechanics
     scenario = PushScenario(record.pusher, true_pose(mechanics.effects, observed.pose[0]), observed.time[-1:], record.order)
     motion = mechanics.simulate(scenario, settings=problem.settings, jacobian=True)
     cells = record.shape.cells

@@ -10,11 +10,11 @@ import numpy as np
 from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.residuals import correlation_in_motion
-from push_ident.diagnosis.result import Gate
 from push_ident.diagnosis.state import DiagnosisState
-from push_ident.identification.evidence import explain
-from push_ident.identification.fit import Fit
-from push_ident.identification.observation import NoiseModel
+from push_ident.diagnosis.verdict import Gate
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.observing.observation import NoiseModel
+from push_ident.identification.results.explanation import explain
 from push_ident.types import SolveStatus
 
 __all__ = ["check_fit", "fit_base_model", "noise_above_steps", "step_effect"]

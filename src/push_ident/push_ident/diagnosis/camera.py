@@ -17,8 +17,8 @@ from push_ident.diagnosis.policy import CameraPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, standardized_residuals
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.state import DiagnosisState
-from push_ident.identification.fit import Fit
-from push_ident.identification.observation import NoiseModel
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.observing.observation import NoiseModel
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS
 from push_ident.types import ObjectShape
 

@@ -11,10 +11,10 @@ from push_ident.diagnosis.fits import BASE_WITH_FORCES
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.policy import SelectionPolicy
-from push_ident.diagnosis.result import FoundEffect, Verdict
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.state import Decision, DiagnosisState
-from push_ident.identification.fit import Fit
+from push_ident.diagnosis.verdict import FoundEffect, Verdict
+from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array
 

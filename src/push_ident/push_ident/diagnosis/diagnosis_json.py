@@ -14,7 +14,7 @@ from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.something_else.evidence import SomethingElse
-from push_ident.identification.next_push import PlannedPush
+from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 
 __all__ = ["to_json"]

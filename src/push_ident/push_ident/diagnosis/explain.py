@@ -15,9 +15,10 @@ from push_ident.diagnosis.next_push import (
 )  # fmt: skip
 from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.residual_groups import group_residuals
-from push_ident.diagnosis.result import Diagnosis, Verdict
+from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.something_else.words import PatternWords, describe_pattern
 from push_ident.diagnosis.state import Decision, DiagnosisState, Validation
+from push_ident.diagnosis.verdict import Verdict
 from push_ident.diagnosis.wording import (
     sentence_of_doubt,
     sentence_of_effects,
@@ -28,7 +29,7 @@ from push_ident.diagnosis.wording import (
     sentence_of_unknown,
     sentence_of_unsupported,
 )  # fmt: skip
-from push_ident.identification.next_push import PlannedPush
+from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.pushing.push import PushSettings
 
 __all__ = ["explain"]

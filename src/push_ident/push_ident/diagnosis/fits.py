@@ -10,10 +10,10 @@ import numpy as np
 from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fit import AMPLITUDES, AmplitudePolicy, Fit, fit_amplitudes
-from push_ident.identification.levenberg_marquardt import minimise
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.fitting.fit import AMPLITUDES, Fit, fit_amplitudes
+from push_ident.identification.fitting.levenberg_marquardt import minimise
+from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.effects import EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array, PushRecord
 
@@ -47,15 +47,16 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings, earlier
     """
     # Errors of a force sensor are looked for at their own size, not at that which a tare leaves.
     effect_std = {name: [p.scale for p in EFFECTS[name].parameters] for name in FORCE_CAUSES} | settings.effect_std
-    prior = settings.base_prior.felt_in(records)
+    prior = settings.base_prior.with_force_offset(records)
     late = [name for name in BASE_WITH_FORCES if prior.force_offset_std > 0 and name not in settings.base_effects]
-    unknowns = Unknowns(records[0].shape, prior, effects=[*settings.base_effects, *late], effect_std=effect_std)
+    unknowns = UnknownsSpec.of(records[0].shape, prior, effects=[*settings.base_effects, *late], effect_std=effect_std)
 
     problem = FitProblem(records, unknowns, noise=settings.noise, settings=settings.numerics, run_all=map_in_threads)
     known = earlier.base(unknowns.effects.names) if earlier else None
     starts = [known.minimum_at(amplitude) for amplitude in AMPLITUDES] if known else []
-    policy = AmplitudePolicy(_MAX_BASE_ITERATIONS, chained=False, relative=True, warm_starts=starts)
-    fits = fit_amplitudes(lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), np.zeros(problem.size), policy)
+    fits = fit_amplitudes(
+        lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), np.zeros(problem.size), _MAX_BASE_ITERATIONS, starts
+    )
     return max(fits, key=lambda fit: fit.log_evidence)
 
 
@@ -119,7 +120,7 @@ def without_pushes(fit: Fit, pushes: Sequence[int], start: Float64Array | None =
     return Fit(problem, *end, fit.amplitude)
 
 
-def _effects_of(sources: dict[str, Fit], unknowns: Unknowns) -> Float64Array:
+def _effects_of(sources: dict[str, Fit], unknowns: UnknownsSpec) -> Float64Array:
     """Unknowns of the effects, each from the fit that has it, zero where no fit is given; shape (n_values,)."""
     start = np.zeros(len(unknowns.effects))
     for name, fit in sources.items():
@@ -127,9 +128,9 @@ def _effects_of(sources: dict[str, Fit], unknowns: Unknowns) -> Float64Array:
     return start
 
 
-def _refit(base: Fit, unknowns: Unknowns, effects: Float64Array, needed_cost: float = np.inf) -> Fit:
+def _refit(base: Fit, unknowns: UnknownsSpec, effects: Float64Array, needed_cost: float = np.inf) -> Fit:
     """Fit other effects from the maps, scales and first poses of `base`."""
     problem = base.problem.of(unknowns)
     x0 = base.problem.layout.moved(base.x, problem.layout)
-    x0[problem.layout.slice_of("effects")] = effects
+    x0[problem.layout.slices["effects"]] = effects
     return Fit(problem, *minimise(problem, x0, _MAX_ITERATIONS, tolerance=_COARSE_TOLERANCE, needed_cost=needed_cost), base.amplitude)

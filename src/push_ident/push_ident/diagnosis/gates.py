@@ -9,10 +9,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from push_ident.diagnosis.policy import GatePolicy
-from push_ident.diagnosis.result import Gate
 from push_ident.diagnosis.state import DiagnosisState
+from push_ident.diagnosis.verdict import Gate
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.observation import (
+from push_ident.identification.observing.observation import (
     NoiseModel,
     at_rest,
     noise_at_rest,

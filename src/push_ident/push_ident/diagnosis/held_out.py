@@ -11,8 +11,9 @@ from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.fits import without_pushes
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fit import Fit
-from push_ident.identification.prediction import cell_errors, held_out_errors
+from push_ident.geometry.cells import cell_errors
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
 
@@ -216,7 +217,7 @@ def noise_errors(fit: Fit, n_draws: int) -> Float64Array:
     just touches a corner the derivative is hundreds of times that.
     """
     problem = fit.problem
-    mechanics = fit.unknowns.mechanics(fit.z)
+    mechanics = fit.mechanics
     normal = np.random.default_rng(0).normal(size=(len(problem.records), n_draws, 2, 3))
 
     def error(push: int) -> float:

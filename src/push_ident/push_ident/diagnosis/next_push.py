@@ -12,8 +12,9 @@ from push_ident.diagnosis.policy import NextPushPolicy, SelectionPolicy
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.errors import InputError, PlanningError
-from push_ident.identification.fit import Fit
-from push_ident.identification.next_push import (
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.observing.observation import NoiseModel, Observation, observe_push
+from push_ident.identification.predicting.next_push import (
     PlannedPush,
     PoseSensor,
     RankingOptions,
@@ -21,9 +22,8 @@ from push_ident.identification.next_push import (
     imagine_push,
     rank_pushes,
     reference_pushes,
-)  # fmt: skip
-from push_ident.identification.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.unknowns import Mechanics
+)
+from push_ident.identification.unknowns.mechanics import Mechanics
 from push_ident.physics.effect_values import reported_poses, true_pose
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario
@@ -174,7 +174,7 @@ class _Predictor:
 
     @classmethod
     def of(cls, fit: Fit) -> _Predictor:
-        return cls(fit.unknowns.mechanics(fit.z), fit.covariance, fit.problem.settings, len(fit.problem.records))
+        return cls(fit.mechanics, fit.covariance, fit.problem.settings, len(fit.problem.records))
 
 
 @dataclass(frozen=True, slots=True)

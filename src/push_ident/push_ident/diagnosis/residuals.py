@@ -19,8 +19,8 @@ from scipy.special import ndtr
 from push_ident.diagnosis.policy import ResidualPolicy
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.fit import Fit
-from push_ident.identification.observation import Observation
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.observing.observation import Observation
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion
 from push_ident.types import BoolArray, Float64Array
@@ -107,7 +107,7 @@ def _p_value(drawn: Float64Array, found: float, shared_std: float = 0.0) -> floa
 def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:
     """Residuals of a fit in the frame of the object's motion, with draws of them under the model."""
     problem = fit.problem
-    mechanics = fit.unknowns.mechanics(fit.z)
+    mechanics = fit.mechanics
     drawn = _refitted_noise(fit, policy.draws, np.random.default_rng(0))
 
     def of_push(push: int) -> tuple[Float64Array, Float64Array]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum
 
 import numpy as np
 
@@ -17,43 +16,13 @@ from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.something_else.evidence import SomethingElse
 from push_ident.diagnosis.something_else.words import PatternWords
-from push_ident.identification.fit import Fit
-from push_ident.identification.next_push import PlannedPush
+from push_ident.diagnosis.verdict import FoundEffect, Gate, Verdict
+from push_ident.diagnosis.wording import size_of
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.predicting.next_push import PlannedPush
+from push_ident.pages.tables import html_table
 
-__all__ = ["Diagnosis", "FoundEffect", "Gate", "Verdict"]
-
-
-class Verdict(Enum):
-    """The conclusion; the values are those of the JSON contract."""
-
-    NO_GAP = "no_gap"
-    NAMED = "named"
-    ONE_OF = "one_of"
-    SEVERAL = "several"
-    UNKNOWN = "unknown"
-    NOT_TRUSTWORTHY = "not_trustworthy"
-
-
-@dataclass(frozen=True, slots=True)
-class Gate:
-    """A check that data or numerics have to pass before a verdict is given."""
-
-    passed: bool
-    found: str
-    """What was checked, with its number."""
-    remedy: str
-    """What to do where it is not passed."""
-
-
-@dataclass(frozen=True, slots=True)
-class FoundEffect:
-    """An effect that the pushes support, with its size."""
-
-    name: str
-    parameters: dict[str, float]
-    std: dict[str, float]
-    log_bayes_factor: float
-    """In the step in which it was added, beside the effects found before it [nat]; NaN for a negligible one."""
+__all__ = ["Diagnosis"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +35,7 @@ class Diagnosis:
 
     def _repr_html_(self) -> str:
         """For notebooks: the verdict and the effects that were found."""
-        from push_ident.diagnosis.report.summary_table import summary_table
-
-        return summary_table(self)
+        return _summary_table(self)
 
     verdict: Verdict
     sentence: str
@@ -116,3 +83,16 @@ class Diagnosis:
     def fit(self) -> Fit | None:
         """Maps with the effects that were found."""
         return self.selection.fit if self.selection else None
+
+
+def _summary_table(diagnosis: Diagnosis) -> str:
+    """The verdict in words, the effects that were found, and what would resolve what is open."""
+    rows = [(e.name, size_of(e), f"{e.log_bayes_factor:.1f}") for e in diagnosis.effects]
+    failed = " ".join(f"{gate.found}: {gate.remedy}" for gate in diagnosis.gates if not gate.passed)
+    note = " ".join(text for text in (failed, f"Without a push: {diagnosis.check}" if diagnosis.check else "") if text)
+    return html_table(
+        f"{diagnosis.verdict.value}: {diagnosis.sentence}",
+        ("effect", "size", "log Bayes factor (5: odds of 150 to 1)"),
+        rows,
+        note=note,
+    )

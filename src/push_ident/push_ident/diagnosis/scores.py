@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.diagnosis.policy import SelectionPolicy
-from push_ident.identification.fit import Fit
+from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array
 
@@ -60,12 +60,12 @@ def effect_information(fit: Fit, names: Sequence[str] = ()) -> EffectInformation
     Returns:
         None where the pushes cannot be simulated.
     """
-    visible = (*CAUSES, *FORCE_CAUSES) if fit.problem.feels else CAUSES
+    visible = (*CAUSES, *FORCE_CAUSES) if fit.problem.uses_forces else CAUSES
     absent = [name for name in names or visible if name not in fit.names]
     before = fit.unknowns
     unknowns = before.with_effects((*fit.names, *absent))
     problem = fit.problem.of(unknowns)
-    n_new, start = unknowns.size - before.size, before.slice_of("effects").stop
+    n_new, start = unknowns.size - before.size, before.slices["effects"].stop
     new = np.arange(start, start + n_new)
     end = problem.evaluate(np.insert(fit.x, start, np.zeros(n_new)))
     if not np.isfinite(end.cost):

@@ -11,12 +11,12 @@ import numpy as np
 from push_ident.diagnosis.camera import OUTLINE_ERRORS
 from push_ident.diagnosis.fits import fit_effects, polished, with_another
 from push_ident.diagnosis.policy import GatePolicy, SelectionPolicy
-from push_ident.diagnosis.result import Gate
 from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fit import Fit
+from push_ident.diagnosis.verdict import Gate
+from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import SolveStatus

@@ -8,7 +8,7 @@ import numpy as np
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.scores import EffectInformation, EffectScore
-from push_ident.identification.fit import Fit
+from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from push_ident.diagnosis.policy import DecisionPolicy
-from push_ident.identification.observation import NoiseModel
-from push_ident.identification.prior import Prior
+from push_ident.identification.observing.observation import NoiseModel
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.simulation import SimulationSettings
 
 __all__ = ["DiagnosisSettings"]

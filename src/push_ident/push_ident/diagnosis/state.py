@@ -9,11 +9,11 @@ from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.held_out import Gap, HeldOutFits
 from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.residuals import FrameResiduals
-from push_ident.diagnosis.result import FoundEffect, Gate, Verdict
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.something_else.evidence import SomethingElse
-from push_ident.identification.fit import Fit
+from push_ident.diagnosis.verdict import FoundEffect, Gate, Verdict
+from push_ident.identification.fitting.fit import Fit
 from push_ident.types import PushRecord
 
 __all__ = ["Decision", "DiagnosisState", "UnsupportedEffect", "Validation"]

@@ -14,10 +14,10 @@ from typing import Any, Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from push_ident.checked_json import Listed, parse_checked, read_checked
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.errors import InputError
-from push_ident.identification.checked_json import Listed, parse_checked, read_checked
-from push_ident.identification.known_effects import KnownEffect
+from push_ident.identification.results.known_effects import KnownEffect
 from push_ident.limits import LIMITS, plain_text
 from push_ident.physics.effect import OnPusherFriction
 from push_ident.physics.effects import EFFECTS

@@ -23,7 +23,7 @@ from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.something_else.evidence import SomethingElse, error_with_patterns, find_something_else
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fit import Fit
+from push_ident.identification.fitting.fit import Fit
 
 __all__ = ["failed_tests", "supported_selection", "validate"]
 

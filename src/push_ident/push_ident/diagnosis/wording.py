@@ -10,10 +10,10 @@ from push_ident.diagnosis.account import Account, AccountPart
 from push_ident.diagnosis.odds import SOMETHING_ELSE, Probabilities
 from push_ident.diagnosis.residual_groups import ResidualGroup
 from push_ident.diagnosis.residuals import FrameResiduals
-from push_ident.diagnosis.result import FoundEffect
 from push_ident.diagnosis.scores import EffectScore
 from push_ident.diagnosis.something_else.words import PatternWords
-from push_ident.identification.next_push import PlannedPush
+from push_ident.diagnosis.verdict import FoundEffect
+from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 
 __all__ = [

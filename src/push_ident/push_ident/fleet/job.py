@@ -14,14 +14,14 @@ from typing import Any, Final
 
 import push_ident
 from push_ident.errors import InputError, PushIdentError
-from push_ident.identification.budget import Budget
-from push_ident.identification.fit import FitOptions
+from push_ident.identification.fitting.budget import Budget
+from push_ident.identification.fitting.fit import FitOptions
 from push_ident.identification.identify import identify
-from push_ident.identification.model_file import model_content
-from push_ident.identification.prior import Prior
-from push_ident.identification.push_errors import push_errors
-from push_ident.identification.result_json import result_json
+from push_ident.identification.predicting.push_errors import push_errors
+from push_ident.identification.report.result_json import result_json
+from push_ident.identification.results.model_file import model_content
 from push_ident.identification.solvers import DEFAULT_SOLVER
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import load_pushes
 
 __all__ = ["FleetOptions", "Job", "Outcome", "find_jobs", "identify_bag"]

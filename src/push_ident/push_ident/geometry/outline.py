@@ -19,6 +19,7 @@ from push_ident.types import BoolArray, CellGrid, Float64Array
 __all__ = [
     "cells_in_outline",
     "edge_normals",
+    "outline_distance",
     "outline_of_cells",
     "points_in_polygon",
     "polygon_area",
@@ -72,6 +73,13 @@ def signed_distance(points: ArrayLike, polygon: ArrayLike) -> Float64Array:
     """Distance of each of `points` (n, 2) to the outline [m], shape (n,): positive outside, negative inside."""
     start = np.asarray(polygon, dtype=np.float64)
     return np.asarray(_in_blocks(_distance, np.asarray(points, dtype=np.float64), start), dtype=np.float64)
+
+
+def outline_distance(position: Float64Array, pose: Float64Array, outline: Float64Array) -> Float64Array:
+    """Distance of points to an outline [m], negative inside, shape (n,); points, shape (n, 2), and poses, shape (n, 3), in `table`."""
+    x, y = (position - pose[:, :2]).T
+    cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    return signed_distance(np.column_stack([cosine * x + sine * y, cosine * y - sine * x]), outline)
 
 
 def _distance(points: Float64Array, start: Float64Array) -> Float64Array:

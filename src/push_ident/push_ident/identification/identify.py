@@ -9,25 +9,24 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.identification.budget import Budget, Meter, Progress
-from push_ident.identification.evidence import explain
-from push_ident.identification.explanation import Explanation
-from push_ident.identification.fit import Fit, FitOptions
-from push_ident.identification.known_effects import KnownEffect
-from push_ident.identification.levenberg_marquardt import minimise_roughly
-from push_ident.identification.nuisances import nuisances_of
-from push_ident.identification.observation import noise_at_rest
-from push_ident.identification.prior import Prior
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.result import Checkpoint, Identification, ModelPosterior, WarmStart
-from push_ident.identification.solver import FitTask, MapFit, Solver
+from push_ident.identification.fitting.budget import Budget, Meter, Progress
+from push_ident.identification.fitting.fit import Fit, FitOptions
+from push_ident.identification.fitting.levenberg_marquardt import minimise_roughly
+from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.fitting.solver import FitTask, MapFit, Solver
+from push_ident.identification.fitting.summary import Summary
+from push_ident.identification.observing.observation import noise_at_rest
+from push_ident.identification.results.explanation import Explanation, explain
+from push_ident.identification.results.known_effects import KnownEffect
+from push_ident.identification.results.posterior import ModelPosterior, with_total_mass
+from push_ident.identification.results.result import Checkpoint, Identification, WarmStart
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
-from push_ident.identification.summary import Summary
-from push_ident.identification.total_mass import with_total_mass
-from push_ident.identification.unknowns import Unknowns
-from push_ident.types import ObjectModel, ObjectShape, PushRecord, SolveStatus
+from push_ident.identification.unknowns.mechanics import model_at
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec, nuisance_effects
+from push_ident.types import PushRecord, SolveStatus
 
-__all__ = ["Earlier", "identify", "uniform_model"]
+__all__ = ["Earlier", "identify"]
 
 _SCALARS: Final = "scalars"
 """Name of the start of the fit of equal cells, after those of the solver."""
@@ -45,12 +44,6 @@ class Earlier:
     """Pushes that are not given now, summed up; used by solvers that can (`Capabilities.takes_past`)."""
     known: Sequence[KnownEffect] = ()
     """What is known of effects beside all these pushes; used by solvers that fit effects."""
-
-
-def uniform_model(shape: ObjectShape, prior: Prior | None = None) -> ObjectModel:
-    """Equal cells with nominal values."""
-    unknowns = Unknowns(shape, prior or Prior(), maps=False)
-    return unknowns.model(np.zeros(unknowns.size))
 
 
 def identify(
@@ -71,7 +64,7 @@ def identify(
         prior: nominal values and standard deviations; accuracies of camera and force sensor are of the records unless it has them.
         method: name of a solver in `SOLVERS`.
         effects: names of effects (`physics/effects/`) that are fitted with the maps, by solvers that can (`Capabilities.takes_effects`),
-            beside those of `nuisances_of`.
+            beside `nuisance_effects`.
         options: noise, numerics, iterations and seed. Errors of poses count as at least as correlated as the frames at rest show.
         budget: limits of the solve; 30 s by default.
         earlier: results to start from.
@@ -87,22 +80,22 @@ def identify(
     if not records:
         raise InputError("There is no push to learn from; give at least one push record.")
     earlier = earlier or Earlier()
-    effects = _fitted(effects, earlier.known, solver)
-    prior = _measured(prior or Prior(), records, solver.capabilities.takes_effects and earlier.past is None)
-    effects = tuple(dict.fromkeys((*effects, *nuisances_of(records[0].shape, prior)))) if solver.capabilities.takes_effects else ()
-    options = _prepared(records, prior, effects, options or FitOptions())
+    unknowns = _unknowns_of(records, prior or Prior(), effects, solver, earlier)
+    options = options or FitOptions()
+    options = replace(options, noise=noise_at_rest(records, options.noise))
+    _compile(records[:1], unknowns, options)
     meter = Meter(budget, on_progress)
-    scalar = _fit_scalars(records, prior, options, earlier.warm_starts)
+    scalar = _fit_scalars(records, unknowns, options, earlier.warm_starts)
     past = earlier.past if solver.capabilities.takes_past else None
-    fit = solver.fit(FitTask(records, prior, options, meter, scalar, effects, earlier.warm_starts, past, earlier.known))
+    fit = solver.fit(FitTask(records, unknowns, options, meter, scalar, earlier.warm_starts, past, earlier.known))
     explanation = explain(fit.posterior, records, settings=options.numerics)
-    posterior, status = _checked(fit, explanation, prior, effects, earlier.past)
+    posterior, status = _checked(fit, explanation, unknowns, past)
     return Identification(
         method=method,
         status=status,
         posterior=posterior,
         scalar=scalar.model,
-        uniform=uniform_model(records[0].shape, prior),
+        uniform=model_at(scalar.unknowns, np.zeros(scalar.unknowns.size)),
         cost=fit.cost,
         reduced_chi2=fit.reduced_chi2,
         n_simulations=meter.n_simulations,
@@ -114,56 +107,55 @@ def identify(
     )
 
 
-def _fitted(effects: Sequence[str], known: Sequence[KnownEffect], solver: Solver) -> tuple[str, ...]:
-    """Names of effects that somebody wants or knows. Raises InputError where the solver fits none."""
-    names = tuple(dict.fromkeys((*effects, *(own.name for own in known))))
-    if names and not solver.capabilities.takes_effects:
+def _unknowns_of(records: Sequence[PushRecord], prior: Prior, effects: Sequence[str], solver: Solver, earlier: Earlier) -> UnknownsSpec:
+    """What is fitted of the object, with the accuracies of camera and force sensor.
+
+    Raises InputError where the solver fits no effects, and somebody wants or knows some.
+    """
+    shape, can = records[0].shape, solver.capabilities
+    names = tuple(dict.fromkeys((*effects, *(effect.name for effect in earlier.known))))
+    if names and not can.takes_effects:
         raise InputError(f"`{solver.name}` fits no effects ({', '.join(names)}); take {DEFAULT_SOLVER}.")
-    return names
+    prior = prior.with_camera_accuracy(record.poses.camera for record in records)
+    # Pushes that are summed up count in the unknowns that they have: no forces join them.
+    if can.takes_effects and earlier.past is None:
+        prior = prior.with_force_offset(records)
+    if can.cell_by_cell:
+        return UnknownsSpec.of(shape, prior, maps=False).cell_by_cell()
+    modes = earlier.past.modes if earlier.past else None
+    return UnknownsSpec.of(shape, prior, modes=modes, effects=tuple(dict.fromkeys((*names, *nuisance_effects(shape, prior)))))
 
 
-def _measured(prior: Prior, records: Sequence[PushRecord], takes_forces: bool) -> Prior:
-    """The prior with the accuracies of camera and force sensor. Pushes that are summed up count in the unknowns that they have: no forces
-    join them."""
-    prior = prior.seen_by(record.poses.camera for record in records)
-    return prior.felt_in(records) if takes_forces else prior
-
-
-def _prepared(records: Sequence[PushRecord], prior: Prior, effects: Sequence[str], options: FitOptions) -> FitOptions:
-    """The options with the noise at rest, after one push was simulated: what is compiled then, once on a machine, may take longer than the
-    budget of a solve."""
-    options = replace(options, noise=noise_at_rest(records, options.noise))
-    for compiled in dict.fromkeys(((), tuple(effects))):  # pushes with effects have kernels of their own
-        unknowns = Unknowns(records[0].shape, prior, maps=False, effects=compiled)
-        problem = FitProblem(records[:1], unknowns, noise=options.noise, settings=options.numerics)
+def _compile(records: Sequence[PushRecord], unknowns: UnknownsSpec, options: FitOptions) -> None:
+    """Simulate a push: what is compiled then, once on a machine, may take longer than the budget of a solve."""
+    equal = unknowns.equal_cells()
+    for effects in dict.fromkeys(((), unknowns.effects.names)):  # pushes with effects have kernels of their own
+        problem = FitProblem(records, equal.with_effects(effects), noise=options.noise, settings=options.numerics)
         problem.evaluate(np.zeros(problem.size))
-    return options
 
 
-def _fit_scalars(records: Sequence[PushRecord], prior: Prior, options: FitOptions, warm_starts: Sequence[WarmStart]) -> Fit:
+def _fit_scalars(records: Sequence[PushRecord], unknowns: UnknownsSpec, options: FitOptions, warm_starts: Sequence[WarmStart]) -> Fit:
     """Equal cells with the friction scale and the pusher friction fitted.
 
     Roughly: they explain pushes of an uneven object badly, at a cost with many kinks. Fits of maps start from
     them, and a candidate fits them to the end where that decides something.
     """
-    unknowns = Unknowns(records[0].shape, prior, maps=False)
-    problem = FitProblem(records, unknowns, noise=options.noise, settings=options.numerics)
+    equal = unknowns.equal_cells().with_effects(())
+    problem = FitProblem(records, equal, noise=options.noise, settings=options.numerics)
     warm = next((start.x for start in warm_starts if start.name == _SCALARS), np.empty(0))
     start, steps = problem.continued(np.zeros(problem.size), warm), _WARM_STEPS if len(warm) else options.max_iterations
     return Fit(problem, *minimise_roughly(problem, start, steps))
 
 
-def _checked(
-    fit: MapFit, explanation: Explanation, prior: Prior, effects: Sequence[str], past: Summary | None
-) -> tuple[ModelPosterior, SolveStatus]:
+def _checked(fit: MapFit, explanation: Explanation, unknowns: UnknownsSpec, past: Summary | None) -> tuple[ModelPosterior, SolveStatus]:
     """The posterior with its total mass; the prior where the pushes cannot be simulated, explained, or never touch the object."""
-    problem, status = fit.problem, fit.status
-    if status is not SolveStatus.SIMULATION_FAILED and not any(o.touched for o in problem.observations):
+    status = fit.status
+    if status is not SolveStatus.SIMULATION_FAILED and not any(o.touched for o in fit.problem.observations):
         status = SolveStatus.NO_CONTACT
     status = explanation.judged(status)
     if status.is_failure:
-        same = prior.on_feet(past.feet) if past else prior  # pushes that are summed up count in these unknowns
-        return ModelPosterior.of_prior(Unknowns(problem.unknowns.shape, same, effects=effects)), status
+        # Pushes that are summed up count in these unknowns.
+        return ModelPosterior.of_prior(unknowns.with_prior(unknowns.prior.on_feet(past.feet)) if past else unknowns), status
     return with_total_mass(fit.posterior), status
 
 
@@ -171,5 +163,5 @@ def _checkpoints(problem: FitProblem) -> tuple[Checkpoint, ...]:
     checkpoints = []
     for sample in problem.meter.history:
         unknowns = sample.unknowns or problem.unknowns
-        checkpoints.append(Checkpoint(sample.n_simulations, sample.time_s, sample.cost, unknowns.model(sample.x[: unknowns.size])))
+        checkpoints.append(Checkpoint(sample.n_simulations, sample.time_s, sample.cost, model_at(unknowns, sample.x[: unknowns.size])))
     return tuple(checkpoints)

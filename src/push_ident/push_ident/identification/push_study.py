@@ -11,7 +11,9 @@ from typing import Protocol
 
 import numpy as np
 
-from push_ident.identification.next_push import (
+from push_ident.identification.observing.observation import NoiseModel
+from push_ident.identification.online.identifier import OnlineIdentifier
+from push_ident.identification.predicting.next_push import (
     Criterion,
     PlannedPush,
     PoseSensor,
@@ -20,11 +22,9 @@ from push_ident.identification.next_push import (
     rank_pushes,
     reference_pushes,
 )
-from push_ident.identification.observation import NoiseModel
-from push_ident.identification.online import OnlineIdentifier
-from push_ident.identification.prediction import held_out_errors
-from push_ident.identification.prior import Prior
-from push_ident.identification.result import ModelPosterior
+from push_ident.identification.predicting.prediction import held_out_errors
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.pushing.push import PushSettings

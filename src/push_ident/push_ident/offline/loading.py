@@ -13,10 +13,10 @@ import numpy as np
 from push_ident.bags.pushes import pushes_by_object, split_pushes
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
 from push_ident.errors import BagError
-from push_ident.identification.observation import observe_push, pusher_gaps
-from push_ident.identification.possible_poses import check_poses, why_no_object_ends_there
-from push_ident.identification.prior import Prior
-from push_ident.identification.result import prior_posterior
+from push_ident.identification.observing.observation import observe_push, pusher_gaps
+from push_ident.identification.predicting.possible_poses import check_poses, why_no_object_ends_there
+from push_ident.identification.results.posterior import prior_posterior
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.pages.tables import html_table
 from push_ident.physics.effect import OnContact
 from push_ident.physics.effects import EFFECTS

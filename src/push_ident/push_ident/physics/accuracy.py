@@ -7,7 +7,7 @@ contact moves by v dt between two steps. The steps are therefore chosen for each
 
 The level is the lowest at which halving the steps moves the last pose by less than `SHARE` of the standard deviation of its noise (step
 doubling: Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, section II.4). It is chosen before a fit, where it is 2 at
-most, and kept during it, so that the cost stays smooth; finer levels are taken at its end (`identification/problem.py`).
+most, and kept during it, so that the cost stays smooth; finer levels are taken at its end (`identification/fitting/problem.py`).
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from push_ident.identification.observation import NoiseModel
-from push_ident.identification.result import ModelPosterior
-from push_ident.identification.unknowns import Mechanics
+from push_ident.identification.observing.observation import NoiseModel
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at, model_at
 from push_ident.physics.batch import BatchModel
 from push_ident.physics.effect import OnPusherPath, OnTable
 from push_ident.physics.effect_values import EffectsLike, EffectValues, effect_values, reported_poses
@@ -40,9 +40,9 @@ class Belief:
     @classmethod
     def of(cls, posterior: ModelPosterior, numerics: SimulationSettings | None = None) -> Belief:
         """What pushes have shown, where they were simulated with `numerics`."""
-        mechanics = posterior.unknowns.mechanics(posterior.z)
+        mechanics = posterior.mechanics
         camera = reported_poses(mechanics.effects, np.zeros((1, 3)))[0][0]
-        weight = _share(posterior.unknowns.model(posterior.z))
+        weight = _share(model_at(posterior.unknowns, posterior.z))
         return cls(_at_rest(mechanics), posterior, camera, weight, numerics or SimulationSettings())
 
     @classmethod
@@ -75,8 +75,8 @@ class Belief:
             root = vector * np.sqrt(np.maximum(value, 0.0))
             unknowns, z = self.posterior.unknowns, self.posterior.z
             others = [z + root @ draw for draw in rng.normal(size=(n, len(z)))]
-            drawn += [unknowns.mechanics(other) for other in others]
-            weights += [_share(unknowns.model(other)) for other in others]
+            drawn += [mechanics_at(unknowns, other) for other in others]
+            weights += [_share(model_at(unknowns, other)) for other in others]
         return [
             BatchModel(own.body, own.pusher_friction, _surface(own.effects) + beside, weight, effects=own.effects.at_rest.beside_outline)
             for own, beside, weight in zip(drawn, surface, weights, strict=False)

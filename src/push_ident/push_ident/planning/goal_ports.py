@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.identification.result import ModelPosterior
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from push_ident.geometry.se2 import transform_points
-from push_ident.identification.result import ModelPosterior
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.explore import push_on_table

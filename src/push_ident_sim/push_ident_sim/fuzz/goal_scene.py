@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from geometry_msgs.msg import Point, PoseStamped
 
-from push_ident.identification.result import prior_posterior
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.nodes.convert.messages import TABLE_FRAME, planar_pose_to_msg, shape_from_msgs, stamp_to_msg
 from push_ident.nodes.convert.model import posterior_to_msg
 from push_ident.nodes.goal_pushing.convert_goal import planar_pose_msg

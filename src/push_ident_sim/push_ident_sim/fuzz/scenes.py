@@ -22,9 +22,9 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from push_ident.bags.records import write_records
-from push_ident.identification.prediction import predict
-from push_ident.identification.result import prior_posterior
-from push_ident.identification.scoring import PushScore, ScoreSummary
+from push_ident.identification.predicting.prediction import predict
+from push_ident.identification.predicting.scoring import PushScore, ScoreSummary
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_to_msg
 from push_ident.nodes.convert.messages import position_to_msg, stamp_to_msg, transform_to_msg
 from push_ident.nodes.convert.model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.bags.importers.report import outline_distance
+from push_ident.geometry.outline import outline_distance
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
 __all__ = ["Cause", "Overlap", "Streams", "overlap_of"]

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from push_ident.geometry.outline import signed_distance
+from push_ident.bags.importers.overlap import Overlap
+from push_ident.geometry.outline import outline_distance
 from push_ident.types import Float64Array, ObjectShape
 
-if TYPE_CHECKING:
-    from push_ident.bags.importers.overlap import Overlap
-
-__all__ = ["Contact", "ImportReport", "contact_of", "contact_tolerance", "contact_warnings", "distance_warnings", "outline_distance"]
+__all__ = ["Contact", "ImportReport", "contact_of", "contact_tolerance", "contact_warnings", "distance_warnings"]
 
 _DEVIATIONS: Final = 3.0
 """Standard deviations of an outline point beyond which a distance is no noise: 3 in 1000 pushes of a right import."""
@@ -102,13 +100,6 @@ def contact_of(
     return Contact(
         bool(moved.any()), float(distance[at]) if moved.any() else np.nan, float(distance[: at + 1].min()), float(distance.min())
     )
-
-
-def outline_distance(position: Float64Array, pose: Float64Array, outline: Float64Array) -> Float64Array:
-    """Distance of points to an outline [m], negative inside, shape (n,); points, shape (n, 2), and poses, shape (n, 3), in `table`."""
-    x, y = (position - pose[:, :2]).T
-    cosine, sine = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    return signed_distance(np.column_stack([cosine * x + sine * y, cosine * y - sine * x]), outline)
 
 
 def contact_warnings(contacts: Sequence[Contact], tolerance: float) -> tuple[str, ...]:

@@ -22,7 +22,8 @@ from push_ident.diagnosis.report.figures import (
     ranking_bars,
     shrink_bars,
 )
-from push_ident.diagnosis.result import Diagnosis, Verdict
+from push_ident.diagnosis.result import Diagnosis
+from push_ident.diagnosis.verdict import Verdict
 from push_ident.diagnosis.wording import sentence_of_more_pushes, size_of
 from push_ident.pages.page import write_page
 from push_ident.physics.effects import EFFECTS

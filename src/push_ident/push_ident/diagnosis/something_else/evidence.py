@@ -29,8 +29,8 @@ from push_ident.diagnosis.something_else.family import Family, Member
 from push_ident.diagnosis.something_else.patterns import pattern_families
 from push_ident.diagnosis.something_else.precision import AmplitudePrecision
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fit import Fit
-from push_ident.identification.prediction import cell_displacement
+from push_ident.geometry.cells import cell_displacement
+from push_ident.identification.fitting.fit import Fit
 from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["Pattern", "SomethingElse", "error_with_patterns", "find_something_else"]

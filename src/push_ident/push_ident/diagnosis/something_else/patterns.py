@@ -33,7 +33,7 @@ from push_ident.diagnosis.something_else.family import (
     singles,
 )
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fit import Fit
+from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.simulation import Motion, StepResponse
 from push_ident.types import Float64Array
 
@@ -170,7 +170,7 @@ def pattern_families(fit: Fit) -> tuple[Family, ...] | None:
 def _respond(fit: Fit, push: int, motion: Motion, path: _Path, places: Float64Array) -> dict[str, Rows]:
     """Change of the residuals of one push by every pattern."""
     problem, blocks = fit.problem, _blocks_of(path, places)
-    if problem.feels:
+    if problem.uses_forces:
         blocks |= _felt_blocks_of(path)
     wrench = np.concatenate([b.wrench for b in blocks.values()], axis=2)
     displacement = np.concatenate([b.displacement for b in blocks.values()], axis=2)

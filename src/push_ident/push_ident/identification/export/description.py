@@ -71,8 +71,8 @@ class ObjectDescription:
 
     def exported(self, part: ExportAs) -> tuple[float, ...] | None:
         """Sum of the values of the effects that `part` of a file represents; None if there are none."""
-        own = [values for name, values in self.effects.items() if EFFECTS[name].export is part]
-        return tuple(map(sum, zip(*own, strict=True))) if len(own) > 1 else next(iter(own), None)
+        values_of_part = [values for name, values in self.effects.items() if EFFECTS[name].export is part]
+        return tuple(map(sum, zip(*values_of_part, strict=True))) if len(values_of_part) > 1 else next(iter(values_of_part), None)
 
     @property
     def cell_names(self) -> list[str]:
@@ -147,8 +147,8 @@ def effect_notes(description: ObjectDescription, carried: Mapping[ExportAs, str]
     for name, values in description.effects.items():
         effect = EFFECTS[name]
         sizes = ", ".join(f"{p.name} = {value:.6g} {p.unit}".rstrip() for p, value in zip(effect.parameters, values, strict=True))
-        place = carried.get(effect.export) if effect.export else None
-        where = f"is in {place}." if place else f"is NOT in this file. {effect.what} {effect.equation}"
+        position = carried.get(effect.export) if effect.export else None
+        where = f"is in {position}." if position else f"is NOT in this file. {effect.what} {effect.equation}"
         lines.append(f"Effect {name} ({sizes}) {where}")
     return lines
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from push_ident.identification.push_errors import PushErrors
-from push_ident.identification.result import ModelPosterior
-from push_ident.identification.scoring import PushScore
+from push_ident.identification.predicting.push_errors import PushErrors
+from push_ident.identification.predicting.scoring import PushScore
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.pages.chart import BLUES, Arrow, CellPanel, Mark, Row, Series, cell_panel, row_chart
 from push_ident.pushing.push import PushPlan2D
 from push_ident.types import Float64Array
@@ -43,10 +43,9 @@ def _panel(posterior: ModelPosterior, title: str, values: Float64Array, unit: st
 
 def _centre_ellipse(posterior: ModelPosterior) -> Float64Array:
     """Edge of the 90 % region of the centre of friction [m], shape (n, 2), object frame."""
-    parameters = posterior.unknowns
-    mechanics = parameters.mechanics(posterior.z)
+    mechanics = posterior.mechanics
     centre = posterior.model.centre_of_friction
-    rows = (parameters.shape.cells.centres - centre).T @ mechanics.limit_derivative / float(mechanics.body.limit.sum())
+    rows = (mechanics.shape.cells.centres - centre).T @ mechanics.limit_derivative / float(mechanics.body.limit.sum())
     value, vector = np.linalg.eigh(rows @ posterior.covariance @ rows.T)
     angle = np.linspace(0, 2 * np.pi, 61)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])

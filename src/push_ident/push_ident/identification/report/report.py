@@ -13,14 +13,14 @@ import numpy as np
 from push_ident import __version__
 from push_ident.errors import InputError
 from push_ident.files import write_whole
-from push_ident.identification.identifiability import Identifiability, Quantity, identifiability
-from push_ident.identification.proposal import N_CANDIDATES, propose_push
-from push_ident.identification.push_errors import PushErrors
-from push_ident.identification.quantity_text import before_text, value_text
+from push_ident.identification.predicting.proposal import N_CANDIDATES, propose_push
+from push_ident.identification.predicting.push_errors import PushErrors
+from push_ident.identification.predicting.scoring import PushScore, summarise_scores
 from push_ident.identification.report.figures import draw_errors, draw_maps, draw_push, draw_record, shown_pushes
-from push_ident.identification.result import Candidate, Identification, ModelPosterior
-from push_ident.identification.scoring import PushScore, summarise_scores
-from push_ident.identification.supports import Support, supports
+from push_ident.identification.results.identifiability import Identifiability, Quantity, before_text, identifiability, value_text
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.results.result import Candidate, Identification
+from push_ident.identification.results.supports import Support, supports
 from push_ident.pages.page import FigureSection, page_text
 from push_ident.types import SolveStatus
 
@@ -108,7 +108,7 @@ def _headline(result: Identification, train: PushErrors, test: PushErrors, known
     posterior = result.posterior
     centre = posterior.model.centre_of_friction
     spread = {q.name: q.std for q in known.quantities}
-    place = (
+    centre_text = (
         f"the centre of friction is at ({1e3 * centre[0]:z.0f} ± {1e3 * spread['centre of friction x']:.0f}, "
         f"{1e3 * centre[1]:z.0f} ± {1e3 * spread['centre of friction y']:.0f}) mm of the object frame"
     )
@@ -119,7 +119,7 @@ def _headline(result: Identification, train: PushErrors, test: PushErrors, known
         else "poses do not determine the total mass (measure forces, or weigh the object)"
     )
     n = len(train.pushes)
-    learned = f"From {n} push{'es' if n != 1 else ''}: {place}; {weight}."
+    learned = f"From {n} push{'es' if n != 1 else ''}: {centre_text}; {weight}."
     if not test.pushes:
         return learned
     pushes = "one push" if len(test.pushes) == 1 else f"{len(test.pushes)} pushes"
@@ -154,7 +154,7 @@ def _candidate(candidate: Candidate, best: float) -> dict[str, str]:
 
 
 def _support(support: Support) -> str:
-    (x, y), (x_std, y_std) = 1e3 * support.place, 1e3 * support.place_std
+    (x, y), (x_std, y_std) = 1e3 * support.position, 1e3 * support.position_std
     return f"({x:.0f} ± {x_std:.0f}, {y:.0f} ± {y_std:.0f}) mm bears {100 * support.share:.0f} ± {100 * support.share_std:.0f} %"
 
 

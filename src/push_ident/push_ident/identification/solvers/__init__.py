@@ -7,20 +7,20 @@ from pkgutil import iter_modules
 from typing import Final
 
 from push_ident.errors import InputError
-from push_ident.identification.solver import Solver
+from push_ident.identification.fitting.solver import Solver
 
 __all__ = ["DEFAULT_SOLVER", "SOLVERS", "discover", "solver_of"]
 
 
 def discover() -> dict[str, Solver]:
     """The solvers in the files of this folder, those with a posterior first, else in alphabetical order."""
-    found: dict[str, Solver] = {}
+    solvers: dict[str, Solver] = {}
     for name in sorted(module.name for module in iter_modules(__path__)):
         solver: Solver = import_module(f"{__name__}.{name}").SOLVER
         if solver.name != name:
             raise ImportError(f"The solver in {name}.py is called {solver.name!r}; give file and solver the same name.")
-        found[name] = solver
-    return dict(sorted(found.items(), key=lambda item: not item[1].capabilities.gives_posterior))
+        solvers[name] = solver
+    return dict(sorted(solvers.items(), key=lambda item: not item[1].capabilities.gives_posterior))
 
 
 SOLVERS: Final = discover()

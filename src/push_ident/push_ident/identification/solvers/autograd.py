@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from push_ident.extras import need
-from push_ident.identification.descent import descend
-from push_ident.identification.problem import TAILS, FitProblem
-from push_ident.identification.solver import CellByCellSolver
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.fitting.descent import descend
+from push_ident.identification.fitting.problem import TAILS, FitProblem
+from push_ident.identification.fitting.solver import CellByCellSolver
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, SolveStatus
 
@@ -74,25 +74,25 @@ def reference_cost(problem: FitProblem, x: Float64Array) -> tuple[torch.Tensor, 
     problem.meter.count(len(problem.records))
     cost = 0.5 * z @ z
     for push, (poses, observed) in enumerate(zip(motion.poses, problem.observations, strict=True)):
-        own = unknowns[problem.slice_of_push(push)][3:]
-        seen = poses + torch.nn.functional.pad(observed.surface_std * own, (0, 3 - len(own)))
-        cost = cost + 0.5 * own @ own
-        residual = torch.einsum("fij,fj->fi", torch.as_tensor(observed.whitening), seen - torch.as_tensor(observed.pose))
+        of_push = unknowns[problem.slice_of_push(push)][3:]
+        displaced = poses + torch.nn.functional.pad(observed.surface_std * of_push, (0, 3 - len(of_push)))
+        cost = cost + 0.5 * of_push @ of_push
+        residual = torch.einsum("fij,fj->fi", torch.as_tensor(observed.whitening), displaced - torch.as_tensor(observed.pose))
         cost = cost + 0.5 * (TAILS + 3) * torch.log1p((residual**2).sum(dim=1) / TAILS).sum()
     return unknowns, torch.nan_to_num(cost, nan=torch.inf)
 
 
-def _model(unknowns: Unknowns, z: torch.Tensor) -> ReferenceModel:
-    """`Unknowns.model` in torch."""
+def _model(unknowns: UnknownsSpec, z: torch.Tensor) -> ReferenceModel:
+    """`model_at` in torch."""
     import torch
 
     from push_ident.physics.reference import ReferenceModel
 
     prior, modes = unknowns.prior, torch.as_tensor(unknowns.modes)
-    (friction_scale,) = z[unknowns.slice_of("friction_scale")]
-    (pusher_friction,) = z[unknowns.slice_of("pusher_friction")]
-    weight = torch.softmax(prior.mass_map_std * (modes @ z[unknowns.slice_of("mass_map")]), dim=0)
-    roughness = torch.exp(prior.friction_map_std * (modes @ z[unknowns.slice_of("friction_map")]))
+    (friction_scale,) = z[unknowns.slices["friction_scale"]]
+    (pusher_friction,) = z[unknowns.slices["pusher_friction"]]
+    weight = torch.softmax(prior.mass_map_std * (modes @ z[unknowns.slices["mass_map"]]), dim=0)
+    roughness = torch.exp(prior.friction_map_std * (modes @ z[unknowns.slices["friction_map"]]))
     return ReferenceModel(
         mass=prior.total_mass * weight,
         friction=prior.friction * torch.exp(prior.friction_std * friction_scale) * roughness / (weight @ roughness),

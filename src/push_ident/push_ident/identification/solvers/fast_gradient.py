@@ -7,8 +7,9 @@ from typing import ClassVar
 import numpy as np
 
 from push_ident.geometry.se2 import transform_points
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.solver import CellByCellSolver
+from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.fitting.solver import CellByCellSolver
+from push_ident.identification.unknowns.mechanics import model_at, unknowns_of_maps
 from push_ident.physics.simulation import GRAVITY, Motion
 from push_ident.types import CellGrid, Float64Array, SolveStatus
 
@@ -42,7 +43,7 @@ class FastGradient(CellByCellSolver):
     def solve(self, problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
         """As `CellByCellSolver.solve`; `STALLED` where the rate became too small, or the next model could not be simulated."""
         unknowns, meter = problem.unknowns, problem.meter
-        start = unknowns.model(problem.object_unknowns(x0))
+        start = model_at(unknowns, problem.object_unknowns(x0))
         mass = start.mass.copy()
         force = start.friction * start.mass * GRAVITY
         if not np.any(x0):
@@ -51,7 +52,7 @@ class FastGradient(CellByCellSolver):
         best, best_force, best_mass, waited, rate = np.array(x0), force, mass, 0, _RATE
         while True:
             x = np.array(x0)
-            x[: unknowns.size] = unknowns.of_maps(mass, force / (GRAVITY * mass), start.pusher_friction)
+            x[: unknowns.size] = unknowns_of_maps(unknowns, mass, force / (GRAVITY * mass), start.pusher_friction)
             motions = problem.simulate(x)
             if meter.offer(x, problem.cost_of(x, motions)):
                 best, best_force, best_mass, waited = x, force, mass, 0
@@ -90,10 +91,10 @@ def _errors_along_path(problem: FitProblem, motion: Motion, push: int) -> tuple[
     first = transform_points(motion.pose[0], cells.centres)
     along, travel, distance = np.zeros(len(cells)), 1e-3, 0.0
     for simulated, observed in zip(motion.pose[1:], observation.pose[1:], strict=True):
-        there = transform_points(simulated, cells.centres)
-        moved = there - first
+        centres = transform_points(simulated, cells.centres)
+        moved = centres - first
         length = np.linalg.norm(moved, axis=1)
-        error = there - transform_points(observed, cells.centres)
+        error = centres - transform_points(observed, cells.centres)
         along += np.sum(error * moved, axis=1) / np.maximum(length, 1e-9)
         travel += float(length.mean())
         distance += float(np.linalg.norm(error, axis=1).mean())

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from push_ident.identification.descent import descend
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.solver import CellByCellSolver
+from push_ident.identification.fitting.descent import descend
+from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.fitting.solver import CellByCellSolver
 from push_ident.types import Float64Array, SolveStatus
 
 __all__ = ["SOLVER", "FiniteDifferences"]

@@ -12,18 +12,20 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from push_ident.identification.budget import Meter
-from push_ident.identification.fit import Fit
-from push_ident.identification.known_effects import effects_cost
-from push_ident.identification.levenberg_marquardt import FINE, minimise, minimise_roughly
-from push_ident.identification.map_prior import STARTS, EvidenceFit, fit_by_evidence
-from push_ident.identification.observation import UNCHECKED, NoiseModel
-from push_ident.identification.prior import MapPrior
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.quadratic import Quadratic
-from push_ident.identification.result import Candidate, ModelPosterior
-from push_ident.identification.solver import Capabilities, FitTask, FrameFit, FrameTask, MapFit, Solver, WarmStart
-from push_ident.identification.unknowns import Unknowns
+from push_ident.identification.fitting.budget import Meter
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.fitting.levenberg_marquardt import FINE, minimise, minimise_roughly
+from push_ident.identification.fitting.map_prior import STARTS, EvidenceFit, MapTransforms, fit_by_evidence
+from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.fitting.solver import Capabilities, FitTask, FrameFit, FrameTask, MapFit, Solver, WarmStart
+from push_ident.identification.observing.observation import UNCHECKED, NoiseModel
+from push_ident.identification.results.known_effects import effects_cost
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.results.result import Candidate
+from push_ident.identification.unknowns.mechanics import foot_position_unknowns, model_at
+from push_ident.identification.unknowns.prior import MapPrior
+from push_ident.identification.unknowns.quadratic import Quadratic
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
 __all__ = ["EVEN_ODDS", "SOLVER", "GaussNewton"]
@@ -117,7 +119,7 @@ class _Entry:
     """A candidate with its fit, and what that says of unknowns in the units of the caller's prior."""
 
     name: str
-    unknowns: Unknowns
+    unknowns: UnknownsSpec
     log_evidence: float
     prior: MapPrior | None
     fit: Fit
@@ -132,7 +134,7 @@ class _Entry:
     @property
     def model(self) -> ObjectModel:
         """At the fit."""
-        return self.unknowns.model(self.z)
+        return model_at(self.unknowns, self.z)
 
 
 class _Candidates:
@@ -141,6 +143,7 @@ class _Candidates:
     def __init__(self, task: FitTask) -> None:
         self._task = task
         self._unknowns = self._on(task.past.feet if task.past else 0)
+        self._transforms = MapTransforms(self._unknowns)
         self._pushes = task.scalar.problem
         """The pushes with the noise that the fits assume."""
         self._inflation = UNCHECKED
@@ -150,11 +153,9 @@ class _Candidates:
         self.is_complete = True
         """Whether no search was ended by the budget."""
 
-    def _on(self, feet: int) -> Unknowns:
+    def _on(self, feet: int) -> UnknownsSpec:
         """Unknowns under the caller's prior, of an object on feet or on its whole base (0)."""
-        task = self._task
-        modes = task.past.modes if task.past else None
-        return Unknowns(task.shape, task.prior.on_feet(feet), modes=modes, effects=task.effects)
+        return self._task.unknowns.with_prior(self._task.unknowns.prior.on_feet(feet))
 
     @property
     def best(self) -> Fit:
@@ -175,38 +176,37 @@ class _Candidates:
         """A candidate with less is negligible beside the best so far [nat]."""
         return max(entry.log_evidence for entry in self.fits) - _NEGLIGIBLE if self.fits else -np.inf
 
-    def _problem(self, unknowns: Unknowns, transform: Float64Array, meter: Meter | None = None) -> FitProblem:
+    def _problem(self, unknowns: UnknownsSpec, transform: Float64Array, meter: Meter | None = None) -> FitProblem:
         task = self._task
         past = task.past.cost.transformed(transform) if task.past else None
-        known = effects_cost(unknowns, task.known)
-        if known is not None:
+        if task.known and (known := effects_cost(unknowns, task.known)) is not None:
             past = known if past is None else past + known
         return self._pushes.of(unknowns, meter=meter or task.meter, past=past)
 
     def fit_adopted(self) -> None:
         """On from a model that was adopted: its prior stays."""
-        task, own = self._task, self._unknowns
-        problem = self._problem(own, np.eye(own.size))
+        task, unknowns = self._task, self._unknowns
+        problem = self._problem(unknowns, np.eye(unknowns.size))
         start = np.zeros(problem.size)
-        start[: own.size] = task.past.cost.point if task.past else 0.0
+        start[: unknowns.size] = task.past.cost.point if task.past else 0.0
         if warm := _warm_start(task.warm_starts, _ADOPTED, problem.size):
             start[: len(warm.x)] = warm.x
         fit = Fit(problem, *minimise(problem, start, task.options.max_iterations))
         if not np.isfinite(fit.end.cost):
             return
-        self.fits.append(_Entry(_ADOPTED, own, fit.log_evidence, None, fit, fit.z, fit.covariance))
+        self.fits.append(_Entry(_ADOPTED, unknowns, fit.log_evidence, None, fit, fit.z, fit.covariance))
         self.warm_starts.append(WarmStart(_ADOPTED, fit.x))
 
     def fit_equal_cells(self) -> None:
         """Without maps: with the frictions free, and with nominal ones."""
-        task, own = self._task, self._unknowns
-        start, own_maps = task.scalar.x, np.arange(own.size)[own.maps]
-        for name, prior in ((_EQUAL, task.prior), (_NOMINAL, task.prior.with_frictions_frozen())):
-            unknowns = Unknowns(task.shape, prior, maps=False, effects=task.effects)
-            transform = np.zeros((own.size, unknowns.size))
-            for block in unknowns.blocks:
-                if block.size == own.block(block.name).size:
-                    transform[own.slice_of(block.name), unknowns.slice_of(block.name)] = np.diag(block.std / own.block(block.name).std)
+        task, full, equal = self._task, self._unknowns, self._task.unknowns.equal_cells()
+        start, full_maps = task.scalar.x, np.arange(full.size)[full.maps]
+        for name, prior in ((_EQUAL, equal.prior), (_NOMINAL, equal.prior.with_frictions_frozen())):
+            unknowns = equal.with_prior(prior)
+            transform = np.zeros((full.size, unknowns.size))
+            for key, block in unknowns.blocks.items():
+                if block.size == full.blocks[key].size:
+                    transform[full.slices[key], unknowns.slices[key]] = np.diag(block.std / full.blocks[key].std)
             problem = self._problem(unknowns, transform)
             x0 = task.scalar.problem.layout.moved(start, problem.layout)
             if name == _NOMINAL:
@@ -217,8 +217,8 @@ class _Candidates:
             status = task.scalar.status if name == _EQUAL and task.past is None else SolveStatus.MAX_ITERATIONS
             fit = self._fitted_if_needed(Fit(problem, x0, first, status))
             covariance = transform @ fit.covariance @ transform.T
-            covariance[own_maps, own_maps] += _EVENNESS**2
-            self.fits.append(_Entry(name, own, fit.log_evidence + log(EVEN_ODDS), None, fit, transform @ fit.z, covariance))
+            covariance[full_maps, full_maps] += _EVENNESS**2
+            self.fits.append(_Entry(name, full, fit.log_evidence + log(EVEN_ODDS), None, fit, transform @ fit.z, covariance))
 
     def _fitted_if_needed(self, start: Fit) -> Fit:
         """A rough fit from a start, gone on with to the end only where it is not negligible; a start that has converged is one already."""
@@ -241,8 +241,8 @@ class _Candidates:
         self._set_inflation(1.0)
         for remaining in reversed(range(_NOISE_ROUNDS)):
             self.fits, self.warm_starts, earlier = [], [], self.warm_starts or self._task.warm_starts
-            for name, found in zip(STARTS, self._maps_from_all_starts(earlier), strict=True):
-                self._keep_maps(name, found)
+            for name, candidate in zip(STARTS, self._maps_from_all_starts(earlier), strict=True):
+                self._keep_maps(name, candidate)
             if remaining == 0 or not self.fits or not self._set_inflation(self._expected_inflation):
                 break
 
@@ -256,30 +256,30 @@ class _Candidates:
             return [self._maps_from(name, warm_starts, meter) for name in STARTS]
         branches = [meter.branch() for _ in STARTS]
         with ThreadPoolExecutor(min(n_threads, len(STARTS))) as pool:
-            found = list(pool.map(self._maps_from, STARTS, repeat(warm_starts), branches))
-        for branch, fit in zip(branches, found, strict=True):
+            candidates = list(pool.map(self._maps_from, STARTS, repeat(warm_starts), branches))
+        for branch, fit in zip(branches, candidates, strict=True):
             meter.join(branch)
             if fit is not None:
                 fit.fit.problem.meter = meter
-        return found
+        return candidates
 
     def _maps_from(self, name: str, warm_starts: Sequence[WarmStart], meter: Meter) -> EvidenceFit | None:
-        own = self._unknowns
-        start, prior = self._flat(own), STARTS[name]
+        unknowns = self._unknowns
+        start, prior = self._flat(unknowns), STARTS[name]
         warm = _warm_start(warm_starts, name, len(start))
         if warm is not None and warm.prior is not None:
             start[: len(warm.x)], prior = warm.x, warm.prior
-        return fit_by_evidence(name, own, partial(self._problem, meter=meter), prior, start, self._task.options.max_iterations)
+        return fit_by_evidence(name, self._transforms, partial(self._problem, meter=meter), prior, start, self._task.options.max_iterations)
 
-    def _keep_maps(self, name: str, found: EvidenceFit | None) -> None:
-        task, own = self._task, self._unknowns
-        if found is None:
+    def _keep_maps(self, name: str, candidate: EvidenceFit | None) -> None:
+        task, unknowns = self._task, self._unknowns
+        if candidate is None:
             return
-        fit = found.fit
-        self.is_complete &= found.is_complete or not task.meter.spent
-        z = found.transform @ fit.z
-        self.fits.append(_Entry(name, own, found.log_evidence, found.prior, fit, z, found.covariance))
-        self.warm_starts.append(WarmStart(name, np.concatenate([z, fit.x[own.size :]]), found.prior))
+        fit = candidate.fit
+        self.is_complete &= candidate.is_complete or not task.meter.spent
+        z = candidate.transform @ fit.z
+        self.fits.append(_Entry(name, unknowns, candidate.log_evidence, candidate.prior, fit, z, candidate.covariance))
+        self.warm_starts.append(WarmStart(name, np.concatenate([z, fit.x[unknowns.size :]]), candidate.prior))
 
     @property
     def _expected_inflation(self) -> float:
@@ -316,9 +316,9 @@ class _Candidates:
 
     def fit_feet(self, number: int) -> None:
         """On feet whose places the pushes set, unless the first steps show that this explains them far worse."""
-        name, own = _FEET[number], self._on(number)
-        flat = self._flat(own)
-        problem = self._problem(own, np.eye(own.size))
+        name, unknowns = _FEET[number], self._on(number)
+        flat = self._flat(unknowns)
+        problem = self._problem(unknowns, np.eye(unknowns.size))
         starts = []
         if warm := _warm_start(self._task.warm_starts, name, len(flat)):
             starts.append(flat.copy())
@@ -326,7 +326,7 @@ class _Candidates:
         rng = np.random.default_rng(0)
         for _ in range(0 if warm else _FOOT_STARTS):
             start = flat.copy()
-            start[own.slice_of("foot_places")] = own.foot_place_unknowns(self._clusters(number, rng))
+            start[unknowns.slices["foot_positions"]] = foot_position_unknowns(unknowns, self._clusters(number, rng))
             if not any(np.allclose(start, other) for other in starts):
                 starts.append(start)
         first = min((Fit(problem, *minimise_roughly(problem, start, _SCREENING)) for start in starts), key=lambda fit: fit.end.cost)
@@ -334,12 +334,12 @@ class _Candidates:
             return
         fit = self._fitted_if_needed(first)
         # Any order of the feet is the same object.
-        self.fits.append(_Entry(name, own, fit.log_evidence + log(factorial(number)), None, fit, fit.z, fit.covariance))
+        self.fits.append(_Entry(name, unknowns, fit.log_evidence + log(factorial(number)), None, fit, fit.z, fit.covariance))
         self.warm_starts.append(WarmStart(name, fit.x))
 
     def _clusters(self, number: int, rng: np.random.Generator) -> Float64Array:
         """Centres of clusters of the load of the best maps so far [m], shape (number, 2), in an order of their own."""
-        cells = self._task.shape.cells.centres
+        cells = self._task.unknowns.shape.cells.centres
         maps = [entry for entry in self.fits if entry.unknowns is self._unknowns]
         load = np.ones(len(cells))
         if maps:
@@ -353,7 +353,7 @@ class _Candidates:
                     centres[k] = np.average(cells[nearest == k], axis=0, weights=load[nearest == k])
         return centres[np.lexsort(centres.T)]
 
-    def _flat(self, unknowns: Unknowns) -> Float64Array:
+    def _flat(self, unknowns: UnknownsSpec) -> Float64Array:
         """The fit of equal cells in unknowns with maps and first poses."""
         scalar = self._task.scalar
         return scalar.problem.layout.moved(scalar.x, self._problem(unknowns, np.eye(unknowns.size)).layout)
@@ -365,7 +365,7 @@ def _warm_start(earlier: Sequence[WarmStart], name: str, size: int) -> WarmStart
 
 
 def _failed(task: FitTask) -> MapFit:
-    prior = ModelPosterior.of_prior(Unknowns(task.shape, task.prior, effects=task.effects))
+    prior = ModelPosterior.of_prior(task.unknowns)
     scalar = task.scalar
     return MapFit(prior, SolveStatus.SIMULATION_FAILED, scalar.problem, scalar.x, np.inf, np.nan, tuple(task.warm_starts))
 

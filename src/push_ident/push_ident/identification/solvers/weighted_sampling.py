@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from push_ident.identification.problem import FitProblem
-from push_ident.identification.solver import Capabilities, CellByCellSolver
+from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.fitting.solver import Capabilities, CellByCellSolver
 from push_ident.identification.solvers.random_search import SPAN
 from push_ident.types import Float64Array, SolveStatus
 

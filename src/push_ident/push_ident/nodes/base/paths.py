@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from push_ident.errors import InputError
-from push_ident.identification.model_file import is_model_file
+from push_ident.identification.results.model_file import is_model_file
 from push_ident.limits import LIMITS, plain_text
 
 __all__ = ["file_to_read", "file_to_write"]

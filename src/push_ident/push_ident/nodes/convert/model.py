@@ -13,10 +13,10 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from push_ident.errors import InputError
-from push_ident.identification.model_file import model_of_text, model_text
-from push_ident.identification.prediction import Prediction
-from push_ident.identification.result import ModelPosterior
-from push_ident.identification.scoring import PushScore, ScoreSummary
+from push_ident.identification.predicting.prediction import Prediction
+from push_ident.identification.predicting.scoring import PushScore, ScoreSummary
+from push_ident.identification.results.model_file import model_of_text, model_text
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.convert.messages import (
     TABLE_FRAME,

@@ -14,8 +14,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
-from push_ident.identification.observation import observe_push
-from push_ident.identification.prior import Prior
+from push_ident.identification.observing.observation import observe_push
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.nodes.base.cell_node import CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.run import run_node

@@ -8,7 +8,7 @@ from typing import Final
 from rclpy.callback_groups import CallbackGroup
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from push_ident.identification.known_effects import effects_text
+from push_ident.identification.results.known_effects import effects_text
 from push_ident.nodes.base.cell_node import CellNode
 from push_ident.nodes.convert.model import posterior_from_msg
 from push_ident.nodes.input.discovery import ObjectTopics

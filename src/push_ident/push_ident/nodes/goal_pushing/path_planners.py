@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.identification.result import ModelPosterior
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.nodes.goal_pushing.planner_thread import WorkUnderWay
 from push_ident.planning.belief import Belief
 from push_ident.planning.path_goal import PathGoal

@@ -8,7 +8,7 @@ from typing import Final, Generic, TypeVar
 
 import numpy as np
 
-from push_ident.identification.result import ModelPosterior
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import EdgeGoal, edge_target, held_target

@@ -15,14 +15,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from push_ident.diagnosis.usable_effects import UsableEffects
 from push_ident.errors import InputError, PushIdentError
-from push_ident.identification.known_effects import effects_text
-from push_ident.identification.model_file import load_model, save_model
-from push_ident.identification.possible_poses import ImpossiblePosesError, check_poses
-from push_ident.identification.prediction import predict
-from push_ident.identification.prior import Prior
-from push_ident.identification.scoring import PushScore
-from push_ident.identification.session import ObjectSession, SessionOptions
+from push_ident.identification.online.session import ObjectSession, SessionOptions
+from push_ident.identification.predicting.possible_poses import ImpossiblePosesError, check_poses
+from push_ident.identification.predicting.prediction import predict
+from push_ident.identification.predicting.scoring import PushScore
+from push_ident.identification.results.known_effects import effects_text
+from push_ident.identification.results.model_file import load_model, save_model
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.nodes.base.cell_node import CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.paths import file_to_read, file_to_write

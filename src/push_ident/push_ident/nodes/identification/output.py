@@ -10,10 +10,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from push_ident.identification.next_push import PlannedPush
-from push_ident.identification.prediction import Prediction
-from push_ident.identification.result import ModelPosterior
-from push_ident.identification.scoring import PushScore, ScoreSummary
+from push_ident.identification.predicting.next_push import PlannedPush
+from push_ident.identification.predicting.prediction import Prediction
+from push_ident.identification.predicting.scoring import PushScore, ScoreSummary
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.nodes.convert.messages import stamp_to_msg
 from push_ident.nodes.convert.model import (
     cloud_to_msg,

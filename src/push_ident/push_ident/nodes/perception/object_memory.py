@@ -12,10 +12,10 @@ from typing import Final
 
 import numpy as np
 
+from push_ident.checked_json import CheckedContent, Listed, Numbers, Points, Rows, read_checked
 from push_ident.errors import InputError, ModelFileError, PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.checked_json import CheckedContent, Listed, Numbers, Points, Rows, read_checked
 from push_ident.perception.pipeline import KnownObject
 from push_ident.perception.shape import TracedObject
 from push_ident.types import CellGrid, Float64Array, ObjectShape

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from push_ident.errors import PushIdentError
-from push_ident.identification.prediction import cell_error
+from push_ident.geometry.cells import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath

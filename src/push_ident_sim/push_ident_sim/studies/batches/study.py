@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.identification.prediction import cell_error
+from push_ident.geometry.cells import cell_error
 from push_ident.physics.batch import BatchModel, BatchPush, rollouts
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import body_of_cells, simulate_body

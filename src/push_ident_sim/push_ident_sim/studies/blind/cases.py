@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from push_ident.identification.next_push import PlannedPush
+from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.effects import CAUSES
 from push_ident.types import PushRecord

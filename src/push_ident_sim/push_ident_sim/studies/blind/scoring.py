@@ -19,8 +19,8 @@ from push_ident.diagnosis.scores import EffectInformation
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.fit import Fit
-from push_ident.identification.next_push import PlannedPush
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import PushRecord
 from push_ident_sim.injected import InjectedEffects

@@ -11,8 +11,8 @@ import numpy as np
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.files import finite
-from push_ident.identification.next_push import PlannedPush
-from push_ident.identification.prediction import cell_error
+from push_ident.geometry.cells import cell_error
+from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, simulate
 from push_ident.types import PusherPath, PushRecord

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.identification.prediction import cell_error
+from push_ident.geometry.cells import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath

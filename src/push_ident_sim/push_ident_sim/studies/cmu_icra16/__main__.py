@@ -17,9 +17,10 @@ import numpy as np
 
 from push_ident.bags.importers import ImportReport, import_cmu_icra16
 from push_ident.files import write_whole
+from push_ident.geometry.cells import cell_error
 from push_ident.identification.identify import identify
-from push_ident.identification.observation import observe_push
-from push_ident.identification.prediction import cell_error, held_out_errors
+from push_ident.identification.observing.observation import observe_push
+from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, BodyParameters, body_of_cells, simulate_body

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammainc
 
-from push_ident.identification.observation import observe_push
-from push_ident.identification.prediction import cell_error, predict
-from push_ident.identification.result import ModelPosterior
+from push_ident.geometry.cells import cell_error
+from push_ident.identification.observing.observation import observe_push
+from push_ident.identification.predicting.prediction import predict
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import PushRecord, SolveStatus
 from push_ident_sim.studies.common.base import Json

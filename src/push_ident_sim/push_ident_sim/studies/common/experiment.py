@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from push_ident.identification.budget import Budget
+from push_ident.identification.fitting.budget import Budget
 from push_ident_sim.objects import OBJECT_NAMES
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings
 from push_ident_sim.studies.common.base import Json, Study

@@ -10,7 +10,7 @@ import numpy as np
 
 from push_ident.errors import PerceptionError
 from push_ident.geometry.se2 import compose, inverse, transform_points
-from push_ident.identification.next_push import PlannedPush, candidate_pushes
+from push_ident.identification.predicting.next_push import PlannedPush, candidate_pushes
 from push_ident.perception.labels import Cylinder
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.tracking import TrackStatus

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.identification.identify import identify
-from push_ident.identification.prediction import held_out_errors
-from push_ident.identification.result import Checkpoint, Identification
+from push_ident.identification.predicting.prediction import held_out_errors
+from push_ident.identification.results.result import Checkpoint, Identification
 from push_ident.types import ObjectModel, PushRecord
 from push_ident_sim.objects import SimObject
 from push_ident_sim.recordings.truth import true_model

@@ -8,7 +8,7 @@ import numpy as np
 
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.identify import identify
-from push_ident.identification.result import prior_posterior
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.planning.planner import GoalPlanner

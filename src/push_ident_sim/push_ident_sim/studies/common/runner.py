@@ -17,7 +17,7 @@ from typing import Any
 
 import push_ident
 from push_ident.errors import InputError, PushIdentError
-from push_ident.identification.budget import Budget
+from push_ident.identification.fitting.budget import Budget
 from push_ident_sim.code_digest import code_digest, files_behind
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, truth_file
 from push_ident_sim.studies.common.base import Json

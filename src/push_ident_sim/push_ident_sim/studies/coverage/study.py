@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.identification.result import ModelPosterior
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.solvers import DEFAULT_SOLVER
+from push_ident.identification.unknowns.mechanics import model_at
 from push_ident.types import ObjectModel
 from push_ident_sim.recordings.truth import load_truth, true_model
 from push_ident_sim.studies.common.base import Json
@@ -60,7 +61,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
 
 def _samples(posterior: ModelPosterior, rng: np.random.Generator) -> list[ObjectModel]:
     z = rng.multivariate_normal(posterior.z, posterior.covariance, size=_N_SAMPLES, method="eigh")
-    return [posterior.unknowns.model(row) for row in z]
+    return [model_at(posterior.unknowns, row) for row in z]
 
 
 def _centre(truth: ObjectModel, samples: Sequence[ObjectModel]) -> float:

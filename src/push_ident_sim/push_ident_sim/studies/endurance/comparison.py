@@ -9,8 +9,9 @@ import numpy as np
 from scipy.linalg import eigh
 
 from push_ident.errors import InputError
-from push_ident.identification.prediction import cell_error
-from push_ident.identification.result import ModelPosterior
+from push_ident.geometry.cells import cell_error
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.unknowns.mechanics import log_derivatives_at
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import Float64Array, PushRecord
@@ -73,7 +74,7 @@ def _matched(one: ModelPosterior, other: ModelPosterior) -> tuple[list[int], lis
 def _log_loads(posterior: ModelPosterior, cells: list[int]) -> tuple[Float64Array, Float64Array]:
     """Logarithm of mass times friction of some cells, and its derivative by the unknowns."""
     model = posterior.model
-    d_mass, d_friction = posterior.unknowns.log_derivatives(posterior.z)
+    d_mass, d_friction = log_derivatives_at(posterior.unknowns, posterior.z)
     return np.log(model.mass * model.friction)[cells], (d_mass + d_friction)[cells]
 
 

@@ -18,7 +18,7 @@ from scipy.special import chdtri
 from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError
-from push_ident.identification.state_file import load_state
+from push_ident.identification.online.state_file import load_state
 from push_ident.nodes.client.cell_client import CellClient, CellTimeout
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import DiagnoseGap, ExecutePush

@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from push_ident.identification.state_file import load_state
+from push_ident.identification.online.state_file import load_state
 from push_ident.nodes.convert.messages import stamp_from_msg
 from push_ident_msgs.msg import MassFrictionMap, PushRecord
 from push_ident_sim.studies.common.base import Json

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from push_ident.identification.prediction import cell_error
+from push_ident.geometry.cells import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, compile_kernels, loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath

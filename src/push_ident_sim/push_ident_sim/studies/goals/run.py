@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from push_ident.identification.prediction import cell_error
+from push_ident.geometry.cells import cell_error
 from push_ident.planning.goal import Goal
 from push_ident.planning.planner import GoalPush, PlanStatus
 from push_ident.types import Float64Array

@@ -19,9 +19,9 @@ from push_ident.bags.raw import raw_messages
 from push_ident.bags.records import write_records
 from push_ident.errors import PushIdentError
 from push_ident.identification.identify import identify
-from push_ident.identification.result import ModelPosterior
-from push_ident.identification.session import ObjectSession, SessionOptions
-from push_ident.identification.state_file import load_state
+from push_ident.identification.online.session import ObjectSession, SessionOptions
+from push_ident.identification.online.state_file import load_state
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.nodes.base.network import own_domain
 from push_ident.offline.loading import load_pushes
 from push_ident.types import PushRecord

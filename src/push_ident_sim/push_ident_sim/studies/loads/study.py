@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from push_ident.identification.prediction import held_out_errors
+from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.physics.support import GRAVITY
 from push_ident_sim.engines.planar import PlanarWorld

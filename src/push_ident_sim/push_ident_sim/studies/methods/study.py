@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from push_ident.identification.budget import Budget
+from push_ident.identification.fitting.budget import Budget
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.physics.simulation import compile_kernels
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, load_truth

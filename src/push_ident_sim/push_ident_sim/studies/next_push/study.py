@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from push_ident.identification.next_push import Criterion, PlannedPush
+from push_ident.identification.predicting.next_push import Criterion, PlannedPush
 from push_ident.identification.push_study import CurveOptions, Policy, choose_at_random, choose_by, learning_curve
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectShape, PusherPath, PushRecord

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.files import write_whole
-from push_ident.identification.next_push import Criterion, candidate_pushes, rank_pushes, reference_pushes
+from push_ident.identification.predicting.next_push import Criterion, candidate_pushes, rank_pushes, reference_pushes
 from push_ident.identification.push_study import CurveOptions, SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
-from push_ident.identification.result import prior_posterior
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
 from push_ident_sim.studies.common.random_objects import random_object, random_shape

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.identification.next_push import Criterion
+from push_ident.identification.predicting.next_push import Criterion
 from push_ident.identification.push_study import CurveOptions, choose_at_random, choose_by, learning_curve
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.studies.common.base import Json

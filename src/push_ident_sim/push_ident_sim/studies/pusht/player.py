@@ -10,11 +10,11 @@ import numpy as np
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.se2 import transform_points
-from push_ident.identification.fit import FitOptions
+from push_ident.identification.fitting.fit import FitOptions
 from push_ident.identification.identify import identify
-from push_ident.identification.prediction import held_out_errors
-from push_ident.identification.prior import Prior
-from push_ident.identification.result import prior_posterior
+from push_ident.identification.predicting.prediction import held_out_errors
+from push_ident.identification.results.posterior import prior_posterior
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.planning.belief import Belief
 from push_ident.planning.feasible import Surroundings

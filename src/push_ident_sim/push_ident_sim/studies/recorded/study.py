@@ -14,7 +14,7 @@ from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.files import finite
-from push_ident.identification.prior import Prior
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.types import PusherPath
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment

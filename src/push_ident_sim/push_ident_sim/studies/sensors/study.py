@@ -11,9 +11,9 @@ import numpy as np
 
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.identify import identify
-from push_ident.identification.observation import observe_push
-from push_ident.identification.prediction import CHI2_90, held_out_errors, predict
-from push_ident.identification.result import ModelPosterior
+from push_ident.identification.observing.observation import observe_push
+from push_ident.identification.predicting.prediction import CHI2_90, held_out_errors, predict
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.perception.fusion import with_edges_moved
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from push_ident.identification.identify import identify
-from push_ident.identification.prediction import held_out_errors
+from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.physics.simulation import compile_kernels
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, make_pushes
 from push_ident_sim.studies.common.base import Json

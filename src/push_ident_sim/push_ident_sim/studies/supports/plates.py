@@ -12,9 +12,9 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from push_ident.geometry.cells import cell_error
 from push_ident.geometry.outline import cells_in_outline, polygon_area, polygon_centroid, signed_distance
 from push_ident.geometry.se2 import rotation
-from push_ident.identification.prediction import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, BodyParameters, Motion, simulate_body
 from push_ident.pushing.push import PushSettings

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from push_ident.geometry.cells import cell_error
 from push_ident.identification.identify import identify
-from push_ident.identification.observation import observe_push
-from push_ident.identification.prediction import cell_error, held_out_errors
-from push_ident.identification.result import Identification
+from push_ident.identification.observing.observation import observe_push
+from push_ident.identification.predicting.prediction import held_out_errors
+from push_ident.identification.results.result import Identification
 from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import PushRecord

@@ -1,0 +1,196 @@
+"""A fit of unknowns to pushes, its evidence, and fits under several amplitudes of the maps' prior.
+
+Nobody knows beforehand whether an object is even or uneven. Under a prior that expects strong contrast, a few bad poses make uneven maps
+out of an even object; under a weak one, a hammer is never identified. So the maps are fitted under priors of several amplitudes, which
+their log evidence compares (Laplace's approximation):
+
+    log p(pushes | amplitude) = -cost - 1/2 log det H + 1/2 log det P + const
+
+with the Hessian H of the cost and the precision P of the prior, all unknowns in units of their prior standard deviation (MacKay,
+"Bayesian interpolation", Neural Computation 1992).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from push_ident.identification.fitting.levenberg_marquardt import MAX_ITERATIONS, NeededCost, minimise, poorness
+from push_ident.identification.fitting.problem import Evaluation, FitProblem
+from push_ident.identification.observing.observation import NoiseModel
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.unknowns.mechanics import Mechanics, effects_at, mechanics_at, model_at
+from push_ident.identification.unknowns.spec import UnknownsSpec
+from push_ident.physics.effect_values import EffectValues
+from push_ident.physics.simulation import SimulationSettings
+from push_ident.types import Float64Array, ObjectModel, SolveStatus
+
+__all__ = ["AMPLITUDES", "Fit", "FitOptions", "fit_amplitudes"]
+
+AMPLITUDES: Final = (1.0, 0.3, 0.1)
+"""Prior standard deviation of the log maps, relative to `Prior.mass_map_std` and `Prior.friction_map_std`; the largest first."""
+_HOPELESS: Final = 20.0
+"""Difference of log evidence [nat] by which a fit must be behind another one, with five times what its next step promises, to be given up:
+odds of 5e8 to 1."""
+_QUANTILE: Final = 0.8
+_EXPECTED_QUANTILE: Final = 4.642
+"""Chi squared with 3 degrees of freedom is below it with probability `_QUANTILE`."""
+_LEAST_FREEDOM: Final = 0.25
+"""Share of the residuals that count as degrees of freedom at least, however many unknowns the pushes determine [-]."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitOptions:
+    """How pushes are simulated and compared with observations in a fit."""
+
+    noise: NoiseModel | None = None
+    """Of the observed poses; the defaults of `NoiseModel` where None."""
+    numerics: SimulationSettings | None = None
+    """Of the simulation; the defaults of `SimulationSettings` where None."""
+    max_iterations: int = MAX_ITERATIONS
+    """Of Gauss-Newton, for each fit."""
+    seed: int = 0
+    """Of solvers that draw at random."""
+    threads: int = 1
+    """Fits that know nothing of each other may run beside each other, in so many threads; results are the same with any number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """The unknowns that fit a set of pushes best."""
+
+    problem: FitProblem
+    x: Float64Array
+    """Unknowns of the problem, shape (problem.size,)."""
+    end: Evaluation
+    """At `x`."""
+    status: SolveStatus
+    amplitude: float = 1.0
+    """Of the maps' prior, relative to that of the caller."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the fitted effects."""
+        return self.unknowns.effects.names
+
+    @property
+    def unknowns(self) -> UnknownsSpec:
+        """Unknowns of the object."""
+        return self.problem.unknowns
+
+    @property
+    def z(self) -> Float64Array:
+        """Values of `unknowns`, shape (unknowns.size,)."""
+        return self.problem.object_unknowns(self.x)
+
+    @property
+    def effect_unknowns(self) -> Float64Array:
+        """The block `effects` of `z`, shape (n_values,)."""
+        return self.z[self.unknowns.slices["effects"]]
+
+    @property
+    def model(self) -> ObjectModel:
+        """The fitted object."""
+        return model_at(self.unknowns, self.z)
+
+    @property
+    def mechanics(self) -> Mechanics:
+        """The moving body of the fit, with its derivative."""
+        return mechanics_at(self.unknowns, self.z)
+
+    @property
+    def effects(self) -> EffectValues:
+        """The fitted effects."""
+        return effects_at(self.unknowns, self.z)
+
+    @property
+    def log_evidence(self) -> float:
+        """Up to a constant of the pushes [nat]: compare fits of the same pushes only."""
+        return -self.end.cost - _log_volume(self.problem, self.end)
+
+    @property
+    def covariance(self) -> Float64Array:
+        """Posterior covariance of `z`, shape (unknowns.size, unknowns.size)."""
+        covariance = self._inverse_hessian
+        return np.asarray(0.5 * (covariance + covariance.T))
+
+    @property
+    def _inverse_hessian(self) -> Float64Array:
+        """Block of the inverse Hessian that belongs to `z`: not symmetric to the last bit."""
+        n = self.unknowns.size
+        return np.asarray(np.linalg.inv(self.end.hessian)[:n, :n])
+
+    @property
+    def posterior(self) -> ModelPosterior:
+        """As a Gaussian; the total mass is that of the prior."""
+        return replace(ModelPosterior.of_prior(self.unknowns), z=self.z, covariance=self.covariance)
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Squared residual per degree of freedom, about 1 where the model is right; from a quantile of the frames, so that a few wrong
+        poses do not count."""
+        n_residuals = self.end.residual.size
+        size2 = float(np.quantile(np.sum(self.end.residual**2, axis=1), _QUANTILE))
+        return size2 / _EXPECTED_QUANTILE * n_residuals / self.degrees_of_freedom
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Residuals beyond the unknowns that the pushes determine, at least a quarter of the residuals."""
+        n_residuals = self.end.residual.size
+        used = self.unknowns.size - float(np.trace(self._inverse_hessian)) + 3 * len(self.problem.records)
+        return max(n_residuals - used, _LEAST_FREEDOM * n_residuals)
+
+    def minimum_at(self, amplitude: float) -> Float64Array:
+        """Minimum of the cost under another amplitude if the motion were linear in the unknowns: a start that saves steps."""
+        prior = self.problem.unit_prior
+        scale = np.ones(self.problem.size)
+        scale[: self.unknowns.size] = self.unknowns.amplitude_unit(amplitude / self.amplitude)
+        data = self.end.hessian - np.diag(prior)
+        slope = self.end.gradient - prior * self.x
+        return np.asarray(np.linalg.solve(scale[:, None] * data * scale + np.diag(prior), scale * (data @ self.x - slope)))
+
+
+def fit_amplitudes(
+    problem_at: Callable[[float], FitProblem],
+    start: Float64Array,
+    max_iterations: int = MAX_ITERATIONS,
+    warm_starts: Sequence[Float64Array] = (),
+) -> list[Fit]:
+    """Fit the same pushes under several amplitudes of the maps' prior, the largest amplitude first.
+
+    Beside a fit that explains the pushes, those that cannot come near its evidence are given up (`OUT_OF_REACH`). Fits that creep may end
+    earlier where the pushes are explained badly, as in `minimise`.
+
+    Args:
+        problem_at: the problem under an amplitude.
+        start: of all fits, shape (problem.size,).
+        max_iterations: of each fit.
+        warm_starts: results of an earlier search for the first of the same pushes, one per amplitude.
+    """
+    fits: list[Fit] = []
+    for i, amplitude in enumerate(AMPLITUDES):
+        problem = problem_at(amplitude)
+        x0 = problem.continued(start, warm_starts[i]) if i < len(warm_starts) else start
+        end = minimise(problem, x0, max_iterations, relative=True, needed_cost=_needed_cost(problem, fits))
+        fits.append(Fit(problem, *end, amplitude))
+    return fits
+
+
+def _needed_cost(problem: FitProblem, others: Sequence[Fit]) -> float | NeededCost:
+    """Cost above which a fit is hopeless beside others; none where no other one explains the pushes to their noise.
+
+    Steps then promise what they bring. Where a strong effect is missing, kinks make a fit gain hundreds of nat that no step promises.
+    """
+    least = max((fit.log_evidence for fit in others if poorness(fit.end) <= 1.0), default=-np.inf) - _HOPELESS
+    return np.inf if np.isinf(least) else lambda end: -least - _log_volume(problem, end)
+
+
+def _log_volume(problem: FitProblem, end: Evaluation) -> float:
+    """Logarithm of the share of the prior that the posterior leaves, with the sign of a cost [nat]."""
+    prior = np.eye(problem.unknowns.size)
+    if (frozen := problem.unknowns.frozen_cost) is not None:
+        prior = prior + frozen.hessian
+    return 0.5 * float(np.linalg.slogdet(end.hessian)[1] - np.linalg.slogdet(prior)[1])

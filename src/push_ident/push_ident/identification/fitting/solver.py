@@ -1,0 +1,181 @@
+"""What a solver is: one way to fit the maps of an object, with the capabilities by which callers treat it.
+
+Each file of `solvers/` holds one as `SOLVER`. A solver that fits every cell by itself derives from `CellByCellSolver` and implements
+`solve`; any other implements `fit` and `fit_frame`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from push_ident.identification.fitting.budget import Budget, Meter
+from push_ident.identification.fitting.fit import Fit, FitOptions
+from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.fitting.summary import Summary
+from push_ident.identification.results.known_effects import KnownEffect
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.results.result import Candidate, WarmStart
+from push_ident.identification.unknowns.spec import UnknownsSpec
+from push_ident.types import Float64Array, PushRecord, SolveStatus
+
+__all__ = ["Capabilities", "CellByCellSolver", "FitTask", "FrameFit", "FrameTask", "MapFit", "Solver"]
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What a solver can do."""
+
+    gives_posterior: bool
+    """Its result has a covariance; without it the standard deviations stay those of the prior."""
+    takes_effects: bool
+    """It fits effects together with the maps."""
+    takes_past: bool
+    """It uses pushes that are summed up (`Summary`); without it, only pushes that are simulated again count."""
+    resumes: bool
+    """It starts from an earlier result; without it, it ignores one."""
+    cell_by_cell: bool
+    """Each cell is an unknown of its own; without it, maps are smooth."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitTask:
+    """What a solver is given."""
+
+    records: Sequence[PushRecord]
+    """Pushes of one object."""
+    unknowns: UnknownsSpec
+    """Of the object, with the effects that are fitted too, under the caller's prior."""
+    options: FitOptions
+    meter: Meter
+    """Counts simulations and seconds."""
+    scalar: Fit
+    """Fit of equal cells to the same pushes, on a meter of its own."""
+    warm_starts: Sequence[WarmStart] = ()
+    """`MapFit.warm_starts` of an earlier fit by this solver to the first of these pushes."""
+    past: Summary | None = None
+    """Pushes before these, summed up."""
+    known: Sequence[KnownEffect] = ()
+    """What is known of effects beside these pushes, for solvers that take effects."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapFit:
+    """What a solver returns."""
+
+    posterior: ModelPosterior
+    status: SolveStatus
+    problem: FitProblem
+    """Of the best fit."""
+    x: Float64Array
+    """Where the fit of `problem` ended, shape (problem.size,)."""
+    cost: float
+    """Of `problem` at `x`."""
+    reduced_chi2: float
+    """Of `problem` at `x`; NaN for a solver without a posterior."""
+    warm_starts: tuple[WarmStart, ...]
+    """Starts for a later fit to the same pushes and more."""
+    candidates: tuple[Candidate, ...] = ()
+    """Priors that were compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameTask:
+    """An update in the middle of a push."""
+
+    partial: PushRecord
+    """The push so far."""
+    before: ModelPosterior
+    """Estimate from the finished pushes."""
+    records: Sequence[PushRecord]
+    """The latest finished pushes."""
+    options: FitOptions
+    budget: Budget
+    """For solvers whose update has no bound of its own."""
+    warm_starts: Sequence[WarmStart] = ()
+    """Of the fit to `records`."""
+    latest: Float64Array | None = None
+    """`FrameFit.x` of the frame before, of the same push."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFit:
+    """Result of an update."""
+
+    x: Float64Array
+    """Start of the next update of the same push."""
+    posterior: ModelPosterior
+    status: SolveStatus
+
+
+class Solver(ABC):
+    """One way to fit the maps."""
+
+    name: ClassVar[str]
+    """As in its file and on the command line."""
+    capabilities: ClassVar[Capabilities]
+
+    @abstractmethod
+    def fit(self, task: FitTask) -> MapFit:
+        """Fit the maps to finished pushes."""
+
+    @abstractmethod
+    def fit_frame(self, task: FrameTask) -> FrameFit | None:
+        """Fit the maps in the middle of a push; None where the pusher does not touch the object yet."""
+
+
+class CellByCellSolver(Solver):
+    """Every cell is an unknown of its own, as in the paper; there is no posterior."""
+
+    capabilities: ClassVar[Capabilities] = Capabilities(
+        gives_posterior=False, takes_effects=False, takes_past=False, resumes=True, cell_by_cell=True
+    )
+
+    @abstractmethod
+    def solve(self, problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
+        """Lower the cost of `problem` from `x0`, shape (problem.size,), until its meter is spent.
+
+        Returns:
+            The best point, and how the solve ended.
+        """
+
+    def fit(self, task: FitTask) -> MapFit:
+        """As `Solver.fit`; the time of the fit of equal cells does not count."""
+        meter = task.meter
+        meter.restart()
+        unknowns = task.unknowns
+        problem = FitProblem(task.records, unknowns, noise=task.options.noise, settings=task.options.numerics, meter=meter)
+        x0 = np.zeros(problem.size)
+        if self.capabilities.resumes and task.warm_starts:
+            x0 = problem.continued(x0, task.warm_starts[0].x)
+        x, status = self.solve(problem, x0, np.random.default_rng(task.options.seed))
+        meter.stop()
+        return MapFit(
+            posterior=replace(ModelPosterior.of_prior(unknowns), z=problem.object_unknowns(x)),
+            status=status,
+            problem=problem,
+            x=x,
+            cost=meter.best.cost if meter.best else np.inf,
+            reduced_chi2=np.nan,
+            warm_starts=(WarmStart(self.name, x),),
+        )
+
+    def fit_frame(self, task: FrameTask) -> FrameFit | None:
+        """As `Solver.fit_frame`: all latest pushes are fitted again until the budget is spent."""
+        records = (*task.records, task.partial)
+        options = task.options
+        problem = FitProblem(records, task.before.unknowns, noise=options.noise, settings=options.numerics, meter=Meter(task.budget))
+        if not problem.observations[-1].touched:
+            return None
+        x0 = np.zeros(problem.size)
+        earlier = task.latest
+        if earlier is None and task.warm_starts:
+            earlier = task.warm_starts[0].x
+        if self.capabilities.resumes and earlier is not None:
+            x0 = problem.continued(x0, earlier)
+        x, status = self.solve(problem, x0, np.random.default_rng(options.seed))
+        return FrameFit(x, replace(task.before, z=problem.object_unknowns(x)), status)

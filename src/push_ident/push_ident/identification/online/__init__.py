@@ -1,0 +1,1 @@
+"""Identification while pushes arrive, and the file that survives a killed process."""

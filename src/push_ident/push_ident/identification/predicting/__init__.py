@@ -1,0 +1,1 @@
+"""Posterior predictive of a push, its score, and the push to make next."""

@@ -1,0 +1,167 @@
+"""Posterior predictive of a push: where the object will be, with its covariance, and the error of a prediction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+
+from push_ident.geometry.cells import cell_error, cell_error_std
+from push_ident.identification.fitting.problem import unknowns_of_push
+from push_ident.identification.observing.observation import NoiseModel, Observation, observe_push
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.unknowns.mechanics import mechanics_at
+from push_ident.physics.accuracy import choose_steps
+from push_ident.physics.effect_values import EffectsLike, effect_values, true_pose
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import SimulationSettings, simulate
+from push_ident.types import Float64Array, ObjectModel, PushRecord, SolveStatus, short_repr
+
+__all__ = ["CHI2_90", "Prediction", "held_out_errors", "predict"]
+
+CHI2_90 = 6.251
+"""Chi squared with 3 degrees of freedom is below it with probability 0.9."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Predicted motion of an object under a push."""
+
+    __repr__ = short_repr
+
+    time: Float64Array
+    """[s], shape (n_frames,)."""
+    pose: Float64Array
+    """Table frame, shape (n_frames, 3)."""
+    covariance: Float64Array
+    """Of each pose, shape (n_frames, 3, 3): posterior of the model, first pose and model discrepancy."""
+    cell_error_std: float
+    """Expected mean cell error of the last pose, root mean square [m]."""
+    status: SolveStatus
+    ends: Float64Array = field(default_factory=lambda: np.empty((0, 3)))
+    """Last pose under each of the drawn models, shape (n_draws, 3); none where the prediction failed."""
+
+
+def predict(
+    posterior: ModelPosterior,
+    scenario: PushScenario,
+    *,
+    first_covariance: Float64Array | None = None,
+    noise: NoiseModel | None = None,
+    settings: SimulationSettings | None = None,
+    n_samples: int = 32,
+) -> Prediction:
+    """Predict the motion of an object at rest.
+
+    Args:
+        posterior: of the object.
+        scenario: the push; its pose is the first pose as it is observed.
+        first_covariance: of the first pose, shape (3, 3); by default of 0.5 mm and 0.3 degrees.
+        noise: its model discrepancy, which grows with travel, is added, and the errors of a traced outline are.
+        settings: numerics of the simulation.
+        n_samples: number of models drawn from the posterior, each with a first pose.
+
+    Returns:
+        The prediction: the motion of the mean model, with the covariance of the motions of the drawn models. Look at its `status`.
+    """
+    unknowns = posterior.unknowns
+    noise = (noise or NoiseModel()).with_outline_of(unknowns.shape)
+    first = scenario.pose_object_in_table
+    if first_covariance is None:
+        first_covariance = np.diag([5e-4, 5e-4, 5e-3]) ** 2
+    # A motion that switches (left or right of the centre of friction, stick or slip) is no linear function of the model: a few models from
+    # the posterior describe it better than the derivative at the mean. The draws are the same for every push, so that the predictions of
+    # two pushes can be compared.
+    settings = _settings_of(posterior, scenario, first_covariance, noise, settings)
+    draws = np.random.default_rng(0).normal(size=(n_samples, unknowns.size + unknowns_of_push(unknowns.shape, noise)))
+    z_root, first_root = _root(posterior.covariance), _root(first_covariance)
+    surface_std = noise.surface_std(unknowns.shape)
+    poses = []
+    for draw in draws:
+        drawn = mechanics_at(unknowns, posterior.z + z_root @ draw[: unknowns.size])
+        of_push = draw[unknowns.size :]
+        moved = np.zeros(3)
+        moved[: len(of_push) - 3] = surface_std * of_push[3:]
+        start = true_pose(drawn.effects, first + first_root @ of_push[:3] - moved)
+        motion = drawn.simulate(replace(scenario, pose_object_in_table=start), settings=settings)
+        if motion.status is not SolveStatus.SIMULATION_FAILED:
+            poses.append(motion.pose + moved)
+    mean = posterior.mechanics
+    centre = mean.simulate(replace(scenario, pose_object_in_table=true_pose(mean.effects, first)), settings=settings)
+    if len(poses) < len(draws) // 2 or centre.status is SolveStatus.SIMULATION_FAILED:
+        unknown = np.full((len(centre.time), 3, 3), np.nan)
+        return Prediction(centre.time, np.full_like(centre.pose, np.nan), unknown, np.nan, SolveStatus.SIMULATION_FAILED)
+    covariance = _covariance_of_draws(np.array(poses))
+    travel = np.cumsum(np.linalg.norm(np.diff(np.vstack([first, centre.pose])[:, :2], axis=0), axis=1))
+    covariance += np.einsum("f,i,ij->fij", travel**2, noise.model_discrepancy**2, np.eye(3))
+    error_std = cell_error_std(unknowns.shape.cells, centre.pose[-1], covariance[-1])
+    return Prediction(centre.time, centre.pose, covariance, error_std, centre.status, np.array(poses)[:, -1])
+
+
+def _settings_of(
+    posterior: ModelPosterior,
+    scenario: PushScenario,
+    first_covariance: Float64Array,
+    noise: NoiseModel,
+    settings: SimulationSettings | None,
+) -> SimulationSettings:
+    """Numerics with steps short enough for the last pose of the mean model, to the accuracy of the first pose and of the model."""
+    mechanics = posterior.mechanics
+    start = true_pose(mechanics.effects, scenario.pose_object_in_table)
+
+    @cache
+    def end_pose(numerics: SimulationSettings) -> Float64Array:
+        return mechanics.simulate(replace(scenario, pose_object_in_table=start), settings=numerics).pose[-1]
+
+    settings = settings or SimulationSettings()
+    travel = float(np.linalg.norm(end_pose(settings)[:2] - start[:2]))
+    covariance = first_covariance + noise.floor + np.diag(travel * noise.model_discrepancy if np.isfinite(travel) else np.zeros(3)) ** 2
+    return choose_steps(end_pose, settings, covariance, scenario.duration).settings
+
+
+def _covariance_of_draws(poses: Float64Array) -> Float64Array:
+    """Covariance whose 90 % region contains 90 % of the draws, at each frame: shape (n_draws, n_frames, 3) to (n_frames, 3, 3).
+
+    Motions that switch have heavy tails: a few draws then inflate the covariance, and its regions would contain nearly all others.
+    """
+    deviation = poses - poses.mean(axis=0)
+    covariance = np.einsum("sfi,sfj->fij", deviation, deviation) / (len(poses) - 1) + 1e-12 * np.eye(3)
+    mahalanobis2 = np.einsum("sfi,fij,sfj->sf", deviation, np.linalg.inv(covariance), deviation)
+    return np.asarray(covariance * (np.quantile(mahalanobis2, 0.9, axis=0) / CHI2_90)[:, None, None])
+
+
+def _root(covariance: Float64Array) -> Float64Array:
+    """A with A A' = covariance, also where that is singular."""
+    value, vector = np.linalg.eigh(covariance)
+    return np.asarray(vector * np.sqrt(np.maximum(value, 0.0)))
+
+
+def held_out_errors(
+    model: ObjectModel,
+    records: Sequence[PushRecord],
+    *,
+    effects: EffectsLike | None = None,
+    noise: NoiseModel | None = None,
+    settings: SimulationSettings | None = None,
+    observed: Sequence[Observation] | None = None,
+) -> Float64Array:
+    """Cell error at the end of each push [m], shape (n_records,), with the object simulated from its observed first pose.
+
+    First and last pose are the means of the frames at rest. `effects` act beside the model; those of measured forces move nothing.
+    `observed` are the condensed records, where they are known. NaN where the simulation failed.
+    """
+    acting = effect_values(effects).of_poses
+    condensed = [observe_push(record, noise) for record in records] if observed is None else observed
+    errors = []
+    for record, push in zip(records, condensed, strict=True):
+        scenario = PushScenario(record.pusher, true_pose(acting, push.pose[0]), push.time[-1:], record.order)
+
+        @cache
+        def end_pose(numerics: SimulationSettings, scenario: PushScenario = scenario) -> Float64Array:
+            return simulate(model, scenario, settings=numerics, effects=acting).pose[-1]
+
+        chosen = choose_steps(end_pose, settings or SimulationSettings(), push.last_covariance, scenario.duration)
+        errors.append(cell_error(record.shape.cells, end_pose(chosen.settings), push.pose[-1]))
+    return np.array(errors)

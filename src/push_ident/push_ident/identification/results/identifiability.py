@@ -1,0 +1,148 @@
+"""Identifiability: which quantities and which combinations of cells the pushes determine.
+
+The motion of an object depends on its centre of friction, its pressure distribution as a whole, its centre of mass and its inertia;
+no single cell decides it. So the posterior is compared with the prior in two ways: by named quantities, each with its standard deviation
+before and after the pushes; and by independent combinations of all cells, sorted by the ratio of these standard deviations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.unknowns.mechanics import log_derivatives_at
+from push_ident.physics.rollout import PARAM_CENTRE, PARAM_INERTIA, PARAM_MU
+from push_ident.physics.simulation import GRAVITY
+from push_ident.types import Float64Array
+
+__all__ = ["Combination", "Identifiability", "Knowledge", "Quantity", "before_text", "identifiability", "value_text"]
+
+_PINNED = 1 / 3
+"""Ratio of posterior to prior standard deviation below which a quantity counts as determined [-]."""
+_OPEN = 0.8
+"""Ratio above which the pushes hardly changed what is known [-]."""
+
+
+class Knowledge(Enum):
+    """How far the data reduce the prior standard deviation; the value explains it."""
+
+    PINNED = "pinned down: the pushes leave less than a third of the prior standard deviation"
+    NARROWED = "narrowed: more pushes, at other places or in other directions, would narrow it further"
+    OPEN = "open: these pushes hardly constrain it; the value is that of the prior"
+    GIVEN = "given: assumed, not fitted"
+
+    @classmethod
+    def of(cls, std_ratio: float) -> Knowledge:
+        """The knowledge at a ratio of posterior to prior standard deviation."""
+        return cls.PINNED if std_ratio < _PINNED else cls.NARROWED if std_ratio < _OPEN else cls.OPEN
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A named property of the object."""
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    """Posterior standard deviation."""
+    prior_std: float
+    """Prior standard deviation."""
+    knowledge: Knowledge
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """A direction in the space of the maps: cells that change together."""
+
+    std_ratio: float
+    """Posterior over prior standard deviation, 0..1."""
+    log_mass: Float64Array
+    """Change of the logarithm of the cells' masses along it, for one prior standard deviation, shape (n_cells,)."""
+    log_friction: Float64Array
+    """The same for support friction, shape (n_cells,)."""
+    knowledge: Knowledge
+
+
+@dataclass(frozen=True, slots=True)
+class Identifiability:
+    """What the pushes determine."""
+
+    quantities: tuple[Quantity, ...]
+    combinations: tuple[Combination, ...]
+    """The best determined first; together they span the maps."""
+
+    @property
+    def n_pinned(self) -> int:
+        """Number of combinations that the pushes determine."""
+        return sum(c.knowledge is Knowledge.PINNED for c in self.combinations)
+
+    @property
+    def n_open(self) -> int:
+        """Number of combinations that the pushes hardly constrain."""
+        return sum(c.knowledge is Knowledge.OPEN for c in self.combinations)
+
+
+def identifiability(posterior: ModelPosterior) -> Identifiability:
+    """Compare a posterior with its prior, both linearised at the posterior mean."""
+    unknowns, covariance = posterior.unknowns, posterior.covariance
+    mechanics = posterior.mechanics
+    body, d_body = mechanics.body, mechanics.derivative
+    d_limit, total = mechanics.limit_derivative, float(body.limit.sum())
+    arms = unknowns.shape.cells.centres - posterior.model.centre_of_friction
+    friction_rows = arms.T @ d_limit / total
+    gyration = float(np.sqrt(body.inertia / body.mass))
+    rows = [
+        ("centre of friction x", "m", posterior.model.centre_of_friction[0], friction_rows[0]),
+        ("centre of friction y", "m", posterior.model.centre_of_friction[1], friction_rows[1]),
+        ("centre of mass x", "m", body.centre[0], d_body[PARAM_CENTRE]),
+        ("centre of mass y", "m", body.centre[1], d_body[PARAM_CENTRE + 1]),
+        ("radius of gyration", "m", gyration, d_body[PARAM_INERTIA] / (2 * gyration * body.mass)),
+        ("mean support friction", "", total / (body.mass * GRAVITY), d_limit.sum(axis=0) / (body.mass * GRAVITY)),
+        ("pusher friction", "", posterior.pusher_friction.value, d_body[PARAM_MU]),
+    ]
+    quantities = []
+    for name, unit, value, row in rows:
+        before, after = float(np.linalg.norm(row)), float(np.sqrt(max(row @ covariance @ row, 0.0)))
+        knowledge = Knowledge.of(after / before) if before > 0 else Knowledge.GIVEN
+        quantities.append(Quantity(name, unit, float(value), after, before, knowledge))
+    mass, prior_std = posterior.total_mass, posterior.prior.total_mass * posterior.prior.total_mass_std
+    # The standard deviation of the logarithm counts: a heavy object is not less known because it is heavy.
+    ratio = (mass.std / mass.value) / posterior.prior.total_mass_std if prior_std > 0 else 0.0
+    quantities.append(
+        Quantity("total mass", "kg", mass.value, mass.std, prior_std, Knowledge.of(ratio) if prior_std > 0 else Knowledge.GIVEN)
+    )
+    maps = unknowns.maps
+    value, vector = np.linalg.eigh(covariance[maps, maps])
+    d_log_mass, d_log_friction = log_derivatives_at(unknowns, posterior.z)
+    combinations = [
+        Combination(
+            std_ratio=float(np.sqrt(np.clip(variance, 0.0, None))),
+            log_mass=d_log_mass[:, maps] @ direction,
+            log_friction=d_log_friction[:, maps] @ direction,
+            knowledge=Knowledge.of(float(np.sqrt(max(variance, 0.0)))),
+        )
+        for variance, direction in zip(value, vector.T, strict=True)
+    ]
+    return Identifiability(tuple(quantities), tuple(combinations))
+
+
+def value_text(quantity: Quantity) -> str:
+    """Value and standard deviation after the pushes, with the unit: `27.6 ± 1.8 mm`."""
+    scale, digits, unit = _scale(quantity)
+    return f"{scale * quantity.value:z.{digits}f} ± {scale * quantity.std:.{digits}f}{unit}"
+
+
+def before_text(quantity: Quantity) -> str:
+    """Standard deviation before the pushes, with the unit: `± 25.4 mm`."""
+    scale, digits, unit = _scale(quantity)
+    return f"± {scale * quantity.prior_std:.{digits}f}{unit}"
+
+
+def _scale(quantity: Quantity) -> tuple[float, int, str]:
+    if quantity.unit == "m":
+        return 1e3, 1, " mm"
+    return 1.0, 3, f" {quantity.unit}" if quantity.unit else ""

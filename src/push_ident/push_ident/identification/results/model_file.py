@@ -1,0 +1,225 @@
+"""Models as files: JSON, validated when it is read, with their posterior and their sources."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from pydantic import Field
+
+from push_ident import __version__
+from push_ident.checked_json import CheckedContent, Listed, Numbers, Points, Rows, parse_checked, read_checked
+from push_ident.errors import InputError, ModelFileError
+from push_ident.files import read_regular, write_whole
+from push_ident.geometry.shape_check import check_shape
+from push_ident.identification.results.posterior import Estimate, ModelPosterior
+from push_ident.identification.results.posterior_check import check_posterior, check_prior
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec
+from push_ident.limits import LIMITS, check_coordinates, plain_text
+from push_ident.types import CellGrid, Float64Array, ObjectShape, SolveStatus
+
+__all__ = [
+    "ModelContent", "array_of", "failure_of_model", "is_model_file", "load_model", "model_content", "model_of_text", "model_text",
+    "posterior_of", "prior_of", "save_model",
+]  # fmt: skip
+
+_FORMAT: Final = "push_ident/model/1"
+
+_ROUNDING: Final = 1e-6
+"""Relative difference of what a file states twice: machines differ in the last of 16 digits, and exponentials enlarge it [-]."""
+
+
+class ModelContent(CheckedContent):
+    """Content of a model file."""
+
+    format: str
+    version: str
+    object_id: str
+    sources: Listed[str]
+    """Bags and pushes that the model was fitted to."""
+    status: str = ""
+    """How the fit ended, as in the JSON of `identify`; empty where it is not known."""
+    cell_size: float
+    cells: Points = Field(max_length=LIMITS.CELLS.value)
+    outline: Points = Field(max_length=LIMITS.VERTICES.value)
+    outline_std: Numbers | None = None
+    """Of each edge along its normal [m], where a camera traced the outline."""
+    prior: dict[str, float]
+    modes: Rows
+    """Of the maps, one row per cell. Kept, since eigenvectors differ between machines."""
+    effects: Listed[str] = Field(default_factory=list)
+    """Names of the effects that were fitted beside the maps."""
+    effect_values: Numbers = Field(default_factory=list)
+    """Of their parameters; they follow from `z`."""
+    z: Numbers
+    covariance: Rows
+    total_mass: float
+    total_mass_std: float
+    total_mass_identifiable: bool
+    pose_noise_factor: float | None = None
+    """On the stated noise of poses that no other frame checks, where the pushes set it."""
+    mass: Numbers
+    friction: Numbers
+    pusher_friction: float
+    """The last three follow from the other fields; they are there for readers of the file."""
+
+
+def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[str], status: SolveStatus | None = None) -> ModelContent:
+    """Content of the file of a posterior."""
+    shape, model = posterior.unknowns.shape, posterior.model
+    return ModelContent(
+        format=_FORMAT,
+        version=__version__,
+        object_id=object_id,
+        sources=list(sources),
+        status=status.name.lower() if status else "",
+        cell_size=shape.cells.size,
+        cells=[(float(x), float(y)) for x, y in shape.cells.centres],
+        outline=[(float(x), float(y)) for x, y in shape.outline],
+        outline_std=None if shape.outline_std is None else shape.outline_std.tolist(),
+        prior=asdict(posterior.prior),
+        modes=posterior.unknowns.modes.tolist(),
+        effects=list(posterior.effects.names),
+        effect_values=posterior.effects.values.tolist(),
+        z=posterior.z.tolist(),
+        covariance=posterior.covariance.tolist(),
+        total_mass=posterior.total_mass.value,
+        total_mass_std=posterior.total_mass.std,
+        total_mass_identifiable=posterior.total_mass_identifiable,
+        pose_noise_factor=posterior.pose_noise_factor,
+        mass=model.mass.tolist(),
+        friction=model.friction.tolist(),
+        pusher_friction=model.pusher_friction,
+    )
+
+
+def save_model(
+    path: Path, posterior: ModelPosterior, *, object_id: str, sources: Sequence[str] = (), status: SolveStatus | None = None
+) -> None:
+    """Write a model, with the status of its fit, for this user only; the file appears complete or not at all.
+
+    Raises ModelFileError where it cannot be written.
+    """
+    content = model_content(posterior, object_id, sources, status).model_dump_json(indent=1)
+    write_whole(path, content, "the model", private=True, error=ModelFileError)
+
+
+def load_model(path: Path) -> tuple[str, ModelPosterior]:
+    """Read a model.
+
+    Returns:
+        The id of the object, and its posterior.
+
+    Raises:
+        ModelFileError: no such file, or not one written by `save_model`.
+    """
+    content = _read(path)
+    return content.object_id, posterior_of(content, plain_text(str(path)))
+
+
+def model_text(posterior: ModelPosterior, object_id: str, sources: Sequence[str] = (), status: SolveStatus | None = None) -> str:
+    """Content of the file of a posterior, for a message."""
+    return model_content(posterior, object_id, sources, status).model_dump_json()
+
+
+def model_of_text(text: str, what: str) -> ModelPosterior:
+    """The posterior of a text that `model_text` made; `what` names where it comes from. Raises ModelFileError where it is none."""
+    LIMITS.TEXT_FILE.check(len(text), what, error=ModelFileError)
+    return posterior_of(parse_checked(text, ModelContent, f"{what} is not a model", "is identification_node of this version?"), what)
+
+
+def failure_of_model(path: Path) -> str:
+    """Why the fit of a model failed, so that its maps are the prior; empty where it did not. Raises ModelFileError as `load_model`."""
+    status = SolveStatus.__members__.get(_read(path).status.upper())
+    return status.value if status is not None and status.is_failure else ""
+
+
+def _read(path: Path) -> ModelContent:
+    return read_checked(path, ModelContent, "a model file", "`push-ident identify BAG --out DIR` writes DIR/model.json")
+
+
+def is_model_file(path: Path) -> bool:
+    """Whether a file says that it is one of `save_model`, complete or not."""
+    try:
+        content = json.loads(read_regular(path))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.get("format") == _FORMAT
+
+
+def posterior_of(content: ModelContent, where: str, remedy: str = "identify again with this version") -> ModelPosterior:
+    """The posterior of a file; `where` names it. Raises ModelFileError where its numbers are none of a model, or contradict each other."""
+    if content.format != _FORMAT:
+        raise ModelFileError(f"{where} has the format `{plain_text(content.format)}`, expected `{_FORMAT}`; {remedy}.")
+    try:
+        LIMITS.STRING.check(len(content.object_id), "Object id")
+        if content.status and content.status.upper() not in SolveStatus.__members__:
+            raise InputError(f"`status` is {content.status!r}, expected one of {', '.join(SolveStatus.__members__).lower()}.")
+        # What overflows is refused as not finite.
+        with np.errstate(all="ignore"):
+            posterior = check_posterior(_posterior(content))
+            _check_stated(content, posterior)
+    except InputError as error:
+        raise ModelFileError(f"{where} holds no model: {plain_text(str(error)).rstrip('.')}; {remedy}.") from None
+    return posterior
+
+
+def _posterior(content: ModelContent) -> ModelPosterior:
+    for name, points in (("Cells", content.cells), ("Outline", content.outline)):
+        check_coordinates(points, name)
+    std = None if content.outline_std is None else np.array(content.outline_std)
+    cells = CellGrid(np.array(content.cells).reshape(-1, 2), content.cell_size)
+    shape = check_shape(ObjectShape(cells, np.array(content.outline).reshape(-1, 2), std))
+    modes = array_of(content.modes, "modes")
+    return ModelPosterior(
+        unknowns=UnknownsSpec.of(shape, prior_of(content.prior), modes=modes, effects=content.effects),
+        z=np.array(content.z),
+        covariance=array_of(content.covariance, "covariance"),
+        total_mass=Estimate(content.total_mass, content.total_mass_std),
+        total_mass_identifiable=content.total_mass_identifiable,
+        pose_noise_factor=content.pose_noise_factor,
+    )
+
+
+def array_of(rows: Sequence[Sequence[float]], name: str) -> Float64Array:
+    """The matrix of its rows, shape (n_rows, n_columns). Raises InputError where they have different lengths."""
+    lengths = {len(row) for row in rows}
+    if len(lengths) > 1:
+        raise InputError(f"`{name}` has rows of {min(lengths)} to {max(lengths)} numbers, expected as many in each.")
+    return np.array(rows, dtype=np.float64).reshape(len(rows), max(lengths, default=0))
+
+
+def _check_stated(content: ModelContent, posterior: ModelPosterior) -> None:
+    """Raise InputError where what follows from the unknowns is stated otherwise."""
+    model = posterior.model
+    for name, expected, stated in (
+        ("effect_values", posterior.effects.values, content.effect_values),
+        ("mass", model.mass, content.mass),
+        ("friction", model.friction, content.friction),
+        ("pusher_friction", np.array([model.pusher_friction]), [content.pusher_friction]),
+    ):
+        if name == "effect_values" and not stated:  # of files written before they were stated
+            continue
+        if len(expected) != len(stated):
+            raise InputError(f"`{name}` has {len(stated)} values, expected {len(expected)}.")
+        differs = ~np.isclose(stated, expected, rtol=_ROUNDING, atol=1e-15)
+        if np.any(differs):
+            first = int(np.argmax(differs))
+            raise InputError(f"`{name}` states {stated[first]:.6g}, expected {expected[first]:.6g} as the unknowns `z` give it.")
+
+
+def prior_of(values: dict[str, float]) -> Prior:
+    """The prior of a file; fields that this version does not have are ignored. Raises InputError where it is none."""
+    known = {name: value for name, value in values.items() if name in Prior.__dataclass_fields__}
+    known.setdefault("pressure_map_std", 0.0)  # of files written before there was such a map
+    for name in ("max_modes", "feet"):
+        number = known.get(name, getattr(Prior(), name))
+        if number != int(number):
+            raise InputError(f"Prior.{name} is {number}, expected a whole number.")
+        known[name] = int(number)
+    return check_prior(Prior(**known))  # type: ignore[arg-type]

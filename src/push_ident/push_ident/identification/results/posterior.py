@@ -1,0 +1,162 @@
+"""What is known of an object: a Gaussian over its unknowns, given its pushes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from push_ident.identification.observing.observation import NoiseModel
+from push_ident.identification.unknowns.mechanics import Mechanics, effects_at, log_derivatives_at, mechanics_at, model_at
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.spec import UnknownsSpec, nuisance_effects
+from push_ident.physics.effect_values import EffectValues
+from push_ident.types import Float64Array, ObjectModel, ObjectShape
+
+__all__ = ["Estimate", "ModelPosterior", "prior_posterior", "with_total_mass"]
+
+_IDENTIFIABLE: Final = 0.5
+"""The total mass is identified when its posterior standard deviation is below this share of the prior's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number with its standard deviation."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class ModelPosterior:
+    """A Gaussian over the unknowns of one object, given its pushes."""
+
+    def __repr__(self) -> str:
+        known = "given or measured" if self.total_mass_identifiable else "not determined by poses"
+        return f"ModelPosterior({len(self.unknowns.shape.cells)} cells, {len(self.z)} unknowns, total mass {known})"
+
+    unknowns: UnknownsSpec
+    z: Float64Array
+    """Mean, shape (n_unknowns,)."""
+    covariance: Float64Array
+    """Shape (n_unknowns, n_unknowns)."""
+    total_mass: Estimate
+    """[kg]; the prior's where `total_mass_identifiable` is False."""
+    total_mass_identifiable: bool
+    """Whether measured forces or a given weight determine it; poses never do."""
+    pose_noise_factor: float | None = None
+    """On the stated standard deviation of poses that no other frame checks, set by the pushes; None: not set by them."""
+
+    @classmethod
+    def of_prior(cls, unknowns: UnknownsSpec) -> ModelPosterior:
+        """The posterior without any push."""
+        prior = unknowns.prior
+        return cls(
+            unknowns=unknowns,
+            z=np.zeros(unknowns.size),
+            covariance=np.eye(unknowns.size),
+            total_mass=Estimate(prior.total_mass, prior.total_mass * prior.total_mass_std),
+            total_mass_identifiable=prior.total_mass_std == 0,
+        )
+
+    @cached_property
+    def model(self) -> ObjectModel:
+        """The mean model, at the mean total mass."""
+        at_nominal = model_at(self.unknowns, self.z)
+        scale = self.total_mass.value / at_nominal.total_mass
+        return ObjectModel(at_nominal.shape, at_nominal.mass * scale, at_nominal.friction, at_nominal.pusher_friction)
+
+    @property
+    def mechanics(self) -> Mechanics:
+        """The moving body of the mean, with its derivative."""
+        return mechanics_at(self.unknowns, self.z)
+
+    @cached_property
+    def _log_derivatives(self) -> tuple[Float64Array, Float64Array]:
+        d_mass, d_friction = log_derivatives_at(self.unknowns, self.z)
+        d_mass[:, self.unknowns.slices["total_mass"]] = self.unknowns.blocks["total_mass"].std
+        return d_mass, d_friction
+
+    @property
+    def _total_variance(self) -> float:
+        """Variance of the logarithm of the total mass where it is no unknown beside the others."""
+        return 0.0 if self.unknowns.blocks["total_mass"].size else (self.total_mass.std / self.total_mass.value) ** 2
+
+    def noise(self, noise: NoiseModel | None = None) -> NoiseModel:
+        """A noise model, with the factor of unchecked poses that these pushes set unless the model has one."""
+        noise = noise or NoiseModel()
+        return replace(noise, single_frame_inflation=self.pose_noise_factor) if noise.single_frame_inflation is None else noise
+
+    @property
+    def prior(self) -> Prior:
+        """Of the unknowns."""
+        return self.unknowns.prior
+
+    @property
+    def effects(self) -> EffectValues:
+        """The effects beside the maps, at their mean values."""
+        return effects_at(self.unknowns, self.z)
+
+    @property
+    def effects_std(self) -> Float64Array:
+        """Standard deviation of the values of the effects, shape (n_values,)."""
+        at = self.unknowns.slices["effects"]
+        return np.asarray(self.unknowns.effect_std * np.sqrt(np.diag(self.covariance)[at]))
+
+    def _log_std(self, rows: Float64Array, left_out: float, other: float) -> Float64Array:
+        """Standard deviation of a logarithm with derivative `rows`.
+
+        `left_out` is the variance of the modes that the maps leave out, `other` that of anything else.
+        """
+        variance = np.sum((rows @ self.covariance) * rows, axis=1)
+        return np.sqrt(variance + left_out * self.unknowns.map_remainder + other)
+
+    @property
+    def mass_std(self) -> Float64Array:
+        """Standard deviation of the mass of each cell [kg], shape (n_cells,)."""
+        model, (d_mass, _) = self.model, self._log_derivatives
+        return np.asarray(model.mass * self._log_std(d_mass, self.prior.mass_map_std**2, self._total_variance))
+
+    @property
+    def friction_std(self) -> Float64Array:
+        """Standard deviation of the support friction of each cell, shape (n_cells,)."""
+        model, (_, d_friction) = self.model, self._log_derivatives
+        return np.asarray(model.friction * self._log_std(d_friction, self.prior.friction_map_std**2, 0.0))
+
+    @property
+    def mass_friction_std(self) -> Float64Array:
+        """Standard deviation of mass times friction of each cell [kg], shape (n_cells,)."""
+        model, (d_mass, d_friction) = self.model, self._log_derivatives
+        left_out = self.prior.mass_map_std**2 + self.prior.friction_map_std**2
+        return np.asarray(model.mass * model.friction * self._log_std(d_mass + d_friction, left_out, self._total_variance))
+
+    @property
+    def pusher_friction(self) -> Estimate:
+        """Friction coefficient between pusher and object."""
+        value, at = self.model.pusher_friction, self.unknowns.slices["pusher_friction"]
+        (variance,) = np.diag(self.covariance)[at]
+        return Estimate(value, float(value * self.prior.pusher_friction_std * np.sqrt(variance)))
+
+
+def prior_posterior(shape: ObjectShape, prior: Prior | None = None) -> ModelPosterior:
+    """The posterior of an object that was never pushed: its prior."""
+    prior = prior or Prior()
+    return ModelPosterior.of_prior(UnknownsSpec.of(shape, prior, effects=nuisance_effects(shape, prior)))
+
+
+def with_total_mass(posterior: ModelPosterior) -> ModelPosterior:
+    """State the total mass of a posterior that has it among its unknowns; any other stays as it is.
+
+    Poses carry no information about it. A force determines the product of total mass and friction scale; poses (through inertia) and the
+    prior bound both factors weakly.
+    """
+    block, at = posterior.unknowns.blocks["total_mass"], posterior.unknowns.slices["total_mass"]
+    if block.size == 0:
+        return posterior
+    (std,), prior = block.std, posterior.prior
+    value = prior.total_mass * float(np.exp(std * posterior.z[at][0]))
+    log_std = float(std * np.sqrt(posterior.covariance[at, at][0, 0]))
+    identified = bool(prior.total_mass_std == 0 or log_std < _IDENTIFIABLE * prior.total_mass_std)
+    return replace(posterior, total_mass=Estimate(value, value * log_std), total_mass_identifiable=identified)

@@ -1,0 +1,110 @@
+"""The outcome of an identification."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from push_ident.identification.results.explanation import Explanation
+from push_ident.identification.results.identifiability import before_text, identifiability, value_text
+from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.unknowns.prior import MapPrior
+from push_ident.pages.tables import html_table
+from push_ident.types import Float64Array, ObjectModel, SolveStatus, short_repr
+
+__all__ = ["Candidate", "Checkpoint", "Identification", "WarmStart"]
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """The best model at one moment of the solve, with the work done until then."""
+
+    __repr__ = short_repr
+
+    n_simulations: int
+    """Pushes simulated until then."""
+    time_s: float
+    cost: float
+    model: ObjectModel
+
+
+@dataclass(frozen=True, slots=True)
+class WarmStart:
+    """Where a fit ended."""
+
+    __repr__ = short_repr
+
+    name: str
+    """Of the start that led there, for a solver with several."""
+    x: Float64Array
+    """Unknowns of the object and first poses, in the units of the caller's prior."""
+    prior: MapPrior | None = None
+    """Of the maps; None for a solver that sets none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One prior that the pushes were explained with."""
+
+    __repr__ = short_repr
+
+    name: str
+    log_evidence: float
+    """With the prior odds of this prior [nat], up to a constant of the pushes."""
+    maps: MapPrior | None
+    """What the pushes made of the prior of the maps; None: no maps."""
+    probability: float
+    """Among the candidates, by evidence and prior odds [-]."""
+    on_feet: ModelPosterior | None = None
+    """Of a prior with feet, see `supports`; None: the whole base bears the load."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """Result of `identify`."""
+
+    def __repr__(self) -> str:
+        x, y = 1e3 * self.model.centre_of_friction
+        return (
+            f"Identification({self.status.name.lower()}, {len(self.model.mass)} cells, centre of friction ({x:.1f}, {y:.1f}) mm, "
+            f"{self.method}: {self.n_simulations} simulations in {self.time_s:.2f} s)"
+        )
+
+    def _repr_html_(self) -> str:
+        """For notebooks: how the solve ended, and the named quantities with their standard deviations before and after the pushes."""
+        known = identifiability(self.posterior)
+        rows = [(q.name, value_text(q), before_text(q), q.knowledge.value.partition(":")[0]) for q in known.quantities]
+        return html_table(
+            f"{len(self.model.mass)} cells, {self.method}: {self.status.value}",
+            ("quantity", "value", "before the pushes", "identifiability"),
+            rows,
+            note=f"Of {len(known.combinations)} combinations of the cells, {known.n_pinned} are pinned down and {known.n_open} hardly "
+            f"constrained. {self.n_simulations} simulations in {self.time_s:.2f} s.",
+        )
+
+    method: str
+    status: SolveStatus
+    posterior: ModelPosterior
+    scalar: ObjectModel
+    """Equal cells with the friction scale and the pusher friction fitted to the same pushes."""
+    uniform: ObjectModel
+    """Equal cells with nominal values."""
+    cost: float
+    """Half the robust sum of squared residuals plus half the squared unknowns."""
+    reduced_chi2: float
+    """Squared residual per degree of freedom: about 1 where the model fits to within the noise; NaN where the solver has no posterior."""
+    n_simulations: int
+    time_s: float
+    """Of the solve [s]."""
+    warm_starts: tuple[WarmStart, ...]
+    """Where the fits of the solver ended: starts for the same solver, the same pushes and more."""
+    history: tuple[Checkpoint, ...] = ()
+    """Every improvement during the solve, the oldest first."""
+    candidates: tuple[Candidate, ...] = ()
+    """Priors that were compared."""
+    explanation: Explanation = field(default_factory=Explanation)
+    """How well the fit explains its training pushes, also where `posterior` is the prior because it does not."""
+
+    @property
+    def model(self) -> ObjectModel:
+        """The mean model of the posterior."""
+        return self.posterior.model
