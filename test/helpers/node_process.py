@@ -55,7 +55,17 @@ def node_commands(folder: Path) -> dict[str, tuple[str, dict[str, object]]]:
 class NodeProcess:
     """A node; its output goes to a file."""
 
-    def __init__(self, name: str, module: str, parameters: Mapping[str, object], domain: int, folder: Path) -> None:
+    def __init__(
+        self,
+        name: str,
+        module: str,
+        parameters: Mapping[str, object],
+        domain: int,
+        folder: Path,
+        *,
+        before: Callable[[], object] | None = None,
+    ) -> None:
+        """`before` is called in the process before the node."""
         self.name, self._log = name, folder / f"{name}.log"
         arguments = [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
         with self._log.open("w") as log:
@@ -64,6 +74,7 @@ class NodeProcess:
                 env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},
                 stdout=log,
                 stderr=subprocess.STDOUT,
+                preexec_fn=before,
             )
 
     @property
@@ -75,6 +86,10 @@ class NodeProcess:
     def output(self) -> str:
         """All it has printed."""
         return self._log.read_text(errors="replace")
+
+    def wait(self, timeout: float) -> int:
+        """Its exit code, when it has ended by itself."""
+        return self._process.wait(timeout)
 
     def kill(self) -> None:
         """End it at once."""
@@ -125,13 +140,26 @@ class Talker:
         own = [report for report in self._reports if node in report.name]
         return {value.key: value.value for report in own[-1:] for value in report.values}
 
+    def forget(self) -> None:
+        """All reports so far."""
+        self._reports.clear()
+
+    def spin(self, seconds: float) -> None:
+        """Take in one message, if there is one within some time [s]."""
+        self._executor.spin_once(timeout_sec=seconds)
+
+    def result_of(self, future: Any, timeout: float = 120.0) -> Any:
+        """Wait for it."""
+        self.until(future.done, timeout=timeout)
+        return future.result()
+
     def until(self, condition: Callable[[], object], meanwhile: Callable[[], object] = lambda: None, timeout: float = 120.0) -> None:
         """Spin until `condition` is true, calling `meanwhile` again and again."""
         deadline = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < deadline, f"timed out; the node says {self._reports[-1:]}"
             meanwhile()
-            self._executor.spin_once(timeout_sec=0.05)
+            self.spin(0.05)
 
     def ask(self, client: Any, request: object, timeout: float = 60.0) -> Any:
         """The answer of a service.
@@ -146,5 +174,5 @@ class Talker:
             if not futures or (isinstance(request, REPEATABLE) and time.monotonic() > again):
                 futures.append(client.call_async(request))
                 again = time.monotonic() + AGAIN
-            self._executor.spin_once(timeout_sec=0.05)
+            self.spin(0.05)
         return answered[0].result()

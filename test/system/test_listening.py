@@ -18,8 +18,6 @@ from helpers.sockets import Socket, descendants, sockets_of
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.nodes.base.network import own_domain
 
-pytestmark = pytest.mark.alone
-
 _PORTS = {"grpc_port": 19876, "web_port": 19090}
 _START_WITHIN = 120.0
 
@@ -54,6 +52,8 @@ def sockets_below(pid: int, *, until: set[int]) -> list[Socket]:
         time.sleep(0.2)
 
 
+@pytest.mark.alone
+@pytest.mark.long
 def test_every_process_of_a_cell_listens_on_loopback_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(own_domain()))
     commands = node_commands("sim", view=True, parameters={"viewer_node": dict(_PORTS)})
@@ -70,6 +70,7 @@ def test_every_process_of_a_cell_listens_on_loopback_only(monkeypatch: pytest.Mo
     assert [s for s in found if not s.is_loopback] == []
 
 
+@pytest.mark.live
 def test_the_network_is_opened_by_the_discovery_range() -> None:
     with viewer(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET") as node:
         found = sockets_below(node.pid, until=set(_PORTS.values()))
@@ -77,22 +78,13 @@ def test_the_network_is_opened_by_the_discovery_range() -> None:
     assert all(s.is_loopback for s in found if s.kind == "tcp"), "the range of ROS does not open the viewer"
 
 
-def test_the_server_of_the_viewer_ends_with_its_node() -> None:
+@pytest.mark.alone
+def test_viewer_listens_on_loopback_leads_from_its_plain_address_to_the_data_and_ends_with_its_node() -> None:
     with viewer() as node:
         found = sockets_below(node.pid, until=set(_PORTS.values()))
+        assert {s.kind for s in found} >= {"tcp", "udp"} and [s for s in found if not s.is_loopback] == []
         servers = {s.pid for s in found if s.port in _PORTS.values()} - {node.pid}
         assert len(servers) == 1
-        with Stalls() as stalls:
-            node.kill()
-            killed = time.monotonic()
-            while any(sockets_of(pid) for pid in servers):
-                assert time.monotonic() - killed < 2.0 + 4.0 * stalls.worst, "the server outlives its node"
-                time.sleep(0.02)
-
-
-def test_the_plain_address_of_the_viewer_leads_to_the_data() -> None:
-    with viewer() as node:
-        sockets_below(node.pid, until=set(_PORTS.values()))
 
         def get(path: str, **headers: str) -> tuple[int, str, bytes]:
             with closing(http.client.HTTPConnection("127.0.0.1", _PORTS["web_port"], timeout=10.0)) as page:
@@ -107,3 +99,10 @@ def test_the_plain_address_of_the_viewer_leads_to_the_data() -> None:
         # What the browser loads then comes from the same port; nothing of a strange host is repeated.
         assert get("/re_viewer_bg.wasm")[0] == 200
         assert get("/", Host="evil/x")[1] == "/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A19876%2Fproxy"
+
+        with Stalls() as stalls:
+            node.kill()
+            killed = time.monotonic()
+            while any(sockets_of(pid) for pid in servers):
+                assert time.monotonic() - killed < 2.0 + 4.0 * stalls.worst, "the server outlives its node"
+                time.sleep(0.02)

@@ -16,8 +16,6 @@ from helpers.paths import ROOT
 from push_ident.bags.records import write_records
 from push_ident.types import PushRecord
 
-pytestmark = pytest.mark.alone
-
 CLI = [sys.executable, "-c", "from push_ident.cli.main import main; main()"]
 
 
@@ -30,6 +28,7 @@ def records() -> list[PushRecord]:
     return random_records(hammer(1), 3, 1)
 
 
+@pytest.mark.live
 def test_bag_played_as_fast_as_possible_gives_the_map_found_offline_and_counts_what_was_not_learned(
     records: list[PushRecord], tmp_path: Path
 ) -> None:
@@ -51,6 +50,7 @@ def test_bag_played_as_fast_as_possible_gives_the_map_found_offline_and_counts_w
     assert (tmp_path / "live" / "model.json").exists()
 
 
+@pytest.mark.live
 def test_no_image_of_a_bag_is_lost_however_fast_it_is_played(tmp_path: Path) -> None:
     done = run("replay", ROOT / "bags" / "hammer_depth", "--rate", 0, "--json", tmp_path / "live.json", timeout=300.0)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -66,6 +66,7 @@ def test_doctor_names_what_is_missing_when_nothing_runs(tmp_path: Path) -> None:
     assert any("push-ident up sim" in problem for problem in content["problems"])
 
 
+@pytest.mark.alone
 def test_demo_sees_pushes_identifies_and_predicts_in_the_live_simulated_cell(tmp_path: Path) -> None:
     done = run("demo", "--n-train", 1, "--n-test", 1, "--out", tmp_path, "--json", tmp_path / "demo.json", timeout=280.0)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]

@@ -20,8 +20,6 @@ from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.supervisor import NodeCommand, Supervisor, node_commands
 from push_ident.nodes.base.lifetime import stop_signals_blocked
 
-pytestmark = pytest.mark.alone
-
 NODE = """
 import os, subprocess, sys, time
 from pathlib import Path
@@ -93,6 +91,7 @@ def children_of(process: int) -> list[int]:
     return [int(pid) for pid in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
 
 
+@pytest.mark.alone
 def test_killed_supervisor_leaves_no_process_and_every_node_holds_first(tmp_path: Path) -> None:
     supervisor = start_supervisor({name: node(tmp_path, name) for name in ("one", "two")})
     family = [written(tmp_path / f"{name}.{what}") for name in ("one", "two") for what in ("pid", "child")]
@@ -103,7 +102,8 @@ def test_killed_supervisor_leaves_no_process_and_every_node_holds_first(tmp_path
     assert [(tmp_path / f"{name}.held").read_text() for name in ("one", "two")] == ["True", "True"]
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.05, 0.2])
+@pytest.mark.alone
+@pytest.mark.parametrize("delay", [0.0, pytest.param(0.05, marks=pytest.mark.long), pytest.param(0.2, marks=pytest.mark.long)])
 def test_supervisor_killed_while_its_nodes_start_leaves_no_process(tmp_path: Path, delay: float) -> None:
     supervisor = start_supervisor({name: node(tmp_path, name, loading=30.0) for name in ("one", "two")})
     wait_until(lambda: len(children_of(supervisor.pid)) == 2)
@@ -115,6 +115,7 @@ def test_supervisor_killed_while_its_nodes_start_leaves_no_process(tmp_path: Pat
         wait_until(lambda: not any(is_alive(pid) for pid in family), lambda: 2.0 + 4.0 * stalls.worst)
 
 
+@pytest.mark.alone
 def test_killed_command_leaves_no_worker_of_a_study() -> None:
     program = (
         "import os, time\n"
@@ -195,7 +196,15 @@ def supervised(node_name: str) -> NodeCommand:
     return next(command for command in node_commands("sim") if command.name == node_name)
 
 
-@pytest.mark.parametrize("node_name", ["identification_node", "push_executor_node", "gap_diagnosis_node"])
+@pytest.mark.alone
+@pytest.mark.parametrize(
+    "node_name",
+    [
+        "push_executor_node",
+        pytest.param("identification_node", marks=pytest.mark.long),
+        pytest.param("gap_diagnosis_node", marks=pytest.mark.long),
+    ],
+)
 def test_stop_at_any_moment_of_a_supervised_node_is_quiet_and_quick(tmp_path: Path, node_name: str) -> None:
     rng = random.Random(node_name)
     for number in range(3):
@@ -221,8 +230,13 @@ def stopped(node_name: str, delay: float, folder: Path) -> tuple[list[str], int 
     return stubborn, supervisor.exit_code(node_name), stalls.worst
 
 
-@pytest.mark.parametrize("command", ["up sim", "doctor"])
-@pytest.mark.parametrize("delay", [0.0, pytest.param(0.05, marks=pytest.mark.long), 0.3, pytest.param(0.8, marks=pytest.mark.long), 1.6])
+DELAYS = (0.0, 0.05, 0.3, 0.8, 1.6)
+FEW = (("up sim", 1.6), ("doctor", 0.0))
+MORE = [(command, delay) for command in ("up sim", "doctor") for delay in DELAYS if (command, delay) not in FEW]
+
+
+@pytest.mark.alone
+@pytest.mark.parametrize(("command", "delay"), [*FEW, *(pytest.param(*one, marks=pytest.mark.long) for one in MORE)])
 def test_ctrl_c_at_any_moment_of_a_command_is_quiet(tmp_path: Path, command: str, delay: float) -> None:
     with Stalls() as stalls:
         code, took, output = interrupted((sys.executable, "-m", "push_ident.cli", *command.split()), delay, tmp_path / "output")

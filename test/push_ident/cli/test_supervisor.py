@@ -18,8 +18,6 @@ from helpers.executor_cell import Stalls
 from push_ident.cli.supervisor import NodeCommand, Supervisor, SupervisorError, config_file, node_commands
 from push_ident.errors import InputError
 
-pytestmark = pytest.mark.alone
-
 SLEEP = "import time; print('ready'); time.sleep(60)"
 DIES = "import sys; print('no camera', file=sys.stderr); sys.exit(7)"
 ONCE_READY = """
@@ -91,7 +89,8 @@ def test_death_of_one_names_it_and_stops_the_rest(tmp_path: Path) -> None:
     assert not is_alive(child_in(log))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.alone
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long), signal.SIGHUP])
 def test_request_to_stop_stops_all_within_two_seconds(tmp_path: Path, number: signal.Signals) -> None:
     process = start_in_own_process(tmp_path, one=HAS_CHILD, two=SLEEP)
     child = child_in(tmp_path / "one.log")
@@ -106,6 +105,7 @@ def test_request_to_stop_stops_all_within_two_seconds(tmp_path: Path, number: si
     assert not is_alive(child)
 
 
+@pytest.mark.alone
 def test_process_deaf_to_ctrl_c_is_ended_and_named(tmp_path: Path) -> None:
     supervisor = Supervisor([command("deaf", IGNORES_CTRL_C), command("good", SLEEP)], log_dir=tmp_path)
     supervisor.start()

@@ -30,7 +30,7 @@ from push_ident_msgs.msg import MassFrictionMap
 from push_ident_sim.fuzz.mutate_message import mutate_message
 from push_ident_sim.fuzz.traffic import OBJECT, shape_messages
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 SILENCE = 0.6
 """[s]"""

@@ -42,24 +42,23 @@ def test_each_diagnosis_starts_at_the_latest_that_succeeded(monkeypatch: pytest.
 
 
 def test_process_stays_until_it_is_stopped_and_is_replaced_when_it_was_killed() -> None:
-    process, request = DiagnosisProcess(), (simulated_pushes(3, 1), DiagnosisSettings(), PushSettings())
-    ids = []
+    process, settings = DiagnosisProcess(), (DiagnosisSettings(), PushSettings())
+    stages: list[str] = []
 
-    def diagnosed(should_continue: bool = True) -> dict[str, Any] | None:
-        stages: list[str] = []
-        found = process.diagnose(*request, on_stage=stages.append, should_continue=lambda: should_continue)
-        if found is not None:
-            ids.append(process.pid)
-            assert stages and found["verdict"]
-        return found
+    def refused() -> int | None:
+        with pytest.raises(PushIdentError):
+            process.diagnose([], *settings, on_stage=stages.append, should_continue=lambda: True)
+        return process.pid
 
     try:
-        first, second = diagnosed(), diagnosed()
-        assert first is not None and second is not None and first["verdict"] == second["verdict"]
-        os.kill(ids[0], signal.SIGKILL)
-        os.waitid(os.P_PID, ids[0], os.WEXITED | os.WNOWAIT)
-        assert diagnosed() is not None
-        assert ids[0] == ids[1] != ids[2]
-        assert diagnosed(should_continue=False) is None and process.pid is None
+        first = refused()
+        assert first is not None and refused() == first
+        os.kill(first, signal.SIGKILL)
+        os.waitid(os.P_PID, first, os.WEXITED | os.WNOWAIT)
+        diagnosis = process.diagnose(simulated_pushes(3, 1), *settings, on_stage=stages.append, should_continue=lambda: True)
+        assert diagnosis is not None and diagnosis["verdict"] and stages
+        assert refused() == process.pid != first
+        assert process.diagnose(simulated_pushes(3, 1), *settings, on_stage=stages.append, should_continue=lambda: False) is None
+        assert process.pid is None
     finally:
         process.stop()

@@ -1,105 +1,86 @@
-"""gap_diagnosis_node as a real process: pushes played from a bag, diagnosed on request."""
+"""gap_diagnosis_node as a real process: pushes of a bag, diagnosed on request, and what identification_node makes of the outcome."""
 
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-import rclpy
 from action_msgs.msg import GoalStatus
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from helpers.executor_cell import Stalls
+from helpers.node_process import NodeProcess, Talker
+from push_ident.identification.results.known_effects import effects_in_use
+from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.convert.model import posterior_from_msg
+from push_ident.planning.belief import Belief
 from push_ident_msgs.action import DiagnoseGap
-from push_ident_msgs.msg import GapReport
+from push_ident_msgs.msg import GapReport, ModelPosterior
+from push_ident_msgs.srv import LoadModel
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
 
-pytestmark = pytest.mark.live
-
 N_PUSHES = 6
 TILT = 0.03
+OBJECT = "hammer"
 
 
-class Cell:
-    """The node, a bag that is played to it, and somebody who asks."""
+class Cell(Talker):
+    """Nodes to which a bag is played, and somebody who asks them."""
 
-    def __init__(self, bag: Path) -> None:
-        self.environment = os.environ | {"ROS_DOMAIN_ID": str(own_domain())}
-        self.context = Context()
-        rclpy.init(context=self.context, domain_id=int(self.environment["ROS_DOMAIN_ID"]))
-        self.node = Node("user", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.client = ActionClient(self.node, DiagnoseGap, "diagnose_gap")
-        self.said: dict[str, str] = {}
+    def __init__(self, folder: Path, bag: Path, *names: str) -> None:
+        domain = own_domain()
+        super().__init__(domain)
+        self.models: list[ModelPosterior] = []
         self.reports: list[GapReport] = []
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.node.create_subscription(GapReport, "gap_report", self.reports.append, latched)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self.node.create_subscription(ModelPosterior, f"objects/{OBJECT}/model", self.models.append, LATCHED)
+        self.node.create_subscription(GapReport, "gap_report", self.reports.append, LATCHED)
+        self.diagnose = ActionClient(self.node, DiagnoseGap, "diagnose_gap")
+        self.load = self.node.create_client(LoadModel, "load_diagnosis")
         # The outline of the bag is exact: no camera traced it.
-        self.process = self.start("gap_diagnosis_node", outline_from_camera=False)
-        player = self.start("bag_player_node", bag=str(bag), rate=0.0, listeners=1, wait=300.0)
-        assert player.wait(360.0) == 0
-        self.wait_for(lambda: self.said.get("pushes") == str(N_PUSHES), 120.0)
-
-    def start(self, name: str, **parameters: object) -> subprocess.Popen[str]:
-        arguments = [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
-        command = [sys.executable, "-m", "push_ident.nodes", name, "--ros-args", *arguments]
-        return subprocess.Popen(command, env=self.environment, stderr=subprocess.PIPE, text=True)
-
-    def wait_for(self, condition: Callable[[], object], timeout: float) -> None:
-        deadline = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < deadline, f"timed out; the node says {self.said}"
-            self.executor.spin_once(timeout_sec=0.02)
-
-    def result_of(self, future: Any, timeout: float) -> Any:
-        self.wait_for(future.done, timeout)
-        return future.result()
+        parameters: dict[str, dict[str, object]] = {
+            "gap_diagnosis_node": {"outline_from_camera": False},
+            "identification_node": {"suggest_candidates": 0},
+            "bag_player_node": {"bag": str(bag), "rate": 0.0, "listeners": len(names), "wait": 300.0},
+        }
+        self._nodes = [NodeProcess(name, "push_ident.nodes", parameters[name], domain, folder) for name in (*names, "bag_player_node")]
+        self.until(lambda: self.values("gap_diagnosis_node").get("pushes") == str(N_PUSHES), timeout=600.0)
 
     def send(self, on_stage: Callable[[str], None] = lambda stage: None, **goal: object) -> Any:
-        self.wait_for(self.client.server_is_ready, 60.0)
+        self.until(self.diagnose.server_is_ready)
         request = DiagnoseGap.Goal(**goal)
-        return self.result_of(self.client.send_goal_async(request, feedback_callback=lambda m: on_stage(m.feedback.stage)), 60.0)
+        return self.result_of(self.diagnose.send_goal_async(request, feedback_callback=lambda m: on_stage(m.feedback.stage)))
 
-    def close(self) -> None:
-        self.process.send_signal(signal.SIGINT)
-        _, said = self.process.communicate(timeout=30.0)
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
-        assert self.process.returncode == 0 and "Traceback" not in said, said
+    def answer(self, path: str) -> LoadModel.Response:
+        """Of `load_diagnosis`."""
+        return self.ask(self.load, LoadModel.Request(object_id=OBJECT, path=path), timeout=300.0)
 
-    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
-        for status in msg.status:
-            if status.name.endswith("gap_diagnosis_node"):
-                self.said = {value.key: value.value for value in status.values} | {"message": status.message}
+    def __exit__(self, *error: object) -> None:
+        codes = [node.stop() for node in self._nodes]
+        super().__exit__(*error)
+        assert codes == [0] * len(codes) and not any("Traceback" in node.output for node in self._nodes)
 
 
 @pytest.fixture(scope="module")
-def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     bag = tmp_path_factory.mktemp("bags") / "tilted"
     record_pushes(bag, RecordingSettings(n_pushes=N_PUSHES, seed=2, effects=InjectedEffects.of({"table_tilt": (TILT, 0.0)})))
-    cell = Cell(bag)
-    yield cell
-    cell.close()
+    return bag
 
 
+@pytest.fixture(scope="module")
+def cell(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    with Cell(tmp_path_factory.mktemp("cell"), bag, "gap_diagnosis_node") as cell:
+        yield cell
+
+
+@pytest.mark.live
 def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
     stages: list[str] = []
     handle = cell.send(stages.append)
@@ -118,27 +99,60 @@ def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
     assert report.ranking[0] == "table_tilt" and len(report.ranking) == len(report.ranking_evidence) == len(report.ranking_smallest)
     assert json.loads(report.json)["verdict"] == report.verdict
     assert "fitting the base model" in stages
-    cell.wait_for(lambda: cell.reports, 60.0)
+    cell.until(lambda: cell.reports)
     assert cell.reports[-1] == report
-    again = cell.result_of(cell.send().get_result_async(), 360.0).result
-    assert again.success and again.message == report.verdict and again.report.ranking[0] == "table_tilt"
 
 
+@pytest.mark.live
 def test_cancel_ends_a_diagnosis_at_once(cell: Cell) -> None:
     started: list[str] = []
     handle = cell.send(started.append)
-    cell.wait_for(lambda: started, 120.0)
+    cell.until(lambda: started)
     second = cell.send()
     assert not second.accepted, "one at a time"
     with Stalls() as stalls:
         asked = time.monotonic()
-        cell.result_of(handle.cancel_goal_async(), 60.0)
-        assert cell.result_of(handle.get_result_async(), 60.0).status == GoalStatus.STATUS_CANCELED
+        cell.result_of(handle.cancel_goal_async())
+        assert cell.result_of(handle.get_result_async()).status == GoalStatus.STATUS_CANCELED
         took = time.monotonic() - asked
     assert took < 3.0 + 6.0 * stalls.worst  # the diagnosis holds all processors until then
 
 
+@pytest.mark.live
 def test_what_cannot_be_diagnosed_is_refused_with_the_reason(cell: Cell) -> None:
     for goal, why in (({"object_id": "o9"}, "no pushes of object `o9`"), ({"base_effects": ["ghosts"]}, "no effect `ghosts`")):
-        result = cell.result_of(cell.send(**goal).get_result_async(), 120.0).result
+        result = cell.result_of(cell.send(**goal).get_result_async()).result
         assert not result.success and why in result.message
+
+
+@pytest.mark.live
+@pytest.mark.long
+def test_what_is_named_live_acts_in_the_model_that_is_planned_with(bag: Path, tmp_path: Path) -> None:
+    with Cell(tmp_path, bag, "gap_diagnosis_node", "identification_node") as cell:
+        cell.until(lambda: cell.models and cell.models[-1].n_pushes == N_PUSHES, timeout=600.0)
+        n_models = len(cell.models)
+        report = cell.result_of(cell.send(object_id=OBJECT).get_result_async(), 600.0).result.report
+        assert report.verdict in ("named", "several") and "table_tilt" in [effect.name for effect in report.effects]
+        cell.until(lambda: len(cell.models) > n_models)
+        _, posterior = posterior_from_msg(cell.models[-1])
+        (effect,) = effects_in_use(posterior)
+        assert effect.name == "table_tilt" and np.all(np.abs(effect.value - [TILT, 0.0]) < 4 * effect.std)
+        assert Belief.of(posterior).mean.effects.names == ("table_tilt",) and cell.models[-1].n_pushes == N_PUSHES
+        text = f"{OBJECT}: diagnosed effects"
+        cell.until(lambda: "table_tilt" in cell.values("identification_node").get(text, ""))
+
+        # The file of a diagnosis does the same; one that names nothing, or none at all, takes the effect out of the model again.
+        file, content = tmp_path / "diagnosis.json", json.loads(report.json)
+        file.write_text(json.dumps(content | {"effects": [{"name": "ghosts", "parameters": {}, "std": {}}]}))
+        assert "no effect of this version" in cell.answer(str(file)).message
+        away = {"x": -0.09, "y": 0.09}
+        file.write_text(json.dumps(content | {"effects": [content["effects"][0] | {"name": "table_tilt", "parameters": away}]}))
+        answer = cell.answer(str(file))
+        assert not answer.success and "pushes of this model show table_tilt" in answer.message
+        assert "table_tilt" in cell.values("identification_node")[text], "a wrong one changes nothing"
+        assert cell.answer("").success
+        cell.until(lambda: not effects_in_use(posterior_from_msg(cell.models[-1])[1]))
+        file.write_text(json.dumps(content))
+        answer = cell.answer(str(file))
+        assert answer.success and "table_tilt" in answer.message, answer.message
+        cell.until(lambda: len(effects_in_use(posterior_from_msg(cell.models[-1])[1])) == 1)

@@ -6,7 +6,6 @@ import logging
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
@@ -27,11 +26,8 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from helpers.executor_cell import BOX
-from helpers.node_process import NodeProcess, Talker, node_commands
-from helpers.wrong_poses import right_pose, wrong_poses
+from helpers.wrong_poses import wrong_poses
 from push_ident.errors import InputError
-from push_ident.geometry.outline import cells_in_outline
 from push_ident.nodes.base.cell_node import CellNode, Component, Health
 from push_ident.nodes.base.executors import make_executor
 from push_ident.nodes.base.guard import Guard
@@ -41,22 +37,8 @@ from push_ident.nodes.convert.messages import (
     joints_from_msg,
     planar_pose_from_msg,
     shape_from_msgs,
-    shape_to_msgs,
     stamp_from_msg,
 )
-from push_ident.nodes.gap_diagnosis.gap_diagnosis_node import GapDiagnosisNode
-from push_ident.nodes.goal_pushing.goal_pushing_node import GoalPushingNode
-from push_ident.nodes.identification.identification_node import IdentificationNode
-from push_ident.nodes.perception.perception_node import PerceptionNode
-from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
-from push_ident.nodes.recording.bag_player_node import BagPlayerNode
-from push_ident.nodes.recording.bag_recorder_node import BagRecorderNode
-from push_ident.nodes.viewer.viewer_node import ViewerNode
-from push_ident.types import ObjectShape
-from push_ident_msgs.msg import PushRecord
-from push_ident_msgs.srv import SaveModel
-from push_ident_sim.cell.sim_cell_node import SimCellNode
-from push_ident_sim.cell.sim_hand_node import SimHandNode
 
 
 def guard() -> Guard:
@@ -269,66 +251,3 @@ def test_events_are_heard_although_they_are_looked_for_once_a_second(
     context.try_shutdown()
     assert "incompatible QoS" in said
     assert 0 < added.count(added[0]) < 0.5 * n_spins
-
-
-def test_no_node_has_a_raw_callback(tmp_path: Any) -> None:
-    kinds = {
-        "perception_node": PerceptionNode,
-        "push_executor_node": PushExecutorNode,
-        "identification_node": IdentificationNode,
-        "gap_diagnosis_node": GapDiagnosisNode,
-        "goal_pushing_node": GoalPushingNode,
-        "bag_player_node": BagPlayerNode,
-        "bag_recorder_node": BagRecorderNode,
-        "viewer_node": ViewerNode,
-        "sim_cell_node": SimCellNode,
-        "sim_hand_node": SimHandNode,
-    }
-    context = Context()
-    rclpy.init(context=context, domain_id=own_domain())
-    commands = node_commands(tmp_path)
-    assert set(commands) == set(kinds)
-    for name, (_, parameters) in commands.items():
-        arguments = [part for key, value in parameters.items() for part in ("-p", f"{key}:={value}")]
-        node = kinds[name](context=context, cli_args=["--ros-args", *arguments])
-        try:
-            assert len(list(node.subscriptions)) + len(list(node.services)) + len(list(node.timers)) > 10
-            assert node.raw_callbacks() == []
-        finally:
-            node.close()
-            node.destroy_node()
-    context.try_shutdown()
-
-
-# ---- live
-
-
-@pytest.mark.live
-def test_identification_refuses_what_cannot_be_and_answers_a_path_that_is_none(tmp_path: Path) -> None:
-    domain = own_domain()
-    process = NodeProcess("identification_node", "push_ident.nodes", {}, domain, tmp_path)
-    try:
-        with Talker(domain) as talker:
-            talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", right_pose())
-            save = talker.node.create_client(SaveModel, "save_model")
-            cells, outline = shape_to_msgs(ObjectShape(cells_in_outline(BOX, 0.01), BOX), "o1", Time())
-            talker.publish(OccupancyGrid, "objects/o1/cells", cells)
-            talker.publish(PolygonStamped, "objects/o1/outline", outline)
-            talker.until(
-                lambda: talker.values().get("shapes"), lambda: talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", right_pose())
-            )
-            for wrong in wrong_poses().values():
-                talker.publish(PoseWithCovarianceStamped, "objects/o1/pose", wrong)
-            talker.publish(PushRecord, "push_record", PushRecord(end=Time(sec=-1)))
-            talker.publish(JointState, "joint_states", JointState())
-            talker.until(lambda: int(talker.values().get("refused", 0)) > len(wrong_poses()))
-            assert int(talker.values()["poses refused"]) >= len(wrong_poses())
-            for path in ("", " ", "/", "/gone/model.json", "\x00", "a" * 5000):
-                answer = talker.ask(save, SaveModel.Request(object_id="o1", path=path))
-                assert not answer.success and answer.message, path
-            assert talker.ask(save, SaveModel.Request(object_id="o1", path=str(tmp_path / "model.json"))).success
-            talker.until(lambda: talker.values().get("kernels") == "loaded", timeout=300.0)  # they may have to be compiled first
-        assert process.stop() == 0
-    finally:
-        process.stop()
-    assert "Traceback" not in process.output

@@ -24,7 +24,7 @@ from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.messages import outline_std_to_msg, planar_pose_to_msg, shape_to_msgs
 from push_ident.nodes.identification import identification_node
 from push_ident.nodes.identification.identification_node import IdentificationNode
-from push_ident.nodes.identification.work_queue import Kind, WorkQueue
+from push_ident.nodes.identification.work import Kind, WorkQueue
 from push_ident.types import ObjectShape
 from push_ident_msgs.srv import LoadModel, SaveModel
 
@@ -57,7 +57,7 @@ def test_only_the_latest_outline_of_an_object_waits_and_pushes_keep_their_place(
     assert queue.n_waiting(Kind.OUTLINE) == 0
 
 
-@pytest.mark.alone
+@pytest.mark.live
 def test_node_that_loads_its_kernels_is_closed_without_waiting_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
     may_load, context = threading.Event(), Context()
     monkeypatch.setattr(identification_node, "compile_kernels", lambda **options: may_load.wait(60.0))

@@ -16,11 +16,8 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
-from helpers.executor_cell import CONTACT, QUICK, Call, Cell, Stalls, ask, start_node, wait_for, wait_until_ready
+from helpers.executor_cell import QUICK, Cell, Stalls, start_node, wait_for, wait_until_ready
 from push_ident.cli.supervisor import node_command
-from push_ident.nodes.base.keep_alive import KeepAlive
-from push_ident.pushing.push import PushCode
-from push_ident_msgs.action import ExecutePush
 
 pytestmark = pytest.mark.alone
 
@@ -127,6 +124,7 @@ def test_arm_stands_soon_after_the_client_was_killed(cell: Cell, domain: int) ->
     executor_says(cell, "CANCELED: its client has been silent for 1.")
 
 
+@pytest.mark.long
 def test_terminated_client_holds_the_arm_at_once(cell: Cell, domain: int) -> None:
     with command(domain) as process:
         wait_until_it_pushes(cell, process)
@@ -156,7 +154,7 @@ def test_message_that_cannot_be_used_does_not_stop_ctrl_c_of_a_client(cell: Cell
     assert output.count("\n") == 1 and "refused: objects/box/pose" in output, output
 
 
-@pytest.mark.parametrize("is_interrupted", [True, False], ids=["Ctrl-C", "alone"])
+@pytest.mark.parametrize("is_interrupted", [False, pytest.param(True, marks=pytest.mark.long)], ids=["alone", "Ctrl-C"])
 def test_client_whose_thread_is_stuck_leaves_no_moving_arm(cell: Cell, domain: int, tmp_path: Path, is_interrupted: bool) -> None:
     flag = tmp_path / "stuck"
     with client(domain, "-c", STUCK, str(flag)) as process:
@@ -171,24 +169,12 @@ def test_client_whose_thread_is_stuck_leaves_no_moving_arm(cell: Cell, domain: i
     assert stands < (2 * REACTION if is_interrupted else MISSED + REACTION) + 4 * stalls.worst
 
 
-def test_push_whose_client_falls_silent_is_canceled_with_the_reason(cell: Cell) -> None:
-    signs = KeepAlive(cell, "execute_push")
-    number = signs.begin()
-    goal = ExecutePush.Goal(**(CONTACT | LONG))
-    sent = ask(cell, lambda: cell.client.send_goal_async(goal, goal_uuid=number))
-    wait_for(sent.done)
-    call = Call(sent.result(), ask(cell, sent.result().get_result_async))
-    wait_for(lambda: cell.pusher, 60.0)
-    time.sleep(2 * TIMEOUT)
-    assert not call.result.done(), "a client that says that it lives is waited for"
-    signs.end(number)
-    result = call.end(5.0)
-    assert result.error_code == PushCode.CANCELED and "its client has been silent for 1." in result.error_text
-
-
 @pytest.mark.parametrize(
     ("number", "within", "text"),
-    [(signal.SIGINT, 1.0, "CANCELED: the node was stopped"), (signal.SIGKILL, 4.0, "push_executor_node has not answered for 3 s")],
+    [
+        pytest.param(signal.SIGINT, 1.0, "CANCELED: the node was stopped", marks=pytest.mark.long),
+        (signal.SIGKILL, 4.0, "push_executor_node has not answered for 3 s"),
+    ],
     ids=["stopped", "killed"],
 )
 def test_client_hears_soon_that_the_executor_is_gone(

@@ -1,12 +1,7 @@
-"""Which pushes identification_node, a real process, takes from the topics of a cell."""
+"""Which pushes identification_node takes from the topics of a cell."""
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,7 +12,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -25,17 +19,19 @@ from shape_msgs.msg import SolidPrimitive
 
 from helpers.executor_cell import wait_for
 from helpers.objects import hammer, random_records
+from helpers.spinning import spinning
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.messages import cylinder_to_msg, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg
 from push_ident.nodes.convert.table import EDGE_TOPIC, edge_to_msg
+from push_ident.nodes.identification.identification_node import IdentificationNode
 from push_ident.physics.overhang import TableEdge
 from push_ident.types import PushRecord
 from push_ident_msgs.msg import MassFrictionMap
 from push_ident_msgs.msg import PushRecord as PushRecordMsg
 
 TRAIN = random_records(hammer(3), 3, 3)
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.live
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 PATIENCE = 14.0
@@ -88,34 +84,13 @@ class Cell(Node):
 
 @pytest.fixture
 def cell() -> Iterator[Cell]:
-    domain = own_domain()
-    context = Context()
-    context.init(domain_id=domain)
-    cell, executor = Cell(context), SingleThreadedExecutor(context=context)
-    executor.add_node(cell)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "push_ident.nodes", "identification_node", "--ros-args", "-p", "suggest_candidates:=0"],
-        env=os.environ | {"ROS_DOMAIN_ID": str(domain)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    try:
-        wait_for(lambda: cell.poses.get_subscription_count() and cell.pusher.get_subscription_count() and cell.values, 60.0)
-        yield cell
-    finally:
-        process.send_signal(signal.SIGINT)
+    domain, arguments = own_domain(), ["--ros-args", "-p", "suggest_candidates:=0"]
+    with spinning(Cell, domain) as cell, spinning(lambda context: IdentificationNode(context=context, cli_args=arguments), domain) as node:
         try:
-            output, _ = process.communicate(timeout=10.0)
+            wait_for(lambda: cell.poses.get_subscription_count() and cell.pusher.get_subscription_count() and cell.values, 60.0)
+            yield cell
         finally:
-            process.kill()
-        executor.shutdown()
-        thread.join(2.0)
-        cell.destroy_node()
-        context.try_shutdown()
-    assert "Traceback" not in output
+            node.close()
 
 
 def test_push_without_an_end_record_is_not_learned_where_an_executor_is(cell: Cell) -> None:

@@ -27,5 +27,6 @@ def test_every_setting_of_the_execution_comes_from_a_parameter() -> None:
     assert settings.limits.force_limit == changed["force_limit"] and settings.min_object_turn == changed["min_object_turn"]
     assert settings.push.cone == changed["random_cone"] and settings.push.distance_range == tuple(values["random_distance"])
     assert settings.motion.home == tuple(values["home_posture"]) and settings.motion.push_height == changed["push_height"]
+    assert values["arm_timeout"] == 0.1, "the arm is held a tenth of a second after its last joint state"
     assert isinstance(settings, ExecutionSettings)
     assert isinstance(settings.push, PushSettings) and isinstance(settings.motion, MotionSettings)

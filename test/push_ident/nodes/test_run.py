@@ -16,9 +16,6 @@ import push_ident_sim.executables
 from helpers.executor_cell import Stalls
 from helpers.paths import ROOT
 
-pytestmark = pytest.mark.alone
-
-
 SCRIPT = """
 import sys, time
 from push_ident.errors import InputError
@@ -73,7 +70,8 @@ def start(mode: str, n_threads: int = 1) -> subprocess.Popen[str]:
     return subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
-@pytest.mark.parametrize(("number", "n_threads"), [(signal.SIGINT, 1), (signal.SIGTERM, 1), (signal.SIGINT, 3)])
+@pytest.mark.alone
+@pytest.mark.parametrize(("number", "n_threads"), [(signal.SIGTERM, 1), (signal.SIGINT, 3)])
 def test_a_signal_closes_the_node_while_it_can_still_publish(number, n_threads):
     process = start("idle", n_threads)
     assert process.stdout is not None and "ticking" in process.stdout.readline()
@@ -82,6 +80,7 @@ def test_a_signal_closes_the_node_while_it_can_still_publish(number, n_threads):
     assert output.strip() == "held while the context is True"
 
 
+@pytest.mark.alone
 def test_a_callback_that_never_returns_does_not_keep_the_process():
     process = start("busy")
     assert process.stdout is not None and "ticking" in process.stdout.readline()
@@ -96,8 +95,12 @@ def test_a_node_that_cannot_start_gives_the_reason_in_one_line():
     assert "speed is 9, expected 0 to 1." in output and "Traceback" not in output
 
 
-@pytest.mark.parametrize("command", [("push_ident.nodes", "perception_node"), ("push_ident_sim", "sim_cell_node")], ids=lambda c: c[1])
-@pytest.mark.parametrize("delay", [0.0, pytest.param(0.1, marks=pytest.mark.long), 0.3, 1.0, pytest.param(2.0, marks=pytest.mark.long)])
+PERCEPTION, SIM_CELL = ("push_ident.nodes", "perception_node"), ("push_ident_sim", "sim_cell_node")
+FEW = [(PERCEPTION, 0.0), (SIM_CELL, 0.3), (PERCEPTION, 1.0)]
+MORE = [(command, delay) for command in (PERCEPTION, SIM_CELL) for delay in (0.0, 0.1, 0.3, 1.0, 2.0) if (command, delay) not in FEW]
+
+
+@pytest.mark.parametrize(("command", "delay"), [*FEW, *(pytest.param(*one, marks=pytest.mark.long) for one in MORE)])
 def test_interrupt_while_a_node_is_loaded_ends_it_quietly(command, delay, tmp_path):
     # The import times show when Python has started: before that no code of a package runs.
     said = tmp_path / "stderr"
@@ -160,8 +163,7 @@ def test_every_executable_of_the_packages_is_in_the_table(package):
 
 
 def test_an_unknown_executable_is_refused_in_one_line():
-    done = subprocess.run(
-        [sys.executable, "-m", "push_ident.nodes", "camera_node"], capture_output=True, text=True, timeout=60, check=False
-    )
+    call = [sys.executable, "-m", "push_ident.nodes", "camera_node"]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
     assert "camera_node" in done.stderr and "perception_node" in done.stderr and "Traceback" not in done.stderr

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-import json
 import os
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMsg
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from visualization_msgs.msg import MarkerArray
 
 from push_ident.identification.predicting.prediction import predict
 from push_ident.identification.predicting.scoring import PushScore, ScoreSummary
 from push_ident.identification.results.posterior import prior_posterior
+from helpers.node_process import NodeProcess, Talker
+from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_to_msg
 from push_ident.nodes.convert.messages import (
@@ -52,9 +48,6 @@ from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import true_model
 from push_ident_sim.studies.common.seeing import CAMERA_POSE
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
-
 CORNERS = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])
 EDGE = np.array([[0.1, -0.3], [0.1, 0.3]])
 GOAL = GoalDrawing(
@@ -70,16 +63,12 @@ GOAL = GoalDrawing(
 )
 
 
-class Cell:
+class Cell(Talker):
     """Publishes all that a viewer shows of one hammer."""
 
     def __init__(self) -> None:
         self.domain = own_domain()
-        self.context = Context()
-        rclpy.init(context=self.context, domain_id=self.domain)
-        self.node = Node("cell", context=self.context)
-        self._executor = SingleThreadedExecutor(context=self.context)
-        self._executor.add_node(self.node)
+        super().__init__(self.domain)
         thing = make_object("hammer", 0)
         camera = DepthCamera(thing, CAMERA_POSE)
         frame = DepthFrame(0.0, camera.render((0.0, 0.0, 0.3), {}), camera.intrinsics)
@@ -122,64 +111,45 @@ class Cell:
     def pursue_goal(self) -> None:
         self._goal.publish(goal_markers_to_msg(GOAL, stamp_to_msg(1.0)))
 
-    def publish(self, at: float) -> None:
+    def publish_all(self, at: float) -> None:
         for publisher, msg in self._sent:
             if hasattr(msg, "header"):
                 msg.header.stamp = stamp_to_msg(at)
             publisher.publish(msg)
-        self._executor.spin_once(timeout_sec=0.01)
-
-    def wait_for(self, condition: Callable[[], object], timeout: float = 120.0) -> None:
-        deadline = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < deadline, "timed out"
-            self._executor.spin_once(timeout_sec=0.05)
+        self.spin(0.01)
 
     def wait_for_a_round(self) -> None:
         """Until the viewer has drawn what was published: it does one thing after the other, and between two reports all that has come."""
         now = time.time()
-        self.wait_for(lambda: sum(at > now for at in self._reported) >= 2)
+        self.until(lambda: sum(at > now for at in self._reported) >= 2)
 
     def is_heard(self) -> bool:
         return all(publisher.get_subscription_count() > 0 for publisher in (self._goal, *(publisher for publisher, _ in self._sent)))
 
-    def close(self) -> None:
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
-
 
 @pytest.fixture
 def cell() -> Iterator[Cell]:
-    cell = Cell()
-    yield cell
-    cell.close()
+    with Cell() as cell:
+        yield cell
 
 
-def start(domain: int, **parameters: object) -> subprocess.Popen[str]:
-    arguments = [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
-    command = [sys.executable, "-m", "push_ident.nodes", "viewer_node", "--ros-args", *arguments]
-    return subprocess.Popen(command, env=os.environ | {"ROS_DOMAIN_ID": str(domain)}, stderr=subprocess.PIPE, text=True)
-
-
-@pytest.mark.alone
+@pytest.mark.live
 def test_everything_that_is_published_is_in_the_recording(cell: Cell, tmp_path: Path) -> None:
     file = tmp_path / "view.rrd"
-    viewer = start(cell.domain, output="file", file=str(file))
+    viewer = NodeProcess("viewer_node", "push_ident.nodes", {"output": "file", "file": str(file)}, cell.domain, tmp_path)
     try:
-        cell.wait_for(cell.is_heard)
+        cell.until(cell.is_heard)
         for step in range(20):
-            cell.publish(1.0 + 0.3 * step)
+            cell.publish_all(1.0 + 0.3 * step)
             time.sleep(0.05)
         cell.wait_for_a_round()  # with a goal the push to make next is not drawn any more
         cell.pursue_goal()
-        cell.publish(8.0)
+        cell.publish_all(8.0)
         cell.wait_for_a_round()
     finally:
-        viewer.send_signal(signal.SIGINT)
-        _, said = viewer.communicate(timeout=30.0)
-    assert viewer.returncode == 0, said
-    assert "Traceback" not in said
+        code = viewer.stop()
+    said = viewer.output
+    assert code == 0 and "Traceback" not in said, said
     printed = subprocess.run(
         [str(Path(sys.executable).parent / "rerun"), "rrd", "print", str(file)], capture_output=True, text=True, check=True
     )

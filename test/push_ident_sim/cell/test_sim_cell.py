@@ -401,7 +401,7 @@ def test_camera_pose_is_the_same_from_a_target_and_from_a_quaternion() -> None:
 # --- node ----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.alone
+@pytest.mark.live
 def test_node_without_camera_publishes_the_truth_replaces_the_object_and_reports_its_speed() -> None:
     rclpy = pytest.importorskip("rclpy")
     from diagnostic_msgs.msg import DiagnosticArray

@@ -14,12 +14,12 @@ from typing import Annotated, Final
 import typer
 
 from push_ident.cli.output import console, warn
-from push_ident.nodes.viewer.ports import WEB_PORT
+from push_ident.nodes.viewer.settings import VIEWER
 
 __all__ = ["ADDRESS", "ViewOption", "show_view"]
 
 ViewOption = Annotated[bool, typer.Option("--view", help="Serve a live view for browsers, and open it.")]
-ADDRESS: Final = f"http://localhost:{WEB_PORT}"
+ADDRESS: Final = f"http://localhost:{VIEWER.web_port}"
 _SERVED_WITHIN: Final = 60.0
 """Time for the viewer to listen [s]."""
 _POLL: Final = 0.2
@@ -46,7 +46,7 @@ def _await_and_open() -> None:
 
 def _is_served() -> bool:
     """Whether the page is there, and not another server on its port."""
-    with closing(http.client.HTTPConnection("127.0.0.1", WEB_PORT, timeout=1.0)) as page:
+    with closing(http.client.HTTPConnection("127.0.0.1", VIEWER.web_port, timeout=1.0)) as page:
         try:
             page.request("HEAD", "/")
             return (page.getresponse().getheader("Location") or "").startswith("/?url=rerun")

@@ -26,9 +26,6 @@ NODES: Final = {
 }
 """Executable and the module whose `main` it runs. `setup.py` names the same executables."""
 
-_PRIVATE: Final = 0o077
-"""What a node writes is for its user alone: bags, checkpoints, logs of ROS, and the shared memory that carries the depth images."""
-
 
 def main() -> None:
     """Entry point of the executables of this package."""
@@ -40,7 +37,8 @@ def run_executable(name: str, nodes: Mapping[str, str]) -> NoReturn:
 
     Loading takes seconds; a signal ends the process with exit code 0 in that time as well.
     """
-    os.umask(_PRIVATE)
+    # What a node writes is for its user alone: bags, checkpoints, logs of ROS, and the shared memory that carries the depth images.
+    os.umask(0o077)
     LIFETIME.begin()
     if name not in nodes:
         sys.exit(f"there is no executable {name!r}, expected one of {', '.join(nodes)}")

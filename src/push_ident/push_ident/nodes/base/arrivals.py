@@ -10,14 +10,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
-__all__ = ["Arrivals"]
+from push_ident.nodes.base.settings import NODE
 
-_REMEMBERED: Final = 500
-"""Delays of the latest messages, of which the worst is reported."""
+__all__ = ["Arrivals"]
 
 
 class Arrivals:
@@ -31,7 +30,7 @@ class Arrivals:
         self._publishers = publishers
         self._lock = threading.Lock()
         self._number = 0
-        self._delays: deque[float] = deque(maxlen=_REMEMBERED)
+        self._delays: deque[float] = deque(maxlen=NODE.n_delays)
         self._reported = (0, 0)
         self.n_lost = 0
         """Messages lost so far."""

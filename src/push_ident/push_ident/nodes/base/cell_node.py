@@ -25,17 +25,14 @@ from push_ident.limits import plain_text
 from push_ident.nodes.base.arrivals import Arrivals
 from push_ident.nodes.base.guard import Guard, is_guarded, refusal
 from push_ident.nodes.base.parameters import Parameter, Parameters
+from push_ident.nodes.base.settings import NODE
 
-__all__ = ["AUTOSTART", "CellNode", "Component", "Health"]
+__all__ = ["AUTOSTART", "LATCHED", "CellNode", "Component", "Health"]
 
+LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Of topics whose latest message counts until the next: who subscribes later gets it as well."""
 AUTOSTART: Final = Parameter("autostart", True, "Configure and activate at start, without a lifecycle manager", read_only=True)
 """A parameter of every node."""
-_REPORT_PERIOD: Final = 1.0
-"""Between two messages in /diagnostics [s], wall clock."""
-_DRAIN: Final = 1.0
-"""Longest wait for callbacks of a component to end before it is closed [s]; `pause` has asked them to."""
-_ANSWERS: Final = 0.1
-"""For answers under way, before what sends them is withdrawn [s]."""
 _DONE: Final = TransitionCallbackReturn.SUCCESS
 
 
@@ -131,20 +128,20 @@ class CellNode(LifecycleNode, ABC):
         self._fault = ""
         self._transition = threading.RLock()
         super().__init__(name, **kwargs)
-        own = MutuallyExclusiveCallbackGroup()
+        transition_group = MutuallyExclusiveCallbackGroup()
         for service in self.services:
             if not is_guarded(service.callback):
                 service.callback = self.guard.service(service.srv_name, service.callback)
         change = self._service_change_state
         change.callback = self.guard.service(change.srv_name, self._on_change_state)
         # The callbacks of the component must not wait for a transition that waits for them.
-        change.callback_group = own
-        own.add_entity(change)
+        change.callback_group = transition_group
+        transition_group.add_entity(change)
         self.settings = Parameters(self, (*parameters, AUTOSTART), further=further, check=check, on_change=self._on_parameters)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_REPORT_PERIOD, self.report, callback_group=MutuallyExclusiveCallbackGroup(), clock=wall)
-        self._own = set(self._entities())
+        self.create_timer(NODE.report_period, self.report, callback_group=MutuallyExclusiveCallbackGroup(), clock=wall)
+        self._base_entities = set(self._entities())
         if self.settings["autostart"]:
             for trigger in (self.trigger_configure, self.trigger_activate):
                 if trigger() != _DONE:
@@ -165,14 +162,14 @@ class CellNode(LifecycleNode, ABC):
 
     def raw_callbacks(self) -> list[str]:
         """Callbacks of this node that no guard surrounds: none, because only functions of this class make them."""
-        found: dict[str, Any] = {f"subscription {s.topic_name}": s.callback for s in self.subscriptions}
-        found |= {f"service {s.srv_name}": s.callback for s in self.services}
-        found |= {f"timer {i}": timer.callback for i, timer in enumerate(self.timers)}
+        callbacks: dict[str, Any] = {f"subscription {s.topic_name}": s.callback for s in self.subscriptions}
+        callbacks |= {f"service {s.srv_name}": s.callback for s in self.services}
+        callbacks |= {f"timer {i}": timer.callback for i, timer in enumerate(self.timers)}
         for number, waitable in enumerate(self.waitables):
             if isinstance(waitable, ActionServer):
                 names = ("_execute_callback", "_goal_callback", "_cancel_callback", "_handle_accepted_callback")
-                found |= {f"action {number}{name}": getattr(waitable, name) for name in names}
-        return [name for name, callback in found.items() if not is_guarded(callback)]
+                callbacks |= {f"action {number}{name}": getattr(waitable, name) for name in names}
+        return [name for name, callback in callbacks.items() if not is_guarded(callback)]
 
     # ---- lifecycle
 
@@ -227,19 +224,19 @@ class CellNode(LifecycleNode, ABC):
         wanted, state = request.transition, self._state_machine.current_state[1]
         possible = {number: label for number, label, *_ in self._state_machine.available_transitions}
         # As in rclcpp, a label counts before a number.
-        found = [number for number, label in possible.items() if (label == wanted.label if wanted.label else number == wanted.id)]
+        matching = [number for number, label in possible.items() if (label == wanted.label if wanted.label else number == wanted.id)]
         triggers = {
             Transition.TRANSITION_CONFIGURE: self.trigger_configure,
             Transition.TRANSITION_CLEANUP: self.trigger_cleanup,
             Transition.TRANSITION_ACTIVATE: self.trigger_activate,
             Transition.TRANSITION_DEACTIVATE: self.trigger_deactivate,
         }
-        if not found:
+        if not matching:
             names = ", ".join(f"{label} ({number})" for number, label in possible.items()) or "none; end the process and start it again"
             raise InputError(f"transition {wanted.label or wanted.id!r} is not possible in state {state}; possible: {names}.")
-        triggers.setdefault(found[0], self.trigger_shutdown)
-        response.success = triggers[found[0]]() == _DONE
-        self.get_logger().info(f"{possible[found[0]]}: {state} -> {self._state_machine.current_state[1]}")
+        triggers.setdefault(matching[0], self.trigger_shutdown)
+        response.success = triggers[matching[0]]() == _DONE
+        self.get_logger().info(f"{possible[matching[0]]}: {state} -> {self._state_machine.current_state[1]}")
         self.report()
         return response
 
@@ -254,8 +251,8 @@ class CellNode(LifecycleNode, ABC):
         """Pause, wait for callbacks, close, and withdraw everything that was made since configure began."""
         with self._transition:
             self._pause()
-            if self._gate is not None and not self._gate.close(_DRAIN):
-                self.guard.refuse("cleanup", f"a callback has not ended within {_DRAIN} s; it is left behind")
+            if self._gate is not None and not self._gate.close(NODE.drain):
+                self.guard.refuse("cleanup", f"a callback has not ended within {NODE.drain} s; it is left behind")
             if self._component is not None:
                 with self.guard.watch("cleanup"):
                     self._component.close()
@@ -263,27 +260,27 @@ class CellNode(LifecycleNode, ABC):
             self._withdraw()
 
     def _withdraw(self) -> None:
-        entities = [entity for entity in self._entities() if entity not in self._own]
+        entities = [entity for entity in self._entities() if entity not in self._base_entities]
         if any(isinstance(entity, ActionServer) for entity in entities):
-            time.sleep(_ANSWERS)
+            time.sleep(NODE.answer_delay)
         for entity in entities:
             if isinstance(entity, ActionServer):
                 with self.guard.watch("cleanup"):
                     entity.destroy()
         # Through the node, which forgets them first: an executor that still finds a destroyed one fails.
-        for destroy, found in (
+        for destroy, known in (
             (self.destroy_timer, self.timers),
             (self.destroy_subscription, self.subscriptions),
             (self.destroy_service, self.services),
             (self.destroy_client, self.clients),
             (self.destroy_publisher, self.publishers),
         ):
-            for entity in set(found) & set(entities):
+            for entity in set(known) & set(entities):
                 destroy(entity)
 
     def _entities(self) -> Iterator[Any]:
-        for found in (self.waitables, self.timers, self.services, self.clients, self.publishers):
-            yield from found
+        for entities in (self.waitables, self.timers, self.services, self.clients, self.publishers):
+            yield from entities
         # That of simulated time comes and goes with the parameter use_sim_time.
         yield from (subscription for subscription in self.subscriptions if subscription.topic_name != "/clock")
 

@@ -5,18 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.event_handler import EventHandler
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 
+from push_ident.nodes.base.settings import NODE
+
 __all__ = ["make_executor"]
-
-
-_EVENTS: Final = 1.0
-"""Time between two looks for events of publishers and subscriptions, which wait until then [s]: a QoS or a type that does not fit."""
 
 
 class _GuardedExecutor(Executor):  # type: ignore[misc]
@@ -37,7 +35,7 @@ class _GuardedExecutor(Executor):  # type: ignore[misc]
         if isinstance(entity, EventHandler):
             if not self._takes_events:
                 return False
-            self._next_events = time.monotonic() + _EVENTS  # not before a wait set was built
+            self._next_events = time.monotonic() + NODE.event_period  # not before a wait set was built
         return bool(super().can_execute(entity))
 
     def _make_handler(self, entity: Any, node: Any, take_from_wait_list: Callable[[Any], Any]) -> Any:

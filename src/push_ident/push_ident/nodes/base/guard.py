@@ -12,13 +12,10 @@ from typing import Any, Final, TypeVar
 
 from push_ident.errors import PushIdentError
 from push_ident.limits import plain_text
+from push_ident.nodes.base.settings import NODE
 
 __all__ = ["Guard", "is_guarded"]
 
-_LOG_PERIOD: Final = 5.0
-"""Shortest time between two log lines about one source [s]."""
-_N_SOURCES: Final = 100
-"""Largest number of sources with a count of their own, so that memory stays bounded; further ones share a count."""
 _OTHERS: Final = "other sources"
 _MARK: Final = "guarded_source"
 
@@ -57,11 +54,11 @@ class Guard:
         """Count and log something from `source`, a topic, service, action or thread, that cannot be used."""
         text = f"{source}: {plain_text(why)}"
         with self._lock:
-            self._counts[source if source in self._counts or len(self._counts) < _N_SOURCES else _OTHERS] += 1
+            self._counts[source if source in self._counts or len(self._counts) < NODE.n_sources else _OTHERS] += 1
             self._last = text
             now = time.monotonic()
             key = source if source in self._counts else _OTHERS
-            is_due = now >= self._logged.get(key, -_LOG_PERIOD) + _LOG_PERIOD
+            is_due = now >= self._logged.get(key, -NODE.log_period) + NODE.log_period
             if is_due:
                 self._logged[key] = now
             count = self._counts[key]

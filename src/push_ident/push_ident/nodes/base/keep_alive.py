@@ -39,16 +39,25 @@ __all__ = ["ClientWatch", "KeepAlive", "ServerWatch", "cancellation"]
 
 _MARK: Final = b"keepaliv"
 """Of numbers of goals; the other 8 bytes are random, and other clients draw all 16."""
-_PERIOD: Final = 0.1
-"""Between two signs of life of a client, and between two looks of whoever waits for signs [s]."""
 _SIGNS: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 """A sign that is lost is followed by the next; no reader may hold up its client."""
-_LEFT: Final = 0.7
-"""Without the server in the ROS graph until it counts as gone [s]: with a look before and behind less than a second."""
-_ASK: Final = 0.5
-"""Silence after which a server is asked, and between two questions [s]; one that runs answers within milliseconds."""
-_UNANSWERED: Final = 3.0
-"""Silence after which a server that was asked is gone [s]: no node may stall for as long, see `arm_timeout` of a simulated cell (1 s)."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeepAliveTimes:
+    """Set by what is promised: an arm whose client is gone stands after about a second, and a client hears of its server within seconds."""
+
+    period: float = 0.1
+    """Between two signs of life of a client, and between two looks of whoever waits for signs [s]."""
+    absence: float = 0.7
+    """Without the server in the ROS graph until it counts as gone [s]: with a look before and after it less than a second."""
+    question_period: float = 0.5
+    """Silence after which a server is asked, and between two questions [s]; one that runs answers within milliseconds."""
+    silence: float = 3.0
+    """After which a server that was asked is gone [s]: no node may stall for as long, see `arm_timeout` of a simulated cell (1 s)."""
+
+
+KEEP_ALIVE: Final = KeepAliveTimes()
 
 
 def _topic(action: str) -> str:
@@ -71,7 +80,7 @@ class KeepAlive:
         self._goals: dict[bytes, UUID] = {}
         self._publisher = node.create_publisher(UUID, _topic(action), _SIGNS)
         # On the wall clock: it must run when simulated time stands still.
-        node.create_timer(_PERIOD, self._say, callback_group=callback_group, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(KEEP_ALIVE.period, self._say, callback_group=callback_group, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def begin(self) -> UUID:
         """Number of a new goal, which is said until `end`."""
@@ -88,7 +97,7 @@ class KeepAlive:
             self._publisher.publish(goal)
 
 
-class _OwnTime:
+class _RunningTime:
     """Time in which this process ran: what lies between two looks, but no more than twice their period."""
 
     def __init__(self) -> None:
@@ -97,10 +106,10 @@ class _OwnTime:
     def passed(self) -> float:
         """Since the last look [s]; 0 and no look where that was less than the period ago."""
         passed = time.monotonic() - self._looked
-        if passed < _PERIOD:
+        if passed < KEEP_ALIVE.period:
             return 0.0
         self._looked += passed
-        return min(passed, 2 * _PERIOD)
+        return min(passed, 2 * KEEP_ALIVE.period)
 
 
 @dataclass(slots=True)
@@ -113,11 +122,11 @@ class ClientWatch:
 
     def __init__(self, node: CellNode, action: str) -> None:
         self._silences: dict[bytes, _Silence] = {}
-        self._own_time = _OwnTime()
+        self._running_time = _RunningTime()
         self._lock = threading.Lock()
         group = MutuallyExclusiveCallbackGroup()
         node.create_subscription(UUID, _topic(action), self._on_sign, _SIGNS, callback_group=group)
-        node.create_timer(_PERIOD, self._count, callback_group=group, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(KEEP_ALIVE.period, self._count, callback_group=group, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @contextmanager
     def over(self, goal: ServerGoalHandle, timeout: float) -> Iterator[Callable[[], str]]:
@@ -138,7 +147,7 @@ class ClientWatch:
                 silence.seconds = 0.0
 
     def _count(self) -> None:
-        passed = self._own_time.passed()
+        passed = self._running_time.passed()
         with self._lock:
             for silence in self._silences.values():
                 silence.seconds += passed
@@ -155,7 +164,7 @@ class ServerWatch:
 
     def __init__(self, client: ActionClient, probe: Client) -> None:
         self._client, self._probe = client, probe
-        self._own_time, self._asked = _OwnTime(), -math.inf
+        self._running_time, self._asked = _RunningTime(), -math.inf
         self._missing = self._silent = 0.0
         self.has_answered = False
         """Whether there was any sign of life."""
@@ -173,12 +182,13 @@ class ServerWatch:
     def why_gone(self) -> str:
         """Why the server is gone, as the end of a sentence; empty while it is not. To be called several times a second."""
         now = time.monotonic()
-        if passed := self._own_time.passed():
+        if passed := self._running_time.passed():
             self._silent += passed
             self._missing = 0.0 if self._client.server_is_ready() else self._missing + passed
-        if (self._silent > _ASK or not self.has_answered) and now - self._asked >= _ASK and not self._missing:
+        is_due = now - self._asked >= KEEP_ALIVE.question_period
+        if is_due and not self._missing and (self._silent > KEEP_ALIVE.question_period or not self.has_answered):
             self._asked = now
             self._probe.call_async(cancellation()).add_done_callback(self._answered)
-        if self._missing > _LEFT:
+        if self._missing > KEEP_ALIVE.absence:
             return "has left the ROS graph"
-        return f"has not answered for {self._silent:.0f} s" if self._silent > _UNANSWERED else ""
+        return f"has not answered for {self._silent:.0f} s" if self._silent > KEEP_ALIVE.silence else ""

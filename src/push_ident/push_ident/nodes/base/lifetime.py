@@ -20,19 +20,30 @@ import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from enum import IntEnum
 from typing import Any, Final, NoReturn
 
-__all__ = ["LIFELINE", "LIFETIME", "STOP_SIGNALS", "Lifetime", "end_with_parent", "stop_signals_blocked", "stopping_in_order"]
+from push_ident.nodes.base.settings import NODE
+
+__all__ = ["LIFELINE", "LIFETIME", "STOP_SIGNALS", "ExitCode", "Lifetime", "end_with_parent", "stop_signals_blocked", "stopping_in_order"]
 
 LIFELINE: Final = "PUSH_IDENT_LIFELINE"
 """Variable with the number of the open pipe that ends with the process that started this one."""
 STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
-_STOP_WITHIN: Final = 1.8
-"""Longest time from a request to stop to the end of the process [s]; 2 s are promised."""
-_INTERRUPTED: Final = 130
-"""Exit code of a command that Ctrl-C ended, as shells have it: 128 + SIGINT."""
-_NOT_STOPPED: Final = 1
-"""Exit code of a node that did not close in time."""
+
+
+class ExitCode(IntEnum):
+    """Why a process of this package ended."""
+
+    STOPPED = 0
+    COULD_NOT_START = 1
+    """As with a wrong parameter: the next start would end so, too."""
+    NOT_STOPPED = 1
+    """A node that did not close in time."""
+    FAILED = 3
+    """A node that ended by an error while it ran."""
+    INTERRUPTED = 130
+    """A command that Ctrl-C ended, as shells have it: 128 + SIGINT."""
 
 
 class Lifetime:
@@ -45,7 +56,7 @@ class Lifetime:
     def __init__(self) -> None:
         self.stop = threading.Event()
         """Set when the process has to end."""
-        self.patience = _STOP_WITHIN
+        self.patience = NODE.stop_within
         """From a request to stop to the end by force [s]."""
         self._lock = threading.Lock()
         self._begun = False
@@ -80,13 +91,13 @@ class Lifetime:
     def running(self) -> None:
         """From now on, not to end in time is a failure: exit code 1."""
         with self._lock:
-            self._code = _NOT_STOPPED
+            self._code = ExitCode.NOT_STOPPED
 
     def interruptible(self) -> None:
         """Turn this process into that of a command: Ctrl-C is a KeyboardInterrupt; SIGTERM ends it, unless the command handles it."""
         sys.unraisablehook = _quiet_unraisable
         with self._lock:
-            self._at_once, self._code = False, _INTERRUPTED
+            self._at_once, self._code = False, ExitCode.INTERRUPTED
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -106,7 +117,7 @@ class Lifetime:
         self.stop.set()
         time.sleep(self.patience)
         with self._lock:
-            if self._code == _NOT_STOPPED:
+            if self._code == ExitCode.NOT_STOPPED:
                 print(f"ended by force after {self.patience:g} s, in {_where_main_thread_is()}", file=sys.stderr, flush=True)
             self._end(self._code)
 

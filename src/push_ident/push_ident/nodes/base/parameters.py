@@ -18,7 +18,7 @@ from push_ident.limits import plain_text
 
 __all__ = ["Parameter", "Parameters"]
 
-_OWN_KEYS: Final = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+_KEYS_OF_ROS: Final = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +186,7 @@ class Parameters:
 
     def _warn_of_unknown_keys(self) -> None:
         for key in self._overrides():
-            if key in self._table or key.startswith(_OWN_KEYS):
+            if key in self._table or key.startswith(_KEYS_OF_ROS):
                 continue
             near = difflib.get_close_matches(key, self._table, n=1)
             hint = f" did you mean {near[0]}?" if near else f" known are {', '.join(self._table)}."

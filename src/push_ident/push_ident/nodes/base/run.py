@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
 
 import rclpy
 from rclpy.logging import get_logger
@@ -20,22 +19,10 @@ from rclpy.signals import SignalHandlerOptions
 from push_ident.errors import PushIdentError
 from push_ident.nodes.base.cell_node import CellNode
 from push_ident.nodes.base.executors import make_executor
-from push_ident.nodes.base.lifetime import LIFETIME
+from push_ident.nodes.base.lifetime import LIFETIME, ExitCode
+from push_ident.nodes.base.settings import NODE
 
-__all__ = ["COULD_NOT_START", "FAILED", "NICENESS", "run_node", "settle_memory"]
-
-COULD_NOT_START: Final = 1
-"""Exit code of a node that could not start, as with a wrong parameter: the next start would end so, too."""
-NICENESS: Final = 5
-"""Of nodes that do not move the arm: a third of the processor time of one at 0, where both want it (each step counts 1.25 in Linux)."""
-FAILED: Final = 3
-"""Exit code of a node that ended by an error while it ran."""
-
-_WAIT: Final = 0.05
-"""Time between two checks of the stop flag [s]; limits the delay of a stop while no message arrives."""
-
-_YIELD: Final = 3e-4
-"""Time for a worker thread to begin its callback [s]."""
+__all__ = ["run_node", "settle_memory"]
 
 
 def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = None, n_threads: int = 1, yields: bool = True) -> int:
@@ -51,7 +38,7 @@ def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = No
         yields: Whether the node gives way to the nodes that move the arm, where processors are short.
 
     Returns:
-        Exit code: 0 after a request to stop, `COULD_NOT_START`, or `FAILED`.
+        An `ExitCode`: `STOPPED` after a request to stop.
     """
     LIFETIME.begin()
     LIFETIME.loaded()
@@ -63,24 +50,24 @@ def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = No
     except Exception as error:
         _report(error)
         rclpy.try_shutdown()
-        return COULD_NOT_START
+        return ExitCode.COULD_NOT_START
     LIFETIME.running()
     try:
         _spin(node, n_threads)
     except Exception as error:
         _report(error)
-        return FAILED
+        return ExitCode.FAILED
     finally:
         rclpy.try_shutdown()
     return 0
 
 
 def _give_way() -> None:
-    os.nice(max(0, NICENESS - os.nice(0)))
+    os.nice(max(0, NODE.niceness - os.nice(0)))
     # Linux schedules sessions against each other first: niceness alone counts only within one. Only a session of its own is changed.
     if os.getsid(0) == os.getpid():
         with suppress(OSError):
-            Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")
+            Path("/proc/self/autogroup").write_text(str(NODE.niceness), encoding="ascii")
 
 
 def settle_memory() -> None:
@@ -97,11 +84,11 @@ def _spin(node: CellNode, n_threads: int) -> None:
     def spin_while(condition: Callable[[], bool]) -> None:
         while condition():
             with node.guard.watch("executor"):
-                executor.spin_once(timeout_sec=_WAIT)
+                executor.spin_once(timeout_sec=NODE.spin_wait)
             if n_threads > 1:
                 # Until a worker has taken a callback, rclpy returns the same one repeatedly, and this thread would block the
                 # interpreter for the worker: 100 % of a core instead of 16 %.
-                time.sleep(_YIELD)
+                time.sleep(NODE.worker_start)
 
     try:
         spin_while(lambda: not LIFETIME.stop.is_set() and rclpy.ok())

@@ -5,16 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import dataclass
-from typing import Final
 
 from push_ident.errors import InputError
+from push_ident.nodes.base.settings import NODE
 
 __all__ = ["StampCheck"]
-
-_FAR: Final = 60.0
-"""Stamps of one cell lie closer together than this [s]: topics of a bag that is played fast may be seconds apart."""
-_CONFIRMING: Final = 3
-"""So many messages of one topic in a row that agree on another time mean that time was set, or that another bag is played."""
 
 
 @dataclass(slots=True)
@@ -41,14 +36,14 @@ class StampCheck:
         with self._lock:
             stream = self._streams.setdefault(topic, _Stream())
             known = [(s.latest, now - s.received) for s in self._streams.values() if s.latest is not None]
-            if known and not any(-_FAR <= stamp - latest <= passed + _FAR for latest, passed in known):
-                follows = stream.n_suspects and abs(stamp - stream.suspect) <= _FAR
+            if known and not any(-NODE.max_stamp_gap <= stamp - latest <= passed + NODE.max_stamp_gap for latest, passed in known):
+                follows = stream.n_suspects and abs(stamp - stream.suspect) <= NODE.max_stamp_gap
                 stream.n_suspects = stream.n_suspects + 1 if follows else 1
                 stream.suspect = stamp
-                if stream.n_suspects < _CONFIRMING:
+                if stream.n_suspects < NODE.n_confirming:
                     latest = min((latest for latest, _ in known), key=lambda latest: abs(stamp - latest))
                     raise InputError(
-                        f"its stamp {stamp:.3f} s is {stamp - latest:+.3g} s from those of other messages, expected up to {_FAR:.0f} s; "
-                        "check the clock of its source."
+                        f"its stamp {stamp:.3f} s is {stamp - latest:+.3g} s from those of other messages, expected up to "
+                        f"{NODE.max_stamp_gap:.0f} s; check the clock of its source."
                     )
             stream.latest, stream.received, stream.n_suspects = stamp, now, 0

@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
 from typing import Any, Final, TypeVar
@@ -20,7 +21,7 @@ from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.action import ActionClient
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from shape_msgs.msg import SolidPrimitive
@@ -29,6 +30,7 @@ from unique_identifier_msgs.msg import UUID
 
 from push_ident.errors import PushIdentError
 from push_ident.geometry.se2 import wrap_angle
+from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.executors import make_executor
 from push_ident.nodes.base.guard import Guard
 from push_ident.nodes.base.keep_alive import KeepAlive, ServerWatch, cancellation
@@ -44,18 +46,27 @@ from push_ident_msgs.srv import PredictPush, SaveModel
 
 __all__ = ["CellClient", "CellTimeout"]
 
-_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _ANY: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_AVAILABLE)
-_POLL: Final = 0.02
-_WAIT: Final = 0.05
-"""Between two looks whether the client is over, in the thread that spins [s]."""
-_ANSWER: Final = 20.0
-"""For a server to be there, to discover this node, and to accept a goal [s]."""
-_CANCEL: Final = 1.0
-"""For the answer to a cancellation [s]; the arm holds within 50 ms."""
-_SERVICE: Final = 90.0
-"""For an answer of identification [s]: the first solve of an installation compiles its kernels, some 50 s of one core."""
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class ClientTimes:
+    """How long a client waits for what, wall time."""
+
+    poll: float = 0.02
+    """Between two looks of the thread of the caller [s]."""
+    spin: float = 0.05
+    """Between two looks whether the client is over, in the thread that spins [s]."""
+    answer: float = 20.0
+    """For a server to be there, to discover this node, and to accept a goal [s]."""
+    cancel: float = 1.0
+    """For the answer to a cancellation [s]; the arm holds within 50 ms."""
+    service: float = 90.0
+    """For an answer of identification [s]: the first solve of an installation compiles its kernels, some 50 s of one core."""
+
+
+CLIENT: Final = ClientTimes()
 
 
 class CellTimeout(PushIdentError):
@@ -133,7 +144,7 @@ class CellClient:
         self._predict = self.node.create_client(PredictPush, "predict_push")
         self._save = self.node.create_client(SaveModel, "save_model")
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
-        self.node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED)
+        self.node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, LATCHED)
         self._stopping = ExitStack()
         self._executor = make_executor(1)
         self._executor.add_node(self.node)
@@ -155,7 +166,7 @@ class CellClient:
     def _spin(self) -> None:
         while not self._is_over.is_set() and self.node.context.ok():
             with self.node.guard.watch("client"):
-                self._executor.spin_once(timeout_sec=_WAIT)
+                self._executor.spin_once(timeout_sec=CLIENT.spin)
 
     def wait(self, what: Callable[[], T | None], timeout: float, missing: str, last_heard: Callable[[], float] | None = None) -> T:
         """Wait until `what` returns something else than None or False.
@@ -167,12 +178,12 @@ class CellClient:
             CellTimeout: `timeout` [s] of wall time has passed; the text is `missing`.
         """
         started = time.monotonic()
-        while (found := what()) is None or found is False:
+        while (value := what()) is None or value is False:
             self._check()
             if time.monotonic() > timeout + (started if last_heard is None else last_heard()):
                 raise CellTimeout(missing)
-            time.sleep(_POLL)
-        return found
+            time.sleep(CLIENT.poll)
+        return value
 
     # ---- observations
 
@@ -200,14 +211,14 @@ class CellClient:
         """Mean of `n` poses stamped later than `after` [s]; the object should be at rest."""
 
         def later() -> list[Float64Array] | None:
-            found = [pose for stamp, pose in self.poses(object_id) if stamp > after]
-            return found if len(found) >= n else None
+            poses = [pose for stamp, pose in self.poses(object_id) if stamp > after]
+            return poses if len(poses) >= n else None
 
-        found = self.wait(later, timeout, f"object {object_id} has fewer than {n} new poses within {timeout:.0f} s; is it hidden?")[-n:]
-        mean: Float64Array = np.mean(found, axis=0)
+        poses = self.wait(later, timeout, f"object {object_id} has fewer than {n} new poses within {timeout:.0f} s; is it hidden?")[-n:]
+        mean: Float64Array = np.mean(poses, axis=0)
         # Yaw may wrap between frames.
-        turn = wrap_angle(np.array([pose[2] for pose in found]) - found[0][2])
-        mean[2] = found[0][2] + float(np.mean(turn))
+        turn = wrap_angle(np.array([pose[2] for pose in poses]) - poses[0][2])
+        mean[2] = poses[0][2] + float(np.mean(turn))
         return mean
 
     def is_known(self, object_id: str) -> bool:
@@ -221,7 +232,7 @@ class CellClient:
     def latched_text(self, topic: str, timeout: float = 10.0) -> str:
         """The last text published on a latched topic."""
         texts: list[str] = []
-        subscription = self.node.create_subscription(String, topic, lambda msg: texts.append(msg.data), _LATCHED)
+        subscription = self.node.create_subscription(String, topic, lambda msg: texts.append(msg.data), LATCHED)
         try:
             return self.wait(lambda: texts[-1] if texts else None, timeout, f"nothing on {topic} within {timeout:.0f} s")
         finally:
@@ -263,8 +274,8 @@ class CellClient:
 
     def values_of(self, node: str) -> dict[str, str]:
         """Values in the latest diagnostics of a node whose name contains `node`; empty before the first."""
-        said: Sequence[Any] = next((status.values for name, status in self.diagnostics.items() if node in name), [])
-        return {value.key: value.value for value in said}
+        values: Sequence[Any] = next((status.values for name, status in self.diagnostics.items() if node in name), [])
+        return {value.key: value.value for value in values}
 
     def heard_from(self, node: str) -> Callable[[], float]:
         """When the values in the diagnostics of a node last changed [s], `time.monotonic`; for `wait`."""
@@ -345,8 +356,8 @@ class CellClient:
         try:
             handle = self._answer(
                 lambda: action.send_goal_async(goal, feedback_callback=take, goal_uuid=number),
-                _ANSWER,
-                f"{name} did not answer within {_ANSWER:.0f} s",
+                CLIENT.answer,
+                f"{name} did not answer within {CLIENT.answer:.0f} s",
                 look,
             )
             if not handle.accepted:
@@ -369,7 +380,7 @@ class CellClient:
         """Sent from this thread: the one that spins may be stuck. A server that is gone gives no answer."""
         answer = self._probes[name].call_async(cancellation(goal))
         with suppress(PushIdentError):
-            self.wait(lambda: answer.done() or bool(server.why_gone()), _CANCEL, f"{name} did not answer the cancellation")
+            self.wait(lambda: answer.done() or bool(server.why_gone()), CLIENT.cancel, f"{name} did not answer the cancellation")
 
     def diagnose_gap(self, goal: DiagnoseGap.Goal, *, timeout: float = 600.0) -> DiagnoseGap.Result:
         """Diagnose the pushes so far.
@@ -379,7 +390,9 @@ class CellClient:
         """
         name, server = "diagnose_gap", "gap_diagnosis_node"
         watch = self._find(self._diagnose, name, server)
-        handle = self._answer(lambda: self._diagnose.send_goal_async(goal), _ANSWER, f"{name} did not answer within {_ANSWER:.0f} s")
+        handle = self._answer(
+            lambda: self._diagnose.send_goal_async(goal), CLIENT.answer, f"{name} did not answer within {CLIENT.answer:.0f} s"
+        )
         if not handle.accepted:
             raise CellTimeout(f"{name} refused the goal; is a diagnosis under way?")
         missing = f"{name} gave no result within {timeout:.0f} s"
@@ -396,23 +409,23 @@ class CellClient:
         self._call(self._save, SaveModel.Request(object_id=object_id, path=path), "save_model")
 
     def _call(self, client: Any, request: Any, name: str) -> Any:
-        self.wait(client.service_is_ready, _ANSWER, f"the service {name} is not served; is identification_node running?")
-        missing = f"{name} did not answer within {_SERVICE:.0f} s; see the log of identification_node"
-        answer = self._answer(lambda: client.call_async(request), _SERVICE, missing)
+        self.wait(client.service_is_ready, CLIENT.answer, f"the service {name} is not served; is identification_node running?")
+        missing = f"{name} did not answer within {CLIENT.service:.0f} s; see the log of identification_node"
+        answer = self._answer(lambda: client.call_async(request), CLIENT.service, missing)
         if not answer.success:
             raise PushIdentError(f"{name}: {answer.message}")
         return answer
 
     def _find(self, action: ActionClient, name: str, server: str) -> ServerWatch:
         """Wait until the server of an action can answer this node: a goal must not be sent twice."""
-        self.wait(action.server_is_ready, _ANSWER, f"the action {name} is not served; is {server} running?")
+        self.wait(action.server_is_ready, CLIENT.answer, f"the action {name} is not served; is {server} running?")
         watch = ServerWatch(action, self._probes[name])
 
         def answers() -> bool:
             watch.why_gone()
             return watch.has_answered
 
-        self.wait(answers, _ANSWER, f"the server of {name} did not answer within {_ANSWER:.0f} s; see the log of {server}")
+        self.wait(answers, CLIENT.answer, f"the server of {name} did not answer within {CLIENT.answer:.0f} s; see the log of {server}")
         return watch
 
     def _answer(self, ask: Callable[[], Future], timeout: float, missing: str, look: Callable[[], None] = lambda: None) -> Any:
@@ -437,8 +450,8 @@ class CellClient:
             PoseWithCovarianceStamped, f"{prefix}/pose", lambda msg: poses.append(planar_pose_from_msg(msg)[:2]), _ANY
         )
         for kind, part in ((OccupancyGrid, "cells"), (PolygonStamped, "outline")):
-            self.node.create_subscription(kind, f"{prefix}/{part}", partial(self._on_shape, object_id, part), _LATCHED)
-        self.node.create_subscription(MassFrictionMap, f"{prefix}/mass_friction_map", lambda msg: self._on_map(object_id, msg), _LATCHED)
+            self.node.create_subscription(kind, f"{prefix}/{part}", partial(self._on_shape, object_id, part), LATCHED)
+        self.node.create_subscription(MassFrictionMap, f"{prefix}/mass_friction_map", lambda msg: self._on_map(object_id, msg), LATCHED)
 
     def _on_shape(self, object_id: str, part: str, msg: Any) -> None:
         shape = self._shape_input.add(object_id, **{part: msg})

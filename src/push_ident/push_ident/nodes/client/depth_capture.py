@@ -15,13 +15,14 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import CameraInfo, Image
 
 from push_ident.errors import FrameError, InputError, PushIdentError
 from push_ident.limits import plain_text
+from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import COMMAND_LINE, RANGE
 from push_ident.nodes.convert.messages import transform_from_msg
 from push_ident.nodes.input.depth_pairs import MAX_SKEW, DepthPairs
@@ -33,9 +34,6 @@ __all__ = ["DepthCapture"]
 _IMAGE: Final = "sensor_msgs/msg/Image"
 _INFO, _POSE = "camera_info", "camera_pose"
 """Last parts of the topics beside the image."""
-_POLL: Final = 0.05
-"""Longest time until Ctrl-C or another publisher is noticed [s]."""
-_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class DepthCapture:
@@ -101,7 +99,7 @@ class DepthCapture:
         self.info_topic = f"{beside}/{_INFO}"
         self._pairs = DepthPairs(self.info_topic, max_skew=lambda: MAX_SKEW, on_frame=self._on_frame, refuse=self._refuse)
         self._node.create_subscription(CameraInfo, self.info_topic, self._on_info, qos_profile_sensor_data)
-        self._node.create_subscription(PoseStamped, f"{beside}/{_POSE}", self._on_pose, _LATCHED)
+        self._node.create_subscription(PoseStamped, f"{beside}/{_POSE}", self._on_pose, LATCHED)
         self._node.create_subscription(Image, self.topic, self._on_image, qos_profile_sensor_data)
 
     def frames(self) -> Iterator[DepthFrame]:
@@ -116,7 +114,7 @@ class DepthCapture:
         self._on_progress(f"listening to {self.topic}")
         while time.monotonic() < deadline:
             try:
-                self._executor.spin_once(timeout_sec=_POLL)
+                self._executor.spin_once(timeout_sec=0.05)  # so soon Ctrl-C or another publisher is noticed
             except PushIdentError as error:  # such as a stamp that cannot be
                 self._refuse("", str(error))
             self._check_publishers()
@@ -196,10 +194,10 @@ class DepthCapture:
 
     def _other_topics(self) -> str:
         """The image topics that somebody publishes."""
-        found = sorted(
+        topics = sorted(
             name for name, kinds in self._node.get_topic_names_and_types() if _IMAGE in kinds and self._node.count_publishers(name)
         )
-        others = [name for name in found if name != self.topic]
+        others = [name for name in topics if name != self.topic]
         if others:
             return plain_text(f"Topics with images: {', '.join(others)}.")
         domain = os.environ.get("ROS_DOMAIN_ID", "0, as it is not set")

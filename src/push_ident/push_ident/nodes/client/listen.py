@@ -30,17 +30,17 @@ def listen_to_contract(seconds: float) -> list[dict[str, Any]]:
         raise PushIdentError(f"ROS does not start: {error}; check the variables ROS_*.") from None
     node = Node("push_ident_doctor")
     counts: Counter[str] = Counter()
-    found: dict[str, tuple[str, str, Role]] = {}
+    topics: dict[str, tuple[str, str, Role]] = {}
     try:
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             for topic, types in node.get_topic_names_and_types():
                 role = role_of(topic)
-                publishers = node.get_publishers_info_by_topic(topic) if role is not None and topic not in found else []
+                publishers = node.get_publishers_info_by_topic(topic) if role is not None and topic not in topics else []
                 if role is None or not publishers:
                     continue
                 qos = publishers[0].qos_profile
-                found[topic] = (types[0], f"{qos.reliability.name.lower()}, {qos.durability.name.lower()}", role.role)
+                topics[topic] = (types[0], f"{qos.reliability.name.lower()}, {qos.durability.name.lower()}", role.role)
                 _subscribe(node, topic, types[0], qos.durability, counts)
             rclpy.spin_once(node, timeout_sec=0.05)
     finally:
@@ -48,7 +48,7 @@ def listen_to_contract(seconds: float) -> list[dict[str, Any]]:
         rclpy.try_shutdown()
     return [
         {"topic": topic, "type": kind, "rate_hz": counts[topic] / seconds, "qos": qos, "silent": counts[topic] == 0 and role not in _RARE}
-        for topic, (kind, qos, role) in sorted(found.items())
+        for topic, (kind, qos, role) in sorted(topics.items())
     ]
 
 

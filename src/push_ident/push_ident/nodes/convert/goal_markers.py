@@ -14,6 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
+from push_ident.nodes.convert.marker import MARKERS, marker
 from push_ident.nodes.convert.messages import TABLE_FRAME
 from push_ident.planning.goal_ports import GoalProgress, GoalState
 from push_ident.planning.path_goal import PathGoal
@@ -31,12 +32,6 @@ _EDGE: Final = ColorRGBA(r=0.84, g=0.37, b=0.0, a=1.0)
 _CORRIDOR: Final = ColorRGBA(r=0.55, g=0.55, b=0.55, a=1.0)
 _WITH_POINTS: Final = ("goal", "push", "expected", "edge", "path", "corridor")
 """Markers whose points are drawn."""
-_PATH_POINTS: Final = 500
-"""Of a path at most: 1 mm apart on one of half a metre."""
-_LINE: Final = 0.003
-"""Width of an outline [m]."""
-_LETTER: Final = 0.015
-"""Height of the text [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,16 +71,16 @@ def draw_goal(progress: GoalProgress, outline: Float64Array) -> GoalDrawing | No
     at_goal, number = transform_points(target.goal.pose, outline), progress.pushes + 1
     is_pushing = progress.state is GoalState.PUSH
     if path is not None:
-        drawing = GoalDrawing(progress.object_id, at_goal, _path_words(path), path=path.at(_places(path))[:, :2])
+        drawing = GoalDrawing(progress.object_id, at_goal, _path_text(path), path=path.at(_path_samples(path))[:, :2])
         step = progress.step
         return drawing if step is None or not is_pushing else _with_step(drawing, outline, path, step, progress.tool, number)
     edge = None if target.hold is None else target.hold.edge.ends
-    drawing = GoalDrawing(progress.object_id, at_goal, _goal_words(target, at_goal), edge=edge)
+    drawing = GoalDrawing(progress.object_id, at_goal, _goal_text(target, at_goal), edge=edge)
     plan = progress.plan
     return drawing if plan is None or not is_pushing else _with_push(drawing, outline, target, plan, number)
 
 
-def _goal_words(target: Target, at_goal: Float64Array) -> str:
+def _goal_text(target: Target, at_goal: Float64Array) -> str:
     goal = target.goal
     words = f"goal: within {1e3 * goal.position:.0f} mm and {np.degrees(goal.yaw):.1f}°"
     if target.hold is None:
@@ -93,13 +88,13 @@ def _goal_words(target: Target, at_goal: Float64Array) -> str:
     return f"{words}, {1e3 * target.overhang(at_goal):.0f} mm over the edge, held by {1e3 * target.margin(goal.pose):.0f} mm"
 
 
-def _path_words(path: PathGoal) -> str:
+def _path_text(path: PathGoal) -> str:
     tolerance = f"one tolerance is {1e3 * path.position:.0f} mm and {np.degrees(path.yaw):.1f}°"
     return f"path: {1e3 * path.length:.0f} mm at {1e3 * path.speed:.0f} mm/s, {tolerance}"
 
 
-def _places(path: PathGoal) -> Float64Array:
-    return np.linspace(0.0, path.length, min(len(path.poses), _PATH_POINTS))
+def _path_samples(path: PathGoal) -> Float64Array:
+    return np.linspace(0.0, path.length, min(len(path.poses), MARKERS.n_path_points))
 
 
 def _with_push(drawing: GoalDrawing, outline: Float64Array, target: Target, plan: GoalPush, number: int) -> GoalDrawing:
@@ -133,31 +128,31 @@ def _straight(push: PushPlan2D) -> Float64Array:
 
 def goal_markers_to_msg(drawing: GoalDrawing | None, stamp: Time) -> MarkerArray:
     """Markers in place of those that were shown before; None: no goal is pursued."""
-    gone = Marker(action=Marker.DELETEALL)
-    gone.header.frame_id, gone.header.stamp = TABLE_FRAME, stamp
+    cleared = Marker(action=Marker.DELETEALL)
+    cleared.header.frame_id, cleared.header.stamp = TABLE_FRAME, stamp
     if drawing is None:
-        return MarkerArray(markers=[gone])
-    own = f"/{drawing.object_id}"
+        return MarkerArray(markers=[cleared])
+    suffix = f"/{drawing.object_id}"
     markers = [
-        gone,
-        _outline(stamp, "goal" + own, _GOAL, drawing.goal),
-        _text(stamp, "goal_words" + own, _GOAL, drawing.goal, drawing.words),
+        cleared,
+        _outline(stamp, "goal" + suffix, _GOAL, drawing.goal),
+        _text(stamp, "goal_words" + suffix, _GOAL, drawing.goal, drawing.words),
     ]
     if drawing.tool is not None and drawing.end is not None:
-        tool = _line(stamp, "push" + own, _PUSH, drawing.tool)
+        tool = _line(stamp, "push" + suffix, _PUSH, drawing.tool)
         if len(drawing.tool) == 2:
-            tool.type, tool.scale.y = Marker.ARROW, 4 * _LINE
+            tool.type, tool.scale.y = Marker.ARROW, 4 * MARKERS.goal_line
         markers += [
             tool,
-            _outline(stamp, "expected" + own, _PUSH, drawing.end),
-            _text(stamp, "chance" + own, _PUSH, drawing.end, drawing.chance),
+            _outline(stamp, "expected" + suffix, _PUSH, drawing.end),
+            _text(stamp, "chance" + suffix, _PUSH, drawing.end, drawing.chance),
         ]
     if drawing.edge is not None:
-        markers.append(_line(stamp, "edge" + own, _EDGE, drawing.edge, 2 * _LINE))
+        markers.append(_line(stamp, "edge" + suffix, _EDGE, drawing.edge, 2 * MARKERS.goal_line))
     if drawing.path is not None:
-        markers.append(_line(stamp, "path" + own, _GOAL, drawing.path))
+        markers.append(_line(stamp, "path" + suffix, _GOAL, drawing.path))
     if drawing.corridor is not None:
-        markers.append(_outline(stamp, "corridor" + own, _CORRIDOR, drawing.corridor))
+        markers.append(_outline(stamp, "corridor" + suffix, _CORRIDOR, drawing.corridor))
     return MarkerArray(markers=markers)
 
 
@@ -167,19 +162,19 @@ def goal_markers_from_msg(msg: MarkerArray) -> GoalDrawing | None:
     Raises:
         InputError: another frame, too many points, coordinates that are not on a table, or no object id.
     """
-    LIMITS.POINTS.check(sum(len(marker.points) for marker in msg.markers) + len(msg.markers), "Goal markers")
+    LIMITS.POINTS.check(sum(len(item.points) for item in msg.markers) + len(msg.markers), "Goal markers")
     points: dict[str, Float64Array] = {}
     words: dict[str, str] = {}
     object_id = ""
-    for marker in msg.markers:
-        if marker.action != Marker.ADD:
+    for item in msg.markers:
+        if item.action != Marker.ADD:
             continue
-        if marker.header.frame_id != TABLE_FRAME:
-            raise InputError(f"A marker of the goal is in frame {plain_text(marker.header.frame_id)}, expected {TABLE_FRAME}.")
-        kind, _, own = marker.ns.partition("/")
-        object_id = check_object_id(own)
-        points[kind] = np.array([(point.x, point.y) for point in marker.points]).reshape(-1, 2)
-        words[kind] = plain_text(marker.text)
+        if item.header.frame_id != TABLE_FRAME:
+            raise InputError(f"A marker of the goal is in frame {plain_text(item.header.frame_id)}, expected {TABLE_FRAME}.")
+        kind, _, name = item.ns.partition("/")
+        object_id = check_object_id(name)
+        points[kind] = np.array([(point.x, point.y) for point in item.points]).reshape(-1, 2)
+        words[kind] = plain_text(item.text)
         if kind in _WITH_POINTS:
             check_coordinates(points[kind], "Goal marker")
     if len(points.get("goal", ())) < 3:
@@ -198,18 +193,11 @@ def goal_markers_from_msg(msg: MarkerArray) -> GoalDrawing | None:
     )
 
 
-def _marker(stamp: Time, name: str, kind: int, colour: ColorRGBA) -> Marker:
-    marker = Marker(ns=name, type=kind, action=Marker.ADD, color=colour)
-    marker.header.frame_id, marker.header.stamp = TABLE_FRAME, stamp
-    marker.pose.orientation.w = 1.0
-    return marker
-
-
-def _line(stamp: Time, name: str, colour: ColorRGBA, points: Float64Array, width: float = _LINE) -> Marker:
-    marker = _marker(stamp, name, Marker.LINE_STRIP, colour)
-    marker.scale.x = width
-    marker.points = [Point(x=float(x), y=float(y)) for x, y in points]
-    return marker
+def _line(stamp: Time, name: str, colour: ColorRGBA, points: Float64Array, width: float = MARKERS.goal_line) -> Marker:
+    line = marker(stamp, name, Marker.LINE_STRIP, colour)
+    line.scale.x = width
+    line.points = [Point(x=float(x), y=float(y)) for x, y in points]
+    return line
 
 
 def _outline(stamp: Time, name: str, colour: ColorRGBA, corners: Float64Array) -> Marker:
@@ -218,7 +206,7 @@ def _outline(stamp: Time, name: str, colour: ColorRGBA, corners: Float64Array) -
 
 def _text(stamp: Time, name: str, colour: ColorRGBA, corners: Float64Array, text: str) -> Marker:
     """Beside the upper edge of an outline."""
-    marker = _marker(stamp, name, Marker.TEXT_VIEW_FACING, colour)
-    marker.text, marker.scale.z = text, _LETTER
-    marker.pose.position.x, marker.pose.position.y = float(corners[:, 0].max()) + _LETTER, float(corners[:, 1].mean())
-    return marker
+    label = marker(stamp, name, Marker.TEXT_VIEW_FACING, colour)
+    label.text, label.scale.z = text, MARKERS.letter
+    label.pose.position.x, label.pose.position.y = float(corners[:, 0].max()) + MARKERS.letter, float(corners[:, 1].mean())
+    return label

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -63,15 +64,23 @@ __all__ = [
 ]
 
 
-_CELL: Final = 100
 _PLANAR: Final = (0, 1, 5)
 """Rows of x, y and yaw in a 6 x 6 covariance."""
-_FIXED_VARIANCE: Final = 1e-6
-"""Variance of z [m^2], roll and pitch [rad^2] of an object that lies on the table: small, never zero."""
-_MAX_VARIANCE: Final = 1e4
-"""[m^2, rad^2] of an object pose: a pose that is 100 m uncertain is none."""
-_MAX_TILT: Final = 0.1
-"""[rad] a pose may be tilted against the table and still count as planar."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarPoseLimits:
+    """Of poses of objects that lie on a table, in messages of three dimensions."""
+
+    fixed_variance: float = 1e-6
+    """Of z [m^2], roll and pitch [rad^2] in what is published: small, never zero."""
+    max_variance: float = 1e4
+    """Largest one [m^2, rad^2] that is taken: a pose that is 100 m uncertain is none."""
+    max_tilt: float = 0.1
+    """Against the table, of a pose that still counts as planar [rad]."""
+
+
+PLANAR_POSE: Final = PlanarPoseLimits()
 
 
 def stamp_from_msg(stamp: Time) -> float:
@@ -97,7 +106,7 @@ def stamp_to_msg(seconds: float) -> Time:
 def planar_pose_to_msg(stamp: Time, pose: ArrayLike, covariance: ArrayLike, *, frame_id: str = TABLE_FRAME) -> PoseWithCovarianceStamped:
     """Pose (x, y, yaw) [m, m, rad] with its 3 x 3 covariance; z, roll and pitch get a small variance."""
     x, y, yaw = (float(value) for value in np.asarray(pose, dtype=np.float64))
-    full = np.eye(6) * _FIXED_VARIANCE
+    full = np.eye(6) * PLANAR_POSE.fixed_variance
     full[np.ix_(_PLANAR, _PLANAR)] = np.asarray(covariance, dtype=np.float64)
     msg = PoseWithCovarianceStamped()
     msg.header.stamp = stamp
@@ -264,7 +273,7 @@ def shape_to_msgs(shape: ObjectShape, object_id: str, stamp: Time) -> tuple[Occu
     index = np.rint((shape.cells.centres - low) / size).astype(np.int64)
     width, height = (index.max(axis=0) + 1).tolist()
     data = np.zeros((height, width), dtype=np.int8)
-    data[index[:, 1], index[:, 0]] = _CELL
+    data[index[:, 1], index[:, 0]] = 100
     cells = occupancy_to_msg(data, size, low - 0.5 * size, stamp, frame_id=object_frame(object_id))
     outline = PolygonStamped()
     outline.header = cells.header
@@ -290,9 +299,9 @@ def shape_from_msgs(
         raise InputError(f"{name} have {len(cells.data)} entries, expected {width} * {height}.")
     if not (math.isfinite(size) and size > 0):
         raise InputError(f"{name} have resolution {size}, expected a positive length in metres.")
-    rows, columns = np.nonzero(np.asarray(cells.data, dtype=np.int8).reshape(height, width) == _CELL)
+    rows, columns = np.nonzero(np.asarray(cells.data, dtype=np.int8).reshape(height, width) == 100)
     if len(rows) == 0:
-        raise InputError(f"{name} hold no cell of value {_CELL}.")
+        raise InputError(f"{name} hold no cell of value 100.")
     LIMITS.CELLS.check(len(rows), name, remedy="Take larger cells.")
     origin = cells.info.origin
     yaw = _yaw(origin.orientation)
@@ -455,8 +464,8 @@ def _check_covariance(covariance: Float64Array) -> None:
     if not np.isfinite(covariance).all():
         raise InputError("Covariance of an object pose is not finite; the tracker that published it is at fault.")
     largest = float(np.abs(covariance).max())
-    if largest > _MAX_VARIANCE or np.abs(covariance - covariance.T).max() > 1e-6 * largest:
-        raise InputError(f"Covariance of an object pose is not symmetric, or has entries over {_MAX_VARIANCE:.0f} m^2 or rad^2.")
+    if largest > PLANAR_POSE.max_variance or np.abs(covariance - covariance.T).max() > 1e-6 * largest:
+        raise InputError(f"Covariance of an object pose is not symmetric, or has entries over {PLANAR_POSE.max_variance:.0f} m^2 or rad^2.")
     if np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0] <= 0:
         raise InputError("Covariance of an object pose must be positive definite in (x, y, yaw); a pose is never known exactly.")
 
@@ -479,7 +488,7 @@ def _yaw(orientation: Any) -> float:
     if not (math.isfinite(norm) and abs(norm - 1) < 1e-3):
         raise InputError(f"Orientation {quaternion.tolist()} has norm {norm:.3g}, expected a unit quaternion (x, y, z, w).")
     x, y = quaternion[:2] / norm
-    if 2 * math.hypot(x, y) > _MAX_TILT:
+    if 2 * math.hypot(x, y) > PLANAR_POSE.max_tilt:
         raise InputError(
             f"Pose is tilted by {2 * math.asin(min(1.0, math.hypot(x, y))):.2f} rad against the table, expected a planar pose."
         )

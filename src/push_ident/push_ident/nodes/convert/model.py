@@ -18,6 +18,7 @@ from push_ident.identification.predicting.scoring import PushScore, ScoreSummary
 from push_ident.identification.results.model_file import model_of_text, model_text
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.limits import LIMITS, plain_text
+from push_ident.nodes.convert.marker import MARKERS
 from push_ident.nodes.convert.messages import (
     TABLE_FRAME,
     object_frame,
@@ -58,8 +59,6 @@ _STATUS = {
 }
 _LOW, _HIGH = np.array([0.17, 0.25, 0.55]), np.array([0.98, 0.80, 0.15])
 """Colours of a cell with little friction force and of one with much."""
-_THICKNESS = 0.004
-"""Height of the markers above the table [m]."""
 _CLOUD_FIELDS = ("x", "y", "z", "mass", "friction", "mass_friction", "mass_friction_std")
 
 
@@ -197,7 +196,7 @@ def markers_to_msg(msg: MassFrictionMap, pose: Float64Array) -> MarkerArray:
     alpha = np.clip(1.0 - 0.8 * std / np.maximum(load, 1e-12), 0.15, 1.0)
     cells = _marker(msg, placed, 0, Marker.CUBE_LIST)
     cells.scale.x = cells.scale.y = 0.95 * msg.cell_size
-    cells.scale.z = _THICKNESS
+    cells.scale.z = MARKERS.cell
     for x, y, s, a in zip(msg.x, msg.y, share, alpha, strict=True):
         red, green, blue = _LOW + s * (_HIGH - _LOW)
         cells.points.append(Point(x=float(x), y=float(y), z=0.0))
@@ -205,7 +204,7 @@ def markers_to_msg(msg: MassFrictionMap, pose: Float64Array) -> MarkerArray:
     centre = _marker(msg, placed, 1, Marker.SPHERE_LIST)
     centre.scale.x = centre.scale.y = centre.scale.z = 0.8 * msg.cell_size
     centre.color = ColorRGBA(r=0.85, g=0.1, b=0.1, a=1.0)
-    centre.points.append(Point(x=msg.centre_of_friction.x, y=msg.centre_of_friction.y, z=_THICKNESS))
+    centre.points.append(Point(x=msg.centre_of_friction.x, y=msg.centre_of_friction.y, z=MARKERS.cell))
     return MarkerArray(markers=[cells, centre])
 
 

@@ -6,7 +6,7 @@ import multiprocessing
 import traceback
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
-from typing import Any, Final
+from typing import Any
 
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
@@ -20,8 +20,6 @@ from push_ident.types import PushRecord
 __all__ = ["DiagnosisProcess", "diagnose_requests"]
 
 _STAGE, _DONE, _FAILED = "stage", "done", "failed"
-_POLL_INTERVAL: Final = 0.1
-"""Between two checks whether it should continue [s]."""
 
 
 class DiagnosisProcess:
@@ -50,7 +48,7 @@ class DiagnosisProcess:
             connection = self._connected()
             connection.send((list(records), settings, push_settings))
             while should_continue():
-                if not connection.poll(_POLL_INTERVAL):
+                if not connection.poll(0.1):
                     continue
                 kind, content = connection.recv()
                 if kind == _STAGE:

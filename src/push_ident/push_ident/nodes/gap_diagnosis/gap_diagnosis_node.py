@@ -10,13 +10,12 @@ from typing import Any, Final
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
 from push_ident.identification.observing.observation import observe_push
 from push_ident.identification.unknowns.prior import Prior
-from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.run import run_node
 from push_ident.nodes.gap_diagnosis.convert_diagnosis import report_to_msg
@@ -31,7 +30,6 @@ from push_ident_msgs.msg import GapReport
 
 __all__ = ["PARAMETERS", "GapDiagnosisNode", "main"]
 
-_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 PARAMETERS: Final = (
     Parameter("total_mass", 0.5, "Nominal total mass of an object [kg]", 0.001, 1000.0, read_only=True),
@@ -75,7 +73,7 @@ class _GapDiagnosis(Component):
             on_shape=self._on_shape,
             on_pushes=self._on_pushes,
         )
-        self._reports = node.create_publisher(GapReport, "gap_report", _LATCHED)
+        self._reports = node.create_publisher(GapReport, "gap_report", LATCHED)
         node.create_action_server(
             DiagnoseGap,
             "diagnose_gap",
@@ -111,8 +109,8 @@ class _GapDiagnosis(Component):
             self._records.pop(object_id, None)
         self._shapes[object_id] = shape
         # A better outline holds for the pushes before it, too.
-        if kept := self._records.get(object_id):
-            self._records[object_id] = deque((replace(record, shape=shape) for record in kept), maxlen=kept.maxlen)
+        if records := self._records.get(object_id):
+            self._records[object_id] = deque((replace(record, shape=shape) for record in records), maxlen=records.maxlen)
 
     def _on_pushes(self, pushes: list[list[PushRecord]]) -> None:
         for push in pushes:
@@ -121,9 +119,9 @@ class _GapDiagnosis(Component):
                     why = f"{record.object_id} overhung the edge of the table; the push is left out."
                     self._collector.refuse("pushes", "gap_diagnosis", why)
                 elif observe_push(record).touched:
-                    kept = self._records.setdefault(record.object_id, deque(maxlen=self._settings["keep"]))
-                    order = kept[-1].order + 1 if kept else 0
-                    kept.append(replace(record, order=order))
+                    records = self._records.setdefault(record.object_id, deque(maxlen=self._settings["keep"]))
+                    order = records[-1].order + 1 if records else 0
+                    records.append(replace(record, order=order))
                     self._collector.counts["pushes"] += 1
                 else:
                     self._collector.counts["pushes without contact"] += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -18,8 +19,7 @@ from push_ident.nodes.convert.tool_path import path_goal
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink, RequestedPush
 from push_ident.nodes.goal_pushing.model_input import ModelInput
 from push_ident.nodes.goal_pushing.parameters import SteeringValues
-from push_ident.nodes.goal_pushing.path_planners import PathPlanners
-from push_ident.nodes.goal_pushing.planner_thread import PlannerThread, WorkUnderWay
+from push_ident.nodes.goal_pushing.planners import GoalPlanners, PathPlanners, WorkUnderWay
 from push_ident.nodes.goal_pushing.steered_push import SteeredPush
 from push_ident.nodes.input.table import TableInput
 from push_ident.nodes.input.tracked_objects import TrackedObjects
@@ -38,9 +38,6 @@ from push_ident.types import Float64Array
 from push_ident_msgs.action import ExecutePush
 
 __all__ = ["CellPorts", "CellView", "Steering", "WishOfClient"]
-
-_EVER = 1e9
-"""An age that no pose has [s]."""
 
 
 class WishOfClient:
@@ -91,7 +88,7 @@ class CellView:
         models: ModelInput,
         table: TableInput,
         executor: ExecutorLink,
-        planners: PlannerThread,
+        planners: GoalPlanners,
         settings: Callable[[], PushSettings | None],
         steering: Steering,
     ) -> None:
@@ -131,7 +128,7 @@ class CellPorts:
     def why_unseen(self, object_id: str) -> str:
         """As `GoalPorts`."""
         try:
-            self._view.objects.get(object_id, _EVER)
+            self._view.objects.get(object_id, math.inf)
         except PlanningError as error:
             return str(error)
         return f"there is no new pose of `{object_id}`."
@@ -158,16 +155,16 @@ class CellPorts:
         return [] if table is None else edges_of(table)
 
     def begin_target(
-        self, model: KnownModel, seen: TrackedObject, goal: EdgeGoal, edges: Sequence[TableEdge], chosen: Target | None
+        self, model: KnownModel, tracked: TrackedObject, goal: EdgeGoal, edges: Sequence[TableEdge], chosen: Target | None
     ) -> WorkUnderWay[Target]:
         """As `GoalPorts`."""
-        return self._view.planners.begin_target(model.posterior, self._settings(), seen, goal, edges, chosen)
+        return self._view.planners.begin_target(model.posterior, self._settings(), tracked, goal, edges, chosen)
 
     def begin_plan(
-        self, model: KnownModel, seen: TrackedObject, target: Target, obstacles: list[Float64Array], failed: list[PushPlan2D]
+        self, model: KnownModel, tracked: TrackedObject, target: Target, obstacles: list[Float64Array], failed: list[PushPlan2D]
     ) -> WorkUnderWay[GoalPush]:
         """As `GoalPorts`."""
-        return self._view.planners.begin(model.posterior, self._settings(), seen, target, obstacles, failed)
+        return self._view.planners.begin(model.posterior, self._settings(), tracked, target, obstacles, failed)
 
     def _settings(self) -> PushSettings:
         settings = self._view.settings()
@@ -187,7 +184,7 @@ class CellPorts:
     def begin_step(
         self,
         model: KnownModel,
-        seen: TrackedObject,
+        tracked: TrackedObject,
         path: PathGoal,
         done: float,
         obstacles: list[Float64Array],
@@ -198,9 +195,9 @@ class CellPorts:
         """As `PathPorts`."""
         width = self._view.steering.values().half_width
         planners = self._view.path_planners
-        return planners.begin(model.posterior, self._settings(), width, seen, (path, done), (obstacles, failed), steers)
+        return planners.begin(model.posterior, self._settings(), width, tracked, (path, done), (obstacles, failed), steers)
 
-    def begin_steered(self, seen: TrackedObject, step: PathStep, path: PathGoal) -> SteeredPush:
+    def begin_steered(self, tracked: TrackedObject, step: PathStep, path: PathGoal) -> SteeredPush:
         """As `PathPorts`."""
         plan, steering = step.steered, self._view.steering
         assert plan is not None and step.follower is not None, "a push whose tool is steered"
@@ -208,10 +205,10 @@ class CellPorts:
         values = steering.values()
         request = PathRequest(ToolPath(plan.time, plan.tool), plan.corridor, values.timeout)
         self._view.steered = SteeredPush(
-            self._view.executor.begin(path_goal(seen.object_id, request), self._executor_timeout),
+            self._view.executor.begin(path_goal(tracked.object_id, request), self._executor_timeout),
             step.follower(values.lead),
             plan,
-            seen,
+            tracked,
             observe=partial(self._view.objects.get, max_age=np.inf),
             send=steering.send,
             guard=steering.guard,

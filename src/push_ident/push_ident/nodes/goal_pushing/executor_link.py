@@ -6,7 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from action_msgs.msg import GoalStatus
@@ -19,6 +19,7 @@ from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.base.cell_node import CellNode
 from push_ident.nodes.base.keep_alive import KeepAlive, ServerWatch
 from push_ident.nodes.convert.messages import push_interval_from_msg, stamp_from_msg
+from push_ident.nodes.goal_pushing.settings import GOAL_PUSHING
 from push_ident.planning.goal_ports import PushReport
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
@@ -26,12 +27,6 @@ from push_ident_msgs.msg import PushRecord
 
 __all__ = ["ExecutorLink", "RequestedPush"]
 
-_FIND: Final = 5.0
-"""For the executor to be there, and to have found this node [s]; one that runs answers within milliseconds."""
-_ACCEPT: Final = 10.0
-"""For the executor to accept a push that was sent [s]."""
-_RECORDS: Final = 16
-"""Latest push records that are remembered."""
 
 K = TypeVar("K")
 
@@ -105,7 +100,7 @@ class ExecutorLink:
 
     def _on_record(self, msg: PushRecord) -> None:
         interval = push_interval_from_msg(msg)
-        _remember(self._starts, interval.push_id, interval.start, _RECORDS)
+        _remember(self._starts, interval.push_id, interval.start, GOAL_PUSHING.n_records)
         if interval.error_code == 0 and interval.object_id:
             _remember(self._latest, interval.object_id, interval.start, LIMITS.OBJECTS.value)
 
@@ -169,11 +164,11 @@ class RequestedPush:
         if not self._is_sent:
             if self._executor.has_answered:
                 self._link.ask(self._send)
-            elif now - self._began > _FIND:
-                self._give_up(f"the action execute_push did not answer within {_FIND:g} s.")
+            elif now - self._began > GOAL_PUSHING.executor_discovery:
+                self._give_up(f"the action execute_push did not answer within {GOAL_PUSHING.executor_discovery:g} s.")
         elif why:
             self._give_up(f"the executor {why}.")
-        elif now - self._heard > (_ACCEPT if self._handle is None else self._timeout):
+        elif now - self._heard > (GOAL_PUSHING.executor_answer if self._handle is None else self._timeout):
             self._give_up(f"the executor has been silent for {now - self._heard:.0f} s.")
 
     def _give_up(self, why: str) -> None:

@@ -7,20 +7,20 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import qos_profile_sensor_data
 from shape_msgs.msg import SolidPrimitive
 from visualization_msgs.msg import MarkerArray
 
 from push_ident.errors import PushIdentError
 from push_ident.limits import plain_text
-from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.keep_alive import ClientWatch
 from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.goal_markers import GoalDrawing, draw_goal, goal_markers_to_msg
@@ -32,7 +32,8 @@ from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink
 from push_ident.nodes.goal_pushing.model_input import ModelInput
 from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values, push_settings, session_limits, steering_values
-from push_ident.nodes.goal_pushing.planner_thread import PlannerThread
+from push_ident.nodes.goal_pushing.planners import GoalPlanners
+from push_ident.nodes.goal_pushing.settings import GOAL_PUSHING
 from push_ident.nodes.input.table import TableInput
 from push_ident.nodes.input.tracked_objects import TrackedObjects
 from push_ident.planning.edge_goal import EdgeGoal
@@ -46,12 +47,6 @@ from push_ident_msgs.action import PushToGoal
 from push_ident_msgs.msg import PushCorrection
 
 __all__ = ["PARAMETERS", "GoalPushingNode", "main"]
-
-_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_LOOK: Final = 0.01
-"""Between two looks whether the goal before has ended [s]; see `planning.goal_session`."""
-_PAUSE: Final = 0.9
-"""For the arm to hold when the node is deactivated [s]; a component may take a second."""
 
 
 class GoalPushingNode(CellNode):
@@ -85,12 +80,12 @@ class _GoalPushing(Component):
         self._last = ""
         self._drawn: tuple[object, ...] | None = None
         """What the markers that were published last were made of."""
-        self._markers = node.create_publisher(MarkerArray, "push_to_goal/markers", _LATCHED)
-        self._edge = node.create_publisher(PolygonStamped, EDGE_TOPIC, _LATCHED)
+        self._markers = node.create_publisher(MarkerArray, "push_to_goal/markers", LATCHED)
+        self._edge = node.create_publisher(PolygonStamped, EDGE_TOPIC, LATCHED)
         housekeeping, heavy = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
         self._objects = TrackedObjects(node, housekeeping)
         self._models = ModelInput(node, heavy)
-        node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED, callback_group=housekeeping)
+        node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, LATCHED, callback_group=housekeeping)
         self._executor = ExecutorLink(node)
         self._clients = ClientWatch(node, "push_to_goal")
         table = TableInput(node, housekeeping)
@@ -100,7 +95,7 @@ class _GoalPushing(Component):
             lambda correction: corrections.publish(correction_to_msg(correction)),
             node.guard.watch,
         )
-        self._view = CellView(self._objects, self._models, table, self._executor, PlannerThread(), self._push_settings, steering)
+        self._view = CellView(self._objects, self._models, table, self._executor, GoalPlanners(), self._push_settings, steering)
         node.create_action_server(PushToGoal, "push_to_goal", self._execute, failed=_failed, callback_group=ReentrantCallbackGroup())
 
     def resume(self) -> None:
@@ -113,9 +108,9 @@ class _GoalPushing(Component):
         with self._lock:
             for wish in self._wishes:
                 wish.hold()
-        deadline = time.monotonic() + _PAUSE
+        deadline = time.monotonic() + GOAL_PUSHING.hold_wait
         while self._wishes and time.monotonic() < deadline:
-            time.sleep(_LOOK)
+            time.sleep(GOAL_PUSHING.look_period)
 
     def close(self) -> None:
         """Withdraw the client of the executor."""
@@ -191,7 +186,7 @@ class _GoalPushing(Component):
 
     def _run(self, session: GoalSession, wish: WishOfClient) -> GoalOutcome:
         """Push, once the push of the goal before has ended."""
-        while not self._arm.acquire(timeout=_LOOK):
+        while not self._arm.acquire(timeout=GOAL_PUSHING.look_period):
             session.report()
             if wish() is Wish.HOLD and (before := self._pushing) is not None:
                 before.hold()
@@ -242,13 +237,13 @@ class _GoalPushing(Component):
         served, models = self._executor.is_served, self._models.n_pushes()
         reasons = [
             text
-            for text, lacks in (
+            for text, is_missing in (
                 ("execute_push is not served; is push_executor_node running?", not served),
                 ("nothing on pusher/shape yet", not self._radius),
                 ("no objects; is perception running?", not self._objects.ids),
                 ("no models; is identification running?", not models),
             )
-            if lacks
+            if is_missing
         ]
         values = {
             "objects": ", ".join(self._objects.ids),

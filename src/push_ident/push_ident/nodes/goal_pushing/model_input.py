@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Final
 
 from rclpy.callback_groups import CallbackGroup
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident.identification.results.known_effects import effects_text
-from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.convert.model import posterior_from_msg
 from push_ident.nodes.input.discovery import ObjectTopics
 from push_ident.planning.goal_ports import KnownModel
 from push_ident_msgs.msg import ModelPosterior
 
 __all__ = ["ModelInput"]
-
-_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class ModelInput:
@@ -43,7 +39,7 @@ class ModelInput:
 
     def _subscribe(self, object_id: str) -> None:
         self._node.create_subscription(
-            ModelPosterior, f"objects/{object_id}/model", partial(self._on_model, object_id), _LATCHED, callback_group=self._group
+            ModelPosterior, f"objects/{object_id}/model", partial(self._on_model, object_id), LATCHED, callback_group=self._group
         )
 
     def _on_model(self, object_id: str, msg: ModelPosterior) -> None:

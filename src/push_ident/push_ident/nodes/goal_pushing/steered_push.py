@@ -5,11 +5,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from push_ident.nodes.goal_pushing.executor_link import RequestedPush
+from push_ident.nodes.goal_pushing.settings import GOAL_PUSHING
 from push_ident.planning.curved_planner import CurvedPush
 from push_ident.planning.goal_ports import PushReport
 from push_ident.planning.path_follower import Correction, FollowStatus, PathFollower
@@ -19,14 +20,6 @@ from push_ident.types import Float64Array
 
 __all__ = ["SteeredPush"]
 
-_POLL: Final = 0.002
-"""Between two looks for a pose [s]: a tenth of what a correction takes."""
-_BUDGET: Final = 0.02
-"""After so long nothing begins any more that makes a correction better [s]: with what is under way then, and where others use the cores as
-well, it still comes before the next of 30 frames a second. On free cores all of it takes less."""
-_KEPT: Final = 2000
-"""Latest times of corrections that are kept: over a minute."""
-
 
 class SteeredPush:
     """`planning.goal_ports.SteeredUnderWay`.
@@ -35,8 +28,8 @@ class SteeredPush:
         push: that was asked for.
         follower: decides the corrections.
         plan: of the push.
-        seen: the object before it.
-        observe: the object as seen last.
+        tracked: the object before it.
+        observe: the object as observed last.
         send: publishes a correction.
         guard: `Guard.watch`: what fails in the thread is refused and counted; the executor then stops for want of corrections.
     """
@@ -46,7 +39,7 @@ class SteeredPush:
         push: RequestedPush,
         follower: PathFollower,
         plan: CurvedPush,
-        seen: TrackedObject,
+        tracked: TrackedObject,
         *,
         observe: Callable[[str], TrackedObject],
         send: Callable[[ToolCorrection], None],
@@ -54,8 +47,8 @@ class SteeredPush:
     ) -> None:
         assert plan.time is not None and plan.tool is not None, "a push has a path"
         self._push, self._follower, self._plan, self._observe, self._send, self._guard = push, follower, plan, observe, send, guard
-        follower.begin(plan.time, plan.tool, seen.pose, seen.covariance, plan.done, plan.expected_error)
-        self._object_id, self._contact = seen.object_id, float(plan.time[1])
+        follower.begin(plan.time, plan.tool, tracked.pose, tracked.covariance, plan.done, plan.expected_error)
+        self._object_id, self._contact = tracked.object_id, float(plan.time[1])
         self.done = plan.done
         """As `SteeredUnderWay`."""
         self.n_corrections = 0
@@ -80,24 +73,24 @@ class SteeredPush:
         latest = -np.inf
         while not self._push.has_ended:
             with self._guard("push_correction"):
-                seen = self._observe(self._object_id)
+                tracked = self._observe(self._object_id)
                 push_id, start = self._push.begun
                 # Poses before the contact show nothing new.
-                if push_id and start > 0.0 and seen.stamp > max(latest, start + self._contact):
-                    latest = seen.stamp
-                    self._correct(seen, push_id, start)
+                if push_id and start > 0.0 and tracked.stamp > max(latest, start + self._contact):
+                    latest = tracked.stamp
+                    self._correct(tracked, push_id, start)
                     continue
-            time.sleep(_POLL)
+            time.sleep(GOAL_PUSHING.pose_poll)
 
-    def _correct(self, seen: TrackedObject, push_id: int, start: float) -> None:
+    def _correct(self, tracked: TrackedObject, push_id: int, start: float) -> None:
         begun = time.perf_counter()
         if self.ended:
-            self._send(ToolCorrection(push_id, seen.stamp, True, np.empty(0), np.empty((0, 2))))
+            self._send(ToolCorrection(push_id, tracked.stamp, True, np.empty(0), np.empty((0, 2))))
             return
-        due = begun + _BUDGET
-        correction = self._follower.correct(seen.stamp - start, seen.pose, seen.covariance, lambda: time.perf_counter() > due)
-        self._send(_message(correction, push_id, seen.stamp))
-        self.seconds = [*self.seconds, time.perf_counter() - begun][-_KEPT:]
+        due = begun + GOAL_PUSHING.correction_budget
+        correction = self._follower.correct(tracked.stamp - start, tracked.pose, tracked.covariance, lambda: time.perf_counter() > due)
+        self._send(_message(correction, push_id, tracked.stamp))
+        self.seconds = [*self.seconds, time.perf_counter() - begun][-GOAL_PUSHING.n_correction_times :]
         self.n_corrections += 1
         self.done, self.tool = correction.done, correction.tool
         if correction.status is not FollowStatus.GOING:

@@ -6,12 +6,10 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from rclpy.qos import DurabilityPolicy, QoSProfile
-
 from push_ident.diagnosis.usable_effects import UsableEffects, usable_effects_of_file, usable_effects_of_text
 from push_ident.errors import InputError
 from push_ident.limits import plain_text
-from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.paths import file_to_read
 from push_ident.nodes.convert.messages import stamp_from_msg
@@ -41,8 +39,7 @@ class EffectsInput:
         self, node: CellNode, later: Callable[[str, UsableEffects, float], None], now: Callable[[str, UsableEffects, float], str]
     ) -> None:
         self._node, self._later, self._now = node, later, now
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(GapReport, "gap_report", self._on_report, latched)
+        node.create_subscription(GapReport, "gap_report", self._on_report, LATCHED)
         node.create_service(LoadModel, "load_diagnosis", self._load)
 
     def _on_report(self, msg: GapReport) -> None:
@@ -50,12 +47,12 @@ class EffectsInput:
             return
         if not msg.object_id:
             raise InputError("The report names no object; its `object_id` is empty.")
-        found = usable_effects_of_text(msg.json, f"gap_report of `{plain_text(msg.object_id)}`")
-        self._later(msg.object_id, found, stamp_from_msg(msg.header.stamp))
+        usable = usable_effects_of_text(msg.json, f"gap_report of `{plain_text(msg.object_id)}`")
+        self._later(msg.object_id, usable, stamp_from_msg(msg.header.stamp))
 
     def _load(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
-        found = usable_effects_of_file(file_to_read(request.path)) if request.path else _NONE
-        object_id = self._now(request.object_id, found, math.inf)
-        names = ", ".join(effect.name for effect in found.effects) or "no effect"
+        usable = usable_effects_of_file(file_to_read(request.path)) if request.path else _NONE
+        object_id = self._now(request.object_id, usable, math.inf)
+        names = ", ".join(effect.name for effect in usable.effects) or "no effect"
         response.success, response.message = True, f"object {object_id} has {names} of a diagnosis in its model"
         return response

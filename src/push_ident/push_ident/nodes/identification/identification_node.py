@@ -30,9 +30,8 @@ from push_ident.nodes.base.run import run_node, settle_memory
 from push_ident.nodes.convert.messages import planar_pose_of, position_from_msg
 from push_ident.nodes.convert.model import pusher_path_from_msg
 from push_ident.nodes.identification.effects_input import USE_DIAGNOSIS, EffectsInput
-from push_ident.nodes.identification.latest_jobs import LatestJobs
 from push_ident.nodes.identification.output import ObjectOutput
-from push_ident.nodes.identification.work_queue import Kind, WorkQueue
+from push_ident.nodes.identification.work import Kind, LatestJobs, WorkQueue
 from push_ident.nodes.input.push_collector import PushCollector
 from push_ident.nodes.input.table import CORNERS, TableInput, table_of_corners
 from push_ident.physics.scenario import PushScenario
@@ -43,11 +42,8 @@ from push_ident_msgs.srv import LoadModel, PredictPush, SaveModel
 
 __all__ = ["PARAMETERS", "IdentificationNode", "main"]
 
-_N_LATENCIES: Final = 2000
 _IMPOSSIBLE: Final = "pushes with impossible poses, left out"
 _EXCURSIONS: Final = "impossible poses, left out"
-_TURN: Final = 2.5e-4
-"""Time after which a thread that computes lets another one go on [s]."""
 
 PARAMETERS: Final = (
     Parameter("total_mass", 0.5, "Nominal total mass of an object [kg]", 0.001, 1000.0, read_only=True),
@@ -121,7 +117,7 @@ class _Identification(Component):
         self._outputs: dict[str, ObjectOutput] = {}
         self._table = TableInput(node)
         self._solve_time = 0.0
-        self._latencies: deque[float] = deque(maxlen=_N_LATENCIES)
+        self._latencies: deque[float] = deque(maxlen=2000)
         self._updated: dict[str, float] = {}
         self._predicted: dict[str, float] = {}
         self._answered: dict[str, float] = {}
@@ -207,12 +203,12 @@ class _Identification(Component):
             self._frames.setdefault(object_id, time.monotonic())
             self._wake.notify()
 
-    def _on_effects(self, object_id: str, found: UsableEffects, stamp: float) -> None:
+    def _on_effects(self, object_id: str, usable: UsableEffects, stamp: float) -> None:
         """After the pushes that wait: a diagnosis may be of them."""
 
         def use() -> None:
             try:
-                self._use_effects(object_id, found, stamp)
+                self._use_effects(object_id, usable, stamp)
             except PushIdentError as error:
                 self._collector.refuse("diagnoses", "gap_report", str(error))
 
@@ -278,7 +274,7 @@ class _Identification(Component):
             self._publish_model(session, self._answered.get(object_id, 0.0))
             self._advise(object_id)
 
-    def _use_effects(self, object_id: str, found: UsableEffects, stamp: float) -> str:
+    def _use_effects(self, object_id: str, usable: UsableEffects, stamp: float) -> str:
         """Fit the pushes of an object with the effects of a diagnosis whose newest push ended at `stamp` [s]; the id of the object."""
         session = self._chosen(object_id)
         if not session.n_pushes and np.isfinite(stamp):
@@ -287,7 +283,7 @@ class _Identification(Component):
                 "(load_diagnosis) where it is the same object."
             )
         with self._solving:
-            session.use_effects(found.effects, n_pushes=found.n_pushes, until=stamp, keep=found.base)
+            session.use_effects(usable.effects, n_pushes=usable.n_pushes, until=stamp, keep=usable.base)
         self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
         self._publish_model(session, self._answered.get(session.object_id, 0.0))
         text = effects_text(session.posterior) or "none"
@@ -488,6 +484,7 @@ class _Identification(Component):
 
 def main() -> int:
     """Run the node until a signal ends it; the exit code."""
-    # Threads hand over twenty times as often as by default: the update at a frame must not wait for results that are only displayed.
-    sys.setswitchinterval(_TURN)
+    # Threads hand over every 0.25 ms, twenty times as often as by default: the update at a frame must not wait for results that are only
+    # displayed.
+    sys.setswitchinterval(2.5e-4)
     return run_node(IdentificationNode)

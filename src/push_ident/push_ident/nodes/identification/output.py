@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from nav_msgs.msg import Path
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -14,6 +11,7 @@ from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.identification.predicting.prediction import Prediction
 from push_ident.identification.predicting.scoring import PushScore, ScoreSummary
 from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.convert.messages import stamp_to_msg
 from push_ident.nodes.convert.model import (
     cloud_to_msg,
@@ -33,8 +31,6 @@ from push_ident_msgs.msg import PushScore as PushScoreMsg
 
 __all__ = ["ObjectOutput"]
 
-_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
 
 class ObjectOutput:
     """Publishers of one object.
@@ -46,15 +42,15 @@ class ObjectOutput:
 
     def __init__(self, node: Node, object_id: str) -> None:
         self._id = object_id
-        self._map = node.create_publisher(MassFrictionMap, f"objects/{object_id}/mass_friction_map", _LATCHED)
-        self._model = node.create_publisher(ModelPosteriorMsg, f"objects/{object_id}/model", _LATCHED)
-        self._cloud = node.create_publisher(PointCloud2, f"objects/{object_id}/mass_friction_cloud", _LATCHED)
-        self._markers = node.create_publisher(MarkerArray, f"objects/{object_id}/markers", _LATCHED)
-        self._prediction = node.create_publisher(PushPrediction, f"objects/{object_id}/prediction", _LATCHED)
-        self._prediction_path = node.create_publisher(Path, f"objects/{object_id}/prediction_path", _LATCHED)
-        self._next_push = node.create_publisher(Path, f"objects/{object_id}/next_push", _LATCHED)
-        self._next_prediction = node.create_publisher(PushPrediction, f"objects/{object_id}/next_push_prediction", _LATCHED)
-        self._score = node.create_publisher(PushScoreMsg, f"objects/{object_id}/push_score", _LATCHED)
+        self._map = node.create_publisher(MassFrictionMap, f"objects/{object_id}/mass_friction_map", LATCHED)
+        self._model = node.create_publisher(ModelPosteriorMsg, f"objects/{object_id}/model", LATCHED)
+        self._cloud = node.create_publisher(PointCloud2, f"objects/{object_id}/mass_friction_cloud", LATCHED)
+        self._markers = node.create_publisher(MarkerArray, f"objects/{object_id}/markers", LATCHED)
+        self._prediction = node.create_publisher(PushPrediction, f"objects/{object_id}/prediction", LATCHED)
+        self._prediction_path = node.create_publisher(Path, f"objects/{object_id}/prediction_path", LATCHED)
+        self._next_push = node.create_publisher(Path, f"objects/{object_id}/next_push", LATCHED)
+        self._next_prediction = node.create_publisher(PushPrediction, f"objects/{object_id}/next_push_prediction", LATCHED)
+        self._score = node.create_publisher(PushScoreMsg, f"objects/{object_id}/push_score", LATCHED)
 
     def publish_map(
         self, posterior: ModelPosterior, stamp: float, status: SolveStatus | None, n_pushes: int, pose: Float64Array | None

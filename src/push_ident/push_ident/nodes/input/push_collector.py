@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
@@ -21,7 +22,7 @@ from push_ident.bags.contract import Role
 from push_ident.errors import PushIdentError
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.base.arrivals import Arrivals
-from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.base.stamps import StampCheck
 from push_ident.nodes.convert.messages import (
     camera_accuracy_from_msg,
@@ -39,7 +40,6 @@ from push_ident_msgs.msg import PushRecord as PushRecordMsg
 
 __all__ = ["PushCollector"]
 
-_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Waiting messages are kept: a publisher that keeps all, such as the bag player, is held back and overwrites nothing.
 # The middleware bounds what waits: 5000 messages of a topic in Fast DDS; from then on messages are lost, which is counted.
 _ALL: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_AVAILABLE)
@@ -47,16 +47,25 @@ _FROM_FIRST: Final = QoSProfile(
     history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_AVAILABLE, durability=DurabilityPolicy.BEST_AVAILABLE
 )
 """Of poses of a recording, which may be far ahead when its objects are discovered: also those before, where the publisher keeps them."""
-_SILENCE: Final = 2.0
-"""Wall time without a message after which a push counts as finished [s]: the source has stopped."""
-_HIDDEN: Final = 10.0
-"""The same while no object has a pose since the push, or its record has not come [s]: the arm may still hide it, or be on its way home."""
-_NO_CLOCK: Final = 3.0
-"""Wall time without /clock after which simulated time counts as missing [s]."""
 _FAILED: Final = "pushes that failed, left out"
 _UNRECORDED: Final = "pushes without an end record, left out"
-_PERIOD: Final = 0.1
-"""Wall time between two checks for complete pushes [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class CollectorTimes:
+    """Wall times; within a push the stamps count."""
+
+    silence: float = 2.0
+    """Without a message after which a push counts as finished [s]: the source has stopped."""
+    hidden: float = 10.0
+    """The same while no object has a pose since the push, or its record has not come [s]: the arm may hide it, or be on its way home."""
+    clock: float = 3.0
+    """Without /clock after which simulated time counts as missing [s]."""
+    period: float = 0.1
+    """Between two checks for complete pushes [s]."""
+
+
+COLLECTOR: Final = CollectorTimes()
 
 
 class PushCollector:
@@ -107,15 +116,15 @@ class PushCollector:
         self._flushed = True
         self._arrivals: dict[str, Arrivals] = {}
         self._subscribe(PoseStamped, "pusher/pose", self._on_pusher)
-        node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, _LATCHED)
-        node.create_subscription(PoseWithCovarianceStamped, Role.CAMERA_ACCURACY.value.name, self._on_camera_accuracy, _LATCHED)
+        node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, LATCHED)
+        node.create_subscription(PoseWithCovarianceStamped, Role.CAMERA_ACCURACY.value.name, self._on_camera_accuracy, LATCHED)
         self._subscribe(WrenchStamped, "pusher/wrench", self._on_wrench)
         self._subscribe(PushRecordMsg, "push_record", self._on_push_record)
         self._source_is_done = not source
         if source:
-            node.create_subscription(Bool, f"{source}/done", self._on_source, _LATCHED)
+            node.create_subscription(Bool, f"{source}/done", self._on_source, LATCHED)
         # On the wall clock: it must run when simulated time stands still.
-        node.create_timer(_PERIOD, self._collect, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(COLLECTOR.period, self._collect, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._topics = ObjectTopics(node, self._on_new_object)
 
     # ---- state
@@ -145,7 +154,7 @@ class PushCollector:
 
     def what_is_missing(self) -> str:
         """Why no pushes arrive; empty if they can."""
-        if self._lacks_clock():
+        if self._clock_is_missing():
             return "use_sim_time is true but nothing comes on /clock; is the simulator or bag player running?"
         if not self._topics.ids:
             return "no objects/<id>/pose is published; is perception (or a bag player) running?"
@@ -207,7 +216,7 @@ class PushCollector:
         node, prefix = self._node, f"objects/{object_id}"
         self._on_object(object_id)
         for kind, name in ((OccupancyGrid, "cells"), (PolygonStamped, "outline"), (Float32MultiArray, "outline_std")):
-            node.create_subscription(kind, f"{prefix}/{name}", partial(self._on_shape_msg, object_id, name), _LATCHED)
+            node.create_subscription(kind, f"{prefix}/{name}", partial(self._on_shape_msg, object_id, name), LATCHED)
         self._subscribe(
             PoseWithCovarianceStamped,
             f"{prefix}/pose",
@@ -302,7 +311,7 @@ class PushCollector:
         with self._lock:
             if not (self._source_is_done or self._latest):
                 return  # a recording may be far ahead of the first object that is discovered
-            patience = _HIDDEN if self._cutter.is_awaiting else _SILENCE
+            patience = COLLECTOR.hidden if self._cutter.is_awaiting else COLLECTOR.silence
             silent = self._source_is_done and not self._flushed and time.monotonic() - self._received > patience
             pushes = self._cutter.finished(flush=silent)
             self._flushed = self._flushed or silent
@@ -317,8 +326,8 @@ class PushCollector:
         if good:
             self._on_pushes(good)
 
-    def _lacks_clock(self) -> bool:
+    def _clock_is_missing(self) -> bool:
         """Whether the node waits for a /clock without publisher."""
         simulated = self._node.get_parameter("use_sim_time").value
-        patient = time.monotonic() - self._began < _NO_CLOCK
+        patient = time.monotonic() - self._began < COLLECTOR.clock
         return bool(simulated and not patient and self._node.get_clock().now().nanoseconds == 0)

@@ -8,12 +8,11 @@ from typing import Final
 import numpy as np
 from geometry_msgs.msg import PolygonStamped
 from rclpy.callback_groups import CallbackGroup
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.geometry.table import Table
-from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.convert.table import EDGE_TOPIC, TABLE_TOPIC, edge_from_msg, table_from_msg
 from push_ident.physics.overhang import TableEdge
@@ -53,30 +52,29 @@ class TableInput:
 
     def __init__(self, node: CellNode, callback_group: CallbackGroup | None = None) -> None:
         self._node = node
-        self._heard: Table | None = None
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._published: Table | None = None
         self._edge: TableEdge | None = None
         for topic, callback in ((TABLE_TOPIC, self._on_table), (EDGE_TOPIC, self._on_edge)):
-            node.create_subscription(PolygonStamped, topic, callback, latched, callback_group=callback_group)
+            node.create_subscription(PolygonStamped, topic, callback, LATCHED, callback_group=callback_group)
 
     def get(self) -> Table | None:
         """The table; None where nobody has said where it ends."""
-        return table_of_corners(self._node.settings[CORNERS.name]) or self._heard
+        return table_of_corners(self._node.settings[CORNERS.name]) or self._published
 
     def beyond(self, record: PushRecord) -> float:
         """How far an object reached beyond the table during a push [m], or beyond the edge that the latest goal gave, between its ends;
         negative on the table, and where nobody has said where it ends."""
-        places = transform_points(record.poses.pose, record.shape.outline).reshape(-1, 2)
+        points = transform_points(record.poses.pose, record.shape.outline).reshape(-1, 2)
         table, edge = self.get(), self._edge
-        over = -np.inf if table is None else table.beyond(places)
+        over = -np.inf if table is None else table.beyond(points)
         if edge is not None:
-            along = places @ edge.along
-            beside = places[(along >= edge.span[0]) & (along <= edge.span[1])]
-            over = max(over, float(np.max(edge.beyond(beside), initial=-np.inf)))
+            along = points @ edge.along
+            within_span = points[(along >= edge.span[0]) & (along <= edge.span[1])]
+            over = max(over, float(np.max(edge.beyond(within_span), initial=-np.inf)))
         return float(over)
 
     def _on_table(self, msg: PolygonStamped) -> None:
-        self._heard = table_from_msg(msg)
+        self._published = table_from_msg(msg)
 
     def _on_edge(self, msg: PolygonStamped) -> None:
         self._edge = edge_from_msg(msg)

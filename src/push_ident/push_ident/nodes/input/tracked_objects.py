@@ -8,11 +8,11 @@ from typing import Any
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.callback_groups import CallbackGroup
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import qos_profile_sensor_data
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.base.stamps import StampCheck
 from push_ident.nodes.convert.messages import planar_pose_from_msg
 from push_ident.nodes.input.discovery import ObjectTopics
@@ -22,8 +22,6 @@ from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["TrackedObjects"]
-
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class TrackedObjects:
@@ -68,8 +66,8 @@ class TrackedObjects:
 
     def _subscribe(self, object_id: str) -> None:
         for kind, name, callback, qos in (
-            (OccupancyGrid, "cells", lambda msg: self._on_shape(object_id, cells=msg), _LATCHED),
-            (PolygonStamped, "outline", lambda msg: self._on_shape(object_id, outline=msg), _LATCHED),
+            (OccupancyGrid, "cells", lambda msg: self._on_shape(object_id, cells=msg), LATCHED),
+            (PolygonStamped, "outline", lambda msg: self._on_shape(object_id, outline=msg), LATCHED),
             (PoseWithCovarianceStamped, "pose", lambda msg: self._on_pose(object_id, msg), qos_profile_sensor_data),
         ):
             self._node.create_subscription(kind, f"objects/{object_id}/{name}", callback, qos, callback_group=self._group)

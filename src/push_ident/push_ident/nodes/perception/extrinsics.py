@@ -100,7 +100,7 @@ class FromMark(Extrinsics):
     def __init__(self, mark: Mark, n_frames: int) -> None:
         self._mark, self._needed = mark, n_frames
         self._frames: list[DepthFrame] = []
-        self.found: Calibration | None = None
+        self.calibration: Calibration | None = None
 
     def find(self, frame: DepthFrame) -> Float64Array | None:
         """Collect frames; when there are enough, calibrate from them, or start over and say why it failed."""
@@ -111,10 +111,10 @@ class FromMark(Extrinsics):
             return None
         frames, self._frames = self._frames, []
         try:
-            self.found = calibrate(frames, self._mark)
+            self.calibration = calibrate(frames, self._mark)
         except PerceptionError as error:
             raise PerceptionError(f"no extrinsics from the mark: {error}") from None
-        return self.found.camera_in_table
+        return self.calibration.camera_in_table
 
 
 class TfBuffer:
@@ -145,10 +145,10 @@ class TfBuffer:
         from rclpy.time import Time
 
         try:
-            found = self._buffer.lookup_transform(TABLE_FRAME, camera_frame, Time()).transform
+            transform = self._buffer.lookup_transform(TABLE_FRAME, camera_frame, Time()).transform
         except self._error as error:
             raise PerceptionError(f"no transform from {camera_frame} to {TABLE_FRAME}: {error}") from None
-        at, turn = found.translation, found.rotation
+        at, turn = transform.translation, transform.rotation
         return pose_of_quaternion([at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w])
 
 

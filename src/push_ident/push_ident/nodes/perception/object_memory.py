@@ -87,7 +87,7 @@ class ObjectMemory:
             top_origin=tuple(np.asarray(traced.top_origin).tolist()),
             top_resolution=float(traced.top_resolution),
             hollow=None if traced.hollow is None else traced.hollow.tolist(),
-            seen_from=None if traced.seen_from is None else [places.tolist() for places in traced.seen_from],
+            seen_from=None if traced.seen_from is None else [positions.tolist() for positions in traced.seen_from],
             displaced_std=float(traced.displaced_std),
             displaced_frame=traced.displaced_frame,
             frame_covariance=traced.frame_covariance.tolist(),
@@ -148,9 +148,9 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
     frame_covariance = np.zeros((3, 3)) if content.frame_covariance is None else np.array(content.frame_covariance)
     if frame_covariance.shape != (3, 3) or np.any(np.linalg.eigvalsh(frame_covariance) < -1e-12):
         raise ModelFileError(f"{path} has a frame_covariance that is none of shape (3, 3); {_REMEDY}.")
-    # Files of earlier versions have the places of one rest, without the list of rests.
-    rests = [np.array(places, dtype=np.float64).reshape(-1, 2) for places in content.seen_from or ()]
-    is_flat = any(isinstance(places, tuple) for places in content.seen_from or ())
+    # Files of earlier versions have the positions of one rest, without the list of rests.
+    rests = [np.array(positions, dtype=np.float64).reshape(-1, 2) for positions in content.seen_from or ()]
+    is_flat = any(isinstance(positions, tuple) for positions in content.seen_from or ())
     seen_from = ((np.vstack(rests),) if is_flat else tuple(rests)) if rests else None
     traced = TracedObject(
         shape,

@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import Final
 
 from push_ident.errors import PerceptionError
+from push_ident.nodes.perception.parameters import IMAGE_TIMES
 
 __all__ = ["OlderImages"]
-
-_QUEUED: Final = 1.0
-"""How long an image of a driver that was stopped may still wait for this node [s]: the queue of a sensor has five images."""
 
 
 class OlderImages:
@@ -33,5 +30,5 @@ class OlderImages:
         if n > 1:
             self._several_at = self._clock()
             raise PerceptionError(f"{n} nodes publish images, and this one is {age:.3f} s older than the latest; stop all but one")
-        if self._clock() - self._several_at < _QUEUED:
+        if self._clock() - self._several_at < IMAGE_TIMES.queued:
             raise PerceptionError(f"this image is {age:.3f} s older than the latest: of a node that has just stopped")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import Any, Final
 
 from push_ident.errors import InputError
@@ -12,9 +13,24 @@ from push_ident.perception.parameter_file import HEADING_STD, POSITION_STD
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import CameraAccuracy
 
-__all__ = ["PARAMETERS", "names_of_further_cameras", "perception_settings"]
+__all__ = ["PARAMETERS", "IMAGE_TIMES", "ImageTimes", "names_of_further_cameras", "perception_settings"]
 
 _DEFAULTS: Final = PerceptionSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class ImageTimes:
+    """What counts as late, that is no parameter."""
+
+    stale: float = 0.5
+    """Tool poses and joint states that much older than the image are reported [s]."""
+    silence: float = 2.0
+    """Without a depth image for so long the node reports it [s], receive time."""
+    queued: float = 1.0
+    """How long an image of a driver that was stopped may still wait for this node [s]: the queue of a sensor has five images."""
+
+
+IMAGE_TIMES: Final = ImageTimes()
 
 _SETTINGS: Final = (
     Parameter("workspace_low", list(_DEFAULTS.workspace_low), "smallest x and y of the workspace [m]", -5.0, 5.0),

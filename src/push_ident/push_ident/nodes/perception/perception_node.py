@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -18,7 +19,7 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind, qos_profile_sensor_data
+from rclpy.qos import QoSProfile, qos_policy_name_from_kind, qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import Float32MultiArray, String
@@ -28,10 +29,10 @@ from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.limits import LIMITS
-from push_ident.nodes.base.cell_node import CellNode, Component, Health
-from push_ident.nodes.base.listeners import await_listener
+from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.run import run_node
+from push_ident.nodes.base.settings import NODE
 from push_ident.nodes.base.stamps import StampCheck
 from push_ident.nodes.convert.messages import (
     cylinder_radius_from_msg,
@@ -49,7 +50,7 @@ from push_ident.nodes.perception.depth_input import EVERY_POSE, DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
 from push_ident.nodes.perception.older_images import OlderImages
-from push_ident.nodes.perception.parameters import PARAMETERS, names_of_further_cameras, perception_settings
+from push_ident.nodes.perception.parameters import IMAGE_TIMES, PARAMETERS, names_of_further_cameras, perception_settings
 from push_ident.perception.labels import RobotPart
 from push_ident.perception.parameter_file import pose_lines
 from push_ident.perception.pipeline import Observation, ObservedObject, Perception
@@ -58,14 +59,6 @@ from push_ident.perception.robot_history import RobotHistory
 from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["PARAMETERS", "PerceptionNode", "main"]
-
-_LATCHED: Final = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_STALE: Final = 0.5
-"""Tool poses and joint states that much older than the image are reported [s]."""
-_LOG_PERIOD: Final = 5.0
-"""Between two log lines of the same kind [s]."""
-_SILENT: Final = 2.0
-"""Without a depth image for so long the node reports it [s], receive time."""
 
 
 @dataclass(slots=True)
@@ -116,9 +109,9 @@ class _Perception(Component):
         self._older = OlderImages(lambda: node.count_publishers(self._main.input.image_topic))
 
         self._object_publishers: dict[str, tuple[Publisher, ...]] = {}
-        self._camera_publisher = CameraPublisher(self._node, _LATCHED)
-        self._occupancy_publisher = self._node.create_publisher(OccupancyGrid, "workspace/occupancy", _LATCHED)
-        self._refused_publisher = self._node.create_publisher(MarkerArray, "workspace/refused", _LATCHED)
+        self._camera_publisher = CameraPublisher(self._node, LATCHED)
+        self._occupancy_publisher = self._node.create_publisher(OccupancyGrid, "workspace/occupancy", LATCHED)
+        self._refused_publisher = self._node.create_publisher(MarkerArray, "workspace/refused", LATCHED)
         self._refused: tuple[Refusal, ...] = ()
         self._add_cameras()
         self._node.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
@@ -132,7 +125,7 @@ class _Perception(Component):
         ):
             name = self._node.resolve_topic_name(topic)
             events = SubscriptionEventCallbacks(incompatible_qos=lambda info, name=name: self._on_incompatible(name, info))
-            self._node.create_subscription(kind, topic, callback, _LATCHED, event_callbacks=events)
+            self._node.create_subscription(kind, topic, callback, LATCHED, event_callbacks=events)
 
     def reconfigure(self, changed: dict[str, Any]) -> None:
         """New limits and sizes, from the next frame on."""
@@ -288,13 +281,13 @@ class _Perception(Component):
 
     def _report_calibration(self, name: str, camera: _Camera) -> None:
         """Report extrinsics that were found from the mark, and write those of all cameras so far to a parameter file."""
-        found = camera.extrinsics.found if isinstance(camera.extrinsics, FromMark) else None
-        if found is None:
+        calibration = camera.extrinsics.calibration if isinstance(camera.extrinsics, FromMark) else None
+        if calibration is None:
             return
-        self._calibrated += pose_lines(found.camera_in_table, f"{name}." if name else "")
+        self._calibrated += pose_lines(calibration.camera_in_table, f"{name}." if name else "")
         note = self._notes[f"extrinsics_{name}" if name else "extrinsics"] = (
-            f"calibrated from {found.n_frames} frames: outline of the mark {found.outline_residual * 1e3:.2f} mm, "
-            f"its height {found.height_error * 1e3:+.2f} mm, noise of the table {found.plane_noise * 1e3:.2f} mm"
+            f"calibrated from {calibration.n_frames} frames: outline of the mark {calibration.outline_residual * 1e3:.2f} mm, "
+            f"its height {calibration.height_error * 1e3:+.2f} mm, noise of the table {calibration.plane_noise * 1e3:.2f} mm"
         )
         self._node.get_logger().info(f"Extrinsics {name} {note}. {' '.join(self._calibrated[-2:])}")
         if self._configured["calibration_file"]:
@@ -311,13 +304,13 @@ class _Perception(Component):
         if tool_age is None:
             self._notes["tool"] = f"nothing on {self._node.resolve_topic_name('tool/pose')}: the tool is not masked by its pose"
         else:
-            self._notes["tool"] = f"tool pose is {tool_age:.2f} s older than the image" if tool_age > _STALE else ""
+            self._notes["tool"] = f"tool pose is {tool_age:.2f} s older than the image" if tool_age > IMAGE_TIMES.stale else ""
         present = {"robot_description": self._robot.arm_shape is not None, "joint_states": joints_age is not None}
         missing = [self._node.resolve_topic_name(topic) for topic, there in present.items() if not there]
         if missing or joints_age is None:
             self._notes["arm"] = f"nothing on {' and '.join(missing)}: the links of the arm are not masked"
         else:
-            self._notes["arm"] = f"joint states are {joints_age:.2f} s older than the image" if joints_age > _STALE else ""
+            self._notes["arm"] = f"joint states are {joints_age:.2f} s older than the image" if joints_age > IMAGE_TIMES.stale else ""
         reach = self._configured["max_object_height"] + self._configured["mask_margin"]
         return self._robot.tool_at(stamp, self._configured["hand_radius"]) + self._robot.arm_at(stamp, reach)
 
@@ -390,13 +383,13 @@ class _Perception(Component):
         if object_id not in self._object_publishers:
             self._object_publishers[object_id] = (
                 self._node.create_publisher(PoseWithCovarianceStamped, f"objects/{object_id}/pose", self._pose_qos),
-                self._node.create_publisher(OccupancyGrid, f"objects/{object_id}/cells", _LATCHED),
-                self._node.create_publisher(PolygonStamped, f"objects/{object_id}/outline", _LATCHED),
-                self._node.create_publisher(Float32MultiArray, f"objects/{object_id}/outline_std", _LATCHED),
+                self._node.create_publisher(OccupancyGrid, f"objects/{object_id}/cells", LATCHED),
+                self._node.create_publisher(PolygonStamped, f"objects/{object_id}/outline", LATCHED),
+                self._node.create_publisher(Float32MultiArray, f"objects/{object_id}/outline_std", LATCHED),
             )
             if self._configured["every_image"]:
                 # The source waits meanwhile: the first poses belong to the first push.
-                await_listener(self._object_publishers[object_id][0])
+                _await_subscription(self._object_publishers[object_id][0])
         return self._object_publishers[object_id]
 
     def _give_up(self, removal: Removal) -> None:
@@ -430,15 +423,15 @@ class _Perception(Component):
         now = self._wall.now()
         elapsed = (now - self._diagnosed_at).nanoseconds * 1e-9
         rate = (self._counter["frames"] - self._frames_diagnosed) / max(elapsed, 1e-3)
-        silent = self._main.input.silence > _SILENT
+        silent = self._main.input.silence > IMAGE_TIMES.silence
         for name, camera in self._further.items():
-            if camera.input.silence > _SILENT:
+            if camera.input.silence > IMAGE_TIMES.silence:
                 self._counter[f"{name}_silent"] += 1
                 self._notes[f"camera_{name}"] = self._silence_of(camera)
-                self._node.get_logger().warning(f"camera {name}: {self._silence_of(camera)}", throttle_duration_sec=_LOG_PERIOD)
+                self._node.get_logger().warning(f"camera {name}: {self._silence_of(camera)}", throttle_duration_sec=NODE.log_period)
         why = self._why_no_pose(silent, rate)
         if silent or rate == 0:
-            self._node.get_logger().warning(why, throttle_duration_sec=_LOG_PERIOD)
+            self._node.get_logger().warning(why, throttle_duration_sec=NODE.log_period)
         values: dict[str, Any] = {
             "rate_hz": f"{rate:.1f}",
             "images": self._main.input.n_images,
@@ -477,7 +470,14 @@ class _Perception(Component):
 
     def _silence_of(self, camera: _Camera) -> str:
         topic = camera.input.image_topic
-        return f"no depth image on {topic} ({self._node.count_publishers(topic)} publishers) for over {_SILENT:.0f} s"
+        return f"no depth image on {topic} ({self._node.count_publishers(topic)} publishers) for over {IMAGE_TIMES.silence:.0f} s"
+
+
+def _await_subscription(publisher: Publisher) -> None:
+    """Wait until a publisher has one, at most `NodeSettings.listener_wait`."""
+    deadline = time.monotonic() + NODE.listener_wait
+    while publisher.get_subscription_count() == 0 and time.monotonic() < deadline:
+        time.sleep(0.02)
 
 
 def main() -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
@@ -20,8 +20,10 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
+from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.convert.messages import stamp_from_msg, stamp_to_msg
 from push_ident.nodes.input.description_file import description_in
+from push_ident.nodes.push_executor.settings import EXECUTOR
 from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.ports import ArmState
 from push_ident.pushing.push import PushCode
@@ -30,21 +32,6 @@ from push_ident.pushing.state_intake import StateIntake
 from push_ident.pushing.trajectory import JointTrajectory
 
 __all__ = ["ArmPort"]
-
-_MARGIN = 0.03
-"""[s] by which a silent arm is given up early, so that it is held within the timeout: three looks of the watch."""
-_GRACE = 0.03
-"""[s] for states that have arrived but were not taken in yet."""
-_PATIENCE = 1.5
-"""How long an arm at rest may stay silent before a push is refused [s]: one that was moved is believed after 1 s."""
-_DISCOVERY = 5.0
-"""And one that was never heard [s]: on a busy machine DDS needs seconds to find a publisher."""
-_STANDING = 0.02
-"""An arm whose joints are all slower stands [rad/s]."""
-_MAX_JOINTS = 256
-"""Names of joints that are remembered."""
-_FASTEST = 5.0
-"""No joint turns faster [rad/s]: the fastest of an iiwa 7 reaches 3.1; descriptions often have a limit that is none."""
 
 
 def _message(joint_names: tuple[str, ...], piece: JointTrajectory) -> JointTrajectoryMsg:
@@ -96,8 +83,7 @@ class ArmPort:
         if description_file:
             self._use(description_in(description_file))
         else:
-            latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            node.create_subscription(String, "robot_description", self._on_description, latched, callback_group=callback_group)
+            node.create_subscription(String, "robot_description", self._on_description, LATCHED, callback_group=callback_group)
         node.create_subscription(JointState, "joint_states", self._on_joint_states, qos_profile_sensor_data, callback_group=callback_group)
 
     @property
@@ -127,8 +113,8 @@ class ArmPort:
         `is_late`: this process did not get to run for a while, so it is not the arm that is to blame: states that wait to be taken in
         get a moment.
         """
-        limit = timeout - _MARGIN
-        deadline = time.monotonic() + (_GRACE if is_late else 0.0)
+        limit = timeout - EXECUTOR.hold_margin
+        deadline = time.monotonic() + (EXECUTOR.intake_grace if is_late else 0.0)
         while self.silence > limit and time.monotonic() < deadline:
             time.sleep(0.002)
         state, silence = self.state, self.silence
@@ -136,7 +122,7 @@ class ArmPort:
             raise self._no_description()  # states cannot be read without one
         if state is None or silence > limit:
             since = "yet" if state is None else f"for {1e3 * silence:.0f} ms, and the arm must be held after {1e3 * timeout:.0f} ms"
-            refused = self.impossible_state(time.monotonic() - _PATIENCE)
+            refused = self.impossible_state(time.monotonic() - EXECUTOR.rest_silence)
             why = f"; those that come cannot be true: {refused}" if refused else "."
             raise PlanningError(PushCode.ARM_SILENT, f"no joint states on {self._node.resolve_topic_name('joint_states')} {since}{why}")
         return state
@@ -147,7 +133,7 @@ class ArmPort:
         Planning keeps the interpreter busy, so states may be taken in late for a moment: that is waited out here.
         """
         asked = time.monotonic()
-        patience = _DISCOVERY if self.state is None else _PATIENCE
+        patience = EXECUTOR.discovery if self.state is None else EXECUTOR.rest_silence
         while self.state is None or self.state.received <= asked:
             if time.monotonic() - asked > patience:
                 return self.fresh_state(timeout)
@@ -158,9 +144,9 @@ class ArmPort:
         """Other nodes that command the same arm, by full name: the lease of this machine does not cover other machines."""
         infos = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name("joint_trajectory"))
         names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
-        own = self._node.get_fully_qualified_name()
-        if own in names:
-            names.remove(own)
+        name = self._node.get_fully_qualified_name()
+        if name in names:
+            names.remove(name)
         return tuple(sorted(names))
 
     def stamp_now(self) -> tuple[float, bool]:
@@ -217,15 +203,15 @@ class ArmPort:
         if self._reported and (unknown := [name for name in kinematics.joint_names if name not in self._reported]):
             raise InputError(f"its joints {', '.join(unknown)} are not among those of joint_states: {', '.join(sorted(self._reported))}.")
         self._planner, self._kinematics = planner, kinematics
-        speed = np.minimum(kinematics.velocity_limit, _FASTEST)
+        speed = np.minimum(kinematics.velocity_limit, EXECUTOR.max_joint_speed)
         self._intake = StateIntake(StateCheck(kinematics.position_lower, kinematics.position_upper, speed), kinematics.forward)
 
     # ---- states of the arm
 
     def _on_joint_states(self, msg: JointState) -> None:
         received = time.monotonic()
-        if not self._reported.issuperset(msg.name) and len(self._reported) < _MAX_JOINTS:
-            self._reported.update(msg.name[:_MAX_JOINTS])
+        if not self._reported.issuperset(msg.name) and len(self._reported) < EXECUTOR.n_joint_names:
+            self._reported.update(msg.name[: EXECUTOR.n_joint_names])
             self.description_fault = ""  # a description that came before the states of its arm gets another chance
         self._use_offered()
         if self._kinematics is None or self._intake is None:
@@ -255,7 +241,7 @@ class ArmPort:
             return
         if before is not None:
             step = max(stamp - before.stamp, 1e-3)
-            self._is_standing = float(np.max(np.abs(q - before.q))) <= _STANDING * step
+            self._is_standing = float(np.max(np.abs(q - before.q))) <= EXECUTOR.standing_speed * step
         self.n_received += 1
         self._clock.observe(received, stamp)
         self._on_state(state, msg.header.stamp)

@@ -12,6 +12,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 
 from push_ident.errors import InputError
+from push_ident.nodes.push_executor.settings import EXECUTOR
 from push_ident.pushing.hand import BASIC_MODE, CLOSED, HandState
 from push_ident.pushing.ports import Hand
 
@@ -25,9 +26,6 @@ _MESSAGES: Final = {
 }
 """Package, status and command of each kind of driver. Both have the registers of the hand's manual as fields."""
 HAND_KINDS: Final = ("none", *_MESSAGES)
-_REPEAT: Final = 0.2
-"""[s] between two commands while the hand closes: a driver may miss one, and activation comes before closing."""
-_SPEED: Final = 128
 
 
 class FixedTool:
@@ -79,10 +77,16 @@ class RobotiqHand:
             is_active = self._state is not None and self._state.activated
             self._publisher.publish(
                 self._command(
-                    r_act=1, r_mod=BASIC_MODE, r_gto=int(is_active), r_atr=0, r_pra=CLOSED if is_active else 0, r_spa=_SPEED, r_fra=0
+                    r_act=1,
+                    r_mod=BASIC_MODE,
+                    r_gto=int(is_active),
+                    r_atr=0,
+                    r_pra=CLOSED if is_active else 0,
+                    r_spa=EXECUTOR.hand_speed,
+                    r_fra=0,
                 )
             )
-            time.sleep(_REPEAT)
+            time.sleep(EXECUTOR.hand_command_period)
         return reason
 
     def _on_status(self, msg: Any) -> None:

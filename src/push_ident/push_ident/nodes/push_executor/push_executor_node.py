@@ -14,13 +14,13 @@ from geometry_msgs.msg import Point, PoseStamped
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import qos_profile_sensor_data
 from shape_msgs.msg import SolidPrimitive
 from std_srvs.srv import Trigger
 
 from push_ident.errors import InputError
 from push_ident.geometry.se3 import quaternion_of_pose
-from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.keep_alive import ClientWatch
 from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.messages import TABLE_FRAME, cylinder_to_msg, position_to_msg, stamp_to_msg
@@ -31,6 +31,7 @@ from push_ident.nodes.push_executor.arm_port import ArmPort
 from push_ident.nodes.push_executor.force_port import ForcePort
 from push_ident.nodes.push_executor.hand_port import make_hand
 from push_ident.nodes.push_executor.parameters import PARAMETERS, execution_settings
+from push_ident.nodes.push_executor.settings import EXECUTOR
 from push_ident.nodes.recording.recording_port import RecordingPort
 from push_ident.pushing.executed_push import ExecutedPush
 from push_ident.pushing.execution import PushExecution
@@ -41,11 +42,6 @@ from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushCorrection, PushRecord
 
 __all__ = ["PARAMETERS", "PushExecutorNode", "main"]
-
-_TOOL_PERIOD = 1.0 / 60.0
-"""Shortest time between two messages of the tool's pose [s]."""
-_ANSWER = 0.3
-"""[s] given to the answer to a goal when the node is deactivated."""
 
 
 class _NodeClock:
@@ -117,8 +113,7 @@ class _PushExecutor(Component):
         self._tool_pub = node.create_publisher(PoseStamped, "tool/pose", 10)
         self._pusher_pub = node.create_publisher(PoseStamped, "pusher/pose", 10)
         self._record_pub = node.create_publisher(PushRecord, "push_record", 10)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._shape_pub = node.create_publisher(SolidPrimitive, "pusher/shape", latched)
+        self._shape_pub = node.create_publisher(SolidPrimitive, "pusher/shape", LATCHED)
         self._shape_pub.publish(cylinder_to_msg(values["pusher_radius"], values["pusher_height"]))
 
         self._make_ports(values)
@@ -166,7 +161,7 @@ class _PushExecutor(Component):
         """Hold the arm if it moves; returns when no push is under way any more, after 1 s at most."""
         self._is_active = False
         self._execution.stop(1.0)
-        self._answered.wait(_ANSWER)
+        self._answered.wait(EXECUTOR.answer_wait)
 
     def close(self) -> None:
         """Give the arm free."""
@@ -212,7 +207,7 @@ class _PushExecutor(Component):
     # ---- what is published
 
     def _on_arm_state(self, state: ArmState, stamp: Time) -> None:
-        if 0.0 <= state.stamp - self._tool_stamp < _TOOL_PERIOD - 1e-4:
+        if 0.0 <= state.stamp - self._tool_stamp < EXECUTOR.tool_period - 1e-4:
             return
         self._tool_stamp = state.stamp
         msg = position_to_msg(stamp, state.pose_tip_in_table[:3, 3])

@@ -15,34 +15,25 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMsg
 from std_msgs.msg import Bool
 
 from push_ident.bags.contract import Role, role_of, topic_of
 from push_ident.bags.raw import RawMessage, bag_topics, raw_messages
 from push_ident.errors import BagError
-from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.run import run_node
+from push_ident.nodes.recording.settings import RECORDING
 
 __all__ = ["PARAMETERS", "BagPlayerNode", "live_object_id", "main"]
 
-_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # A subscriber that also keeps all holds the player back until it has room: nothing is lost, however fast the bag is played.
 _RELIABLE: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.TF_STATIC, Role.CAMERA_ACCURACY})
 _OBSERVED: Final = frozenset({Role.POSE, Role.DEPTH})
 _PUSHES: Final = frozenset({Role.PUSHER, Role.WRENCH, Role.PUSH_RECORD})
-_CLOCK_PERIOD_NS: Final = 10_000_000
-_LONGEST_PAUSE_NS: Final = 3600 * 10**9
-"""A longer time without any message is not waited for: a clock was set in the middle of the recording, or a stamp is wrong."""
-_AHEAD: Final = 2
-"""Depth images under way to the node that processes them."""
-_STALLED: Final = 120.0
-"""Longest time for one image [s]; the first one compiles, on a loaded machine for half a minute."""
-_DELIVERY: Final = 120.0
-"""Longest wait for listeners to take the last messages [s]."""
 
 PARAMETERS: Final = (
     Parameter("bag", "", "Bag to play: a folder or an .mcap or .db3 file", read_only=True),
@@ -84,14 +75,14 @@ class _BagPlayer(Component):
         self._publishing: dict[str, Publisher] = {}
         skipped = []
         for topic, msgtype in bag_topics(self._path).items():
-            found = role_of(topic)
+            entry = role_of(topic)
             message = _message_class(msgtype)
-            if found is None or message is None:
+            if entry is None or message is None:
                 skipped.append(f"{topic} ({msgtype})")
                 continue
-            lossy = found.role is Role.DEPTH and not self._settings["follower"]
-            qos = _LATCHED if found.role in _LATCHED_ROLES else qos_profile_sensor_data if lossy else _RELIABLE
-            name = "/tf_static" if found.role is Role.TF_STATIC else topic_of(found.role, live_object_id(found.object_id))
+            lossy = entry.role is Role.DEPTH and not self._settings["follower"]
+            qos = LATCHED if entry.role in _LATCHED_ROLES else qos_profile_sensor_data if lossy else _RELIABLE
+            name = "/tf_static" if entry.role is Role.TF_STATIC else topic_of(entry.role, live_object_id(entry.object_id))
             self._publishing[topic] = self._node.create_publisher(message, name, qos)
         if not self._publishing:
             raise BagError(f"{self._path}: none of its topics is of the bag contract ({', '.join(skipped)}); record or import it again.")
@@ -99,7 +90,7 @@ class _BagPlayer(Component):
             self._node.get_logger().info(f"not played: {', '.join(skipped)}")
         self._clock_publisher = self._node.create_publisher(ClockMsg, "/clock", 10)
         self._pace = _Pace(node, self._settings["follower"]) if self._settings["follower"] else None
-        self._done = self._node.create_publisher(Bool, "~/done", _LATCHED)
+        self._done = self._node.create_publisher(Bool, "~/done", LATCHED)
         self._done.publish(Bool(data=False))
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -145,7 +136,7 @@ class _BagPlayer(Component):
 
     def _await_delivery(self, stop: threading.Event) -> None:
         """The last messages must reach their subscribers before the publisher is destroyed."""
-        deadline = time.monotonic() + _DELIVERY
+        deadline = time.monotonic() + RECORDING.delivery_timeout
         for publisher in (*self._publishing.values(), self._done):
             while not publisher.wait_for_all_acked(Duration(seconds=0.1)) and not stop.is_set() and time.monotonic() < deadline:
                 pass
@@ -155,7 +146,7 @@ class _BagPlayer(Component):
         deadline = time.monotonic() + patience
         observed, pushes = self._publishers_of(_OBSERVED), self._publishers_of(_PUSHES)
 
-        def lacking() -> str:
+        def missing_listeners() -> str:
             n = max((p.get_subscription_count() for p in observed), default=expected)
             if n < expected:
                 return f"{n} of {expected} listen to poses or depth"
@@ -163,14 +154,14 @@ class _BagPlayer(Component):
             deaf = [p.topic_name for p in pushes if expected and p.get_subscription_count() == 0]
             return f"nobody listens to {', '.join(deaf)}" if deaf else ""
 
-        while (why := lacking()) and time.monotonic() < deadline:
+        while (why := missing_listeners()) and time.monotonic() < deadline:
             if self._stop.wait(0.05):
                 return
         if why:
             self._node.get_logger().warning(f"{why} after {patience:.0f} s; playing all the same")
 
     def _publishers_of(self, roles: frozenset[Role]) -> list[Publisher]:
-        return [p for topic, p in self._publishing.items() if (found := role_of(topic)) and found.role in roles]
+        return [p for topic, p in self._publishing.items() if (entry := role_of(topic)) and entry.role in roles]
 
     def _play_once(self, stop: threading.Event) -> int:
         rate = self._settings["rate"]
@@ -181,7 +172,7 @@ class _BagPlayer(Component):
                 break
             if first is None:
                 first = latest = message.stamp_ns
-            if (pause := message.stamp_ns - latest) > _LONGEST_PAUSE_NS:
+            if (pause := message.stamp_ns - latest) > RECORDING.longest_pause_ns:
                 self._node.get_logger().warning(f"{self._path} has no message for {pause / 3.6e12:.3g} hours; that is skipped")
                 first += pause
             latest = message.stamp_ns
@@ -192,7 +183,7 @@ class _BagPlayer(Component):
             elif count % 100 == 99:
                 # Full speed still gives the listeners a chance: their queues are long, not endless.
                 stop.wait(0.005)
-            if message.stamp_ns - clocked >= _CLOCK_PERIOD_NS:
+            if message.stamp_ns - clocked >= RECORDING.clock_period_ns:
                 clocked = message.stamp_ns
                 self._publish_clock(clocked)
             count += self._publish(message, stop)
@@ -202,8 +193,8 @@ class _BagPlayer(Component):
         return count
 
     def _is_image(self, message: RawMessage) -> bool:
-        found = role_of(message.topic)
-        return found is not None and found.role is Role.DEPTH and message.topic in self._publishing
+        entry = role_of(message.topic)
+        return entry is not None and entry.role is Role.DEPTH and message.topic in self._publishing
 
     def _publish_clock(self, stamp_ns: int) -> None:
         msg = ClockMsg()
@@ -247,12 +238,12 @@ class _Pace:
             self._wake.notify_all()
 
     def wait(self, stop: threading.Event, n_listeners: Callable[[], int]) -> None:
-        """After an image: wait until at most `_AHEAD` images are not done; one to which nobody listens is not waited for."""
+        """After an image: wait until at most `n_ahead` images are not done; one to which nobody listens is not waited for."""
         if n_listeners() == 0:
             return
         self._n_sent += 1
         self._heard = time.monotonic()
-        self._wait_until(stop, _AHEAD)
+        self._wait_until(stop, RECORDING.n_ahead)
 
     def wait_for_all(self, stop: threading.Event) -> None:
         """Wait until all images are done."""
@@ -262,8 +253,10 @@ class _Pace:
         with self._wake:
             while self._n_sent - self._n_done > ahead and not stop.is_set():
                 self._wake.wait(0.1)
-                if time.monotonic() - self._heard > _STALLED:
-                    self._node.get_logger().warning(f"{self._n_sent - self._n_done} images are not done after {_STALLED:.0f} s; playing on")
+                if time.monotonic() - self._heard > RECORDING.image_timeout:
+                    self._node.get_logger().warning(
+                        f"{self._n_sent - self._n_done} images are not done after {RECORDING.image_timeout:.0f} s; playing on"
+                    )
                     self._n_done = self._n_sent
 
 

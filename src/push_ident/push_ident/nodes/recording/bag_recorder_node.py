@@ -19,17 +19,14 @@ from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.base.arrivals import Arrivals
-from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.run import run_node
-from push_ident.nodes.recording.recording_port import RECORDING_PERIOD, RECORDING_QOS, RECORDING_TOPIC, REPEATED
+from push_ident.nodes.recording.recording_port import RECORDING_TOPIC, REPEATED
+from push_ident.nodes.recording.settings import RECORDING
 
 __all__ = ["PARAMETERS", "BagRecorderNode", "main"]
 
-_MESSAGES: Final = 1000
-"""Messages of a topic that may wait for the disk: 1 s at 1 kHz."""
-_IMAGES: Final = 60
-"""Depth images that may wait for the disk: 2 s at 30 Hz, 37 MB at 640 x 480."""
 
 PARAMETERS: Final = (
     Parameter("bag", "", "Bag to write: a new folder", read_only=True),
@@ -84,8 +81,8 @@ class _BagRecorder(Component):
         self._counts: Counter[str] = Counter()
         self._arrivals: dict[str, Arrivals] = {}
         self._failed = ""
-        self._recording = node.create_publisher(DiagnosticStatus, RECORDING_TOPIC, RECORDING_QOS)
-        node.create_timer(RECORDING_PERIOD, self._look_around, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._recording = node.create_publisher(DiagnosticStatus, RECORDING_TOPIC, LATCHED)
+        node.create_timer(RECORDING.status_period, self._check_and_report, clock=Clock(clock_type=ClockType.STEADY_TIME))
         node.get_logger().info(f"recording to {path}")
 
     def resume(self) -> None:
@@ -104,7 +101,7 @@ class _BagRecorder(Component):
             self._writer.__exit__(None, None, None)
         self._node.get_logger().info(f"{self._counts.total()} messages in {self._writer.path}")
 
-    def _look_around(self) -> None:
+    def _check_and_report(self) -> None:
         if self._failed:
             return
         try:
@@ -133,12 +130,12 @@ class _BagRecorder(Component):
 
     def _discover(self) -> None:
         for topic, types in self._node.get_topic_names_and_types():
-            found = role_of(topic)
-            if found is None or topic in self._counts or found.role.msgtype not in types or self._node.count_publishers(topic) == 0:
+            entry = role_of(topic)
+            if entry is None or topic in self._counts or entry.role.msgtype not in types or self._node.count_publishers(topic) == 0:
                 continue
-            if found.role is Role.DEPTH and not self._settings["depth"]:
+            if entry.role is Role.DEPTH and not self._settings["depth"]:
                 continue
-            package, name = found.role.msgtype.split("/msg/")
+            package, name = entry.role.msgtype.split("/msg/")
             try:
                 message = getattr(importlib.import_module(f"{package}.msg"), name)
             except ImportError:
@@ -147,18 +144,18 @@ class _BagRecorder(Component):
                 info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for info in self._node.get_publishers_info_by_topic(topic)
             )
             qos = QoSProfile(
-                depth=_IMAGES if found.role is Role.DEPTH else _MESSAGES,
+                depth=RECORDING.n_images if entry.role is Role.DEPTH else RECORDING.n_messages,
                 reliability=ReliabilityPolicy.BEST_AVAILABLE,
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
             self._counts[topic] = 0
-            if found.role is Role.PUSH_RECORD:  # without a record of it, a push that was broken off must not count as one
-                self._writer.declare(topic, found.role.msgtype)
+            if entry.role is Role.PUSH_RECORD:  # without a record of it, a push that was broken off must not count as one
+                self._writer.declare(topic, entry.role.msgtype)
             self._arrivals[topic] = self._node.arrivals_of(topic)
             self._node.create_subscription(
                 message,
                 topic,
-                lambda data, t=topic, m=found.role.msgtype: self._write(t, m, data),
+                lambda data, t=topic, m=entry.role.msgtype: self._write(t, m, data),
                 qos,
                 raw=True,
                 arrivals=self._arrivals[topic],
@@ -193,7 +190,7 @@ class _BagRecorder(Component):
         health, name = self.health(), self._node.get_fully_qualified_name()
         values = [KeyValue(key=key, value=str(value)) for key, value in health.values.items()]
         if not self._failed:
-            values.append(KeyValue(key=REPEATED, value=str(RECORDING_PERIOD)))
+            values.append(KeyValue(key=REPEATED, value=str(RECORDING.status_period)))
         return DiagnosticStatus(level=health.level, name=name, message=health.message, hardware_id="push_ident", values=values)
 
 

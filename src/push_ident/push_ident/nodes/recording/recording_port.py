@@ -8,20 +8,17 @@ from typing import Final
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
-__all__ = ["RECORDING_PERIOD", "RECORDING_QOS", "RECORDING_TOPIC", "REPEATED", "RecordingPort"]
+from push_ident.nodes.base.cell_node import LATCHED
+from push_ident.nodes.recording.settings import RECORDING
+
+__all__ = ["RECORDING_TOPIC", "REPEATED", "RecordingPort"]
 
 RECORDING_TOPIC: Final = "recording"
 """diagnostic_msgs/DiagnosticStatus, latched: OK or WARN again and again while a bag is written, ERROR with the reason after a failure,
 STALE where nobody wants it any more."""
-RECORDING_QOS: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-RECORDING_PERIOD: Final = 0.5
-"""Between two statuses of a recorder that writes [s]."""
 REPEATED: Final = "repeated every [s]"
 """Key of the value in a status that promises the next one."""
-_MISSED: Final = 4
-"""So many statuses that do not come show that a recorder has stopped."""
 _SILENT: Final = "the recorder fell silent: it was stopped or killed; start it again, or restart this node to push without one"
 
 
@@ -33,7 +30,7 @@ class RecordingPort:
         self._fault = ""
         self._heard = 0.0
         self._is_left = self._is_repeated = False
-        node.create_subscription(DiagnosticStatus, RECORDING_TOPIC, self._on_status, RECORDING_QOS, callback_group=callback_group)
+        node.create_subscription(DiagnosticStatus, RECORDING_TOPIC, self._on_status, LATCHED, callback_group=callback_group)
 
     @property
     def fault(self) -> str:
@@ -42,10 +39,10 @@ class RecordingPort:
         A recorder that has left is not asked for any more. One that fell silent before is, until it writes again: it was stopped or killed.
         """
         silence = time.monotonic() - self._heard
-        if not self._is_left and silence > RECORDING_PERIOD:
+        if not self._is_left and silence > RECORDING.status_period:
             if self._node.count_publishers(self._node.resolve_topic_name(RECORDING_TOPIC)) == 0:
                 self._is_left, self._fault = True, ""
-            elif self._is_repeated and silence > _MISSED * RECORDING_PERIOD:
+            elif self._is_repeated and silence > RECORDING.n_missed * RECORDING.status_period:
                 self._is_left, self._fault = True, _SILENT
         return self._fault
 

@@ -17,13 +17,13 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Final
 from urllib.parse import parse_qs, quote, urlsplit
 
+from push_ident.nodes.viewer.settings import VIEWER
+
 __all__ = ["PageServer"]
 
 _HOST: Final = re.compile(r"(?P<host>[A-Za-z0-9.\-]{1,253}|\[[0-9A-Fa-f:.]{2,45}\])(?::\d{1,5})?")
 """Host and port as a browser asks for them; of anything else nothing is repeated in the answer."""
 _PASSED_ON: Final = ("Content-Type", "Content-Length", "Content-Encoding", "Last-Modified", "ETag", "Cache-Control")
-_TIMEOUT: Final = 10.0
-"""For the server of Rerun on this machine [s]."""
 
 
 class PageServer:
@@ -87,7 +87,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _pass_on(self) -> None:
-        with closing(http.client.HTTPConnection(*self.server.inner, timeout=_TIMEOUT)) as inner:
+        with closing(http.client.HTTPConnection(*self.server.inner, timeout=VIEWER.page_timeout)) as inner:
             try:
                 inner.request(self.command, self.path)
                 answer = inner.getresponse()

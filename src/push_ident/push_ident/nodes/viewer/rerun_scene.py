@@ -19,14 +19,11 @@ from push_ident.geometry.se2 import rotation, transform_points
 from push_ident.limits import plain_text
 from push_ident.nodes.convert.goal_markers import GoalDrawing
 from push_ident.nodes.viewer.rerun_server import RerunServer
+from push_ident.nodes.viewer.settings import VIEWER
 from push_ident.types import CameraIntrinsics, Float64Array
 
 __all__ = ["CellMap", "RerunScene"]
 
-_LIFT: Final = 0.001
-"""Distance in height between lines drawn on top of each other [m]."""
-_GHOSTS: Final = 6
-"""Outlines that show a predicted motion."""
 _OBSERVED, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT, _GOAL = (
     [0, 158, 115],
     [213, 94, 0],
@@ -41,14 +38,6 @@ _REFUSED: Final = [86, 180, 233]
 """Of what is no object; from the same colours."""
 _EDGE: Final = _PREDICTED
 """Of the table, where a goal is at one; from the same colours."""
-_SHOWN: Final = 0.25
-"""Half the edge of the part of the table that the picture shows [m]."""
-_STEADY: Final = 0.1
-"""By how much of its size the part of the picture that is shown may move before the camera counts as moving [-]."""
-_WIDTH: Final = 0.0012
-"""Of a line [m]."""
-_FLUSH_WITHIN: Final = 1.0
-"""Time for what is held back to reach a server or a file [s]; a node has 1.8 s to end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +96,7 @@ class RerunScene:
 
     def close(self) -> None:
         """Send what is still held back, then end the recording."""
-        self._stream.flush(timeout_sec=_FLUSH_WITHIN)
+        self._stream.flush(timeout_sec=VIEWER.flush_within)
         self._stream.disconnect()
         if self._server is not None:
             self._server.close()
@@ -124,7 +113,7 @@ class RerunScene:
         The picture shows the middle of the table; that of a camera that moves shows all it sees.
         """
         rr = self._rr
-        corners = np.array([[x, y, 0.0] for x in (-_SHOWN, _SHOWN) for y in (-_SHOWN, _SHOWN)])
+        corners = np.array([[x, y, 0.0] for x in (-VIEWER.shown, VIEWER.shown) for y in (-VIEWER.shown, VIEWER.shown)])
         in_camera = (corners - camera_in_table[:3, 3]) @ camera_in_table[:3, :3]
         if np.all(in_camera[:, 2] > 0):
             pixels = in_camera[:, :2] / in_camera[:, 2:] * [intrinsics.fx, intrinsics.fy] + [intrinsics.cx, intrinsics.cy]
@@ -140,7 +129,7 @@ class RerunScene:
         """
         if self._part is None and not self._is_whole:
             self._part = part
-        elif self._part is not None and np.abs(part - self._part).max() > _STEADY * np.ptp(self._part):
+        elif self._part is not None and np.abs(part - self._part).max() > VIEWER.steady * np.ptp(self._part):
             self._part, self._is_whole = None, True
         else:
             return
@@ -163,10 +152,10 @@ class RerunScene:
 
     def observed(self, object_id: str, outline: Float64Array, pose: Float64Array, top: float) -> None:
         """The observed pose of an object: outline (n, 2) in its frame, pose (x, y, yaw), height of its upper side [m]."""
-        self._log(f"table/objects/{object_id}/observed", self._lines([transform_points(pose, outline)], top + 2 * _LIFT, _OBSERVED))
+        self._log(f"table/objects/{object_id}/observed", self._lines([transform_points(pose, outline)], top + 2 * VIEWER.lift, _OBSERVED))
         turn = np.eye(3)
         turn[:2, :2] = rotation(pose[2])
-        placed = self._rr.Transform3D(translation=[pose[0], pose[1], top + _LIFT], mat3x3=turn)
+        placed = self._rr.Transform3D(translation=[pose[0], pose[1], top + VIEWER.lift], mat3x3=turn)
         for name in ("load", "uncertainty"):
             self._log(f"table/{name}/{object_id}", placed)
 
@@ -178,7 +167,9 @@ class RerunScene:
             return
         # The reason without the remedy: longer labels hide the object.
         labels = [why.partition(";")[0] for _, why in refusals]
-        lines = self._rr.LineStrips3D([outline for outline, _ in refusals], labels=labels, colors=_REFUSED, radii=_WIDTH, show_labels=True)
+        lines = self._rr.LineStrips3D(
+            [outline for outline, _ in refusals], labels=labels, colors=_REFUSED, radii=VIEWER.line_width, show_labels=True
+        )
         self._log(name, lines)
 
     def map(self, object_id: str, cells: CellMap) -> None:
@@ -189,14 +180,14 @@ class RerunScene:
             ("uncertainty", np.clip(relative, 0.0, 1.0), cv2.COLORMAP_MAGMA),
         ):
             self._log(f"table/{name}/{object_id}/cells", self._cells(cells, share, palette))
-            centre = self._rr.Points3D([[*cells.centre, _LIFT]], radii=[0.35 * cells.size], colors=[220, 30, 30])
+            centre = self._rr.Points3D([[*cells.centre, VIEWER.lift]], radii=[0.35 * cells.size], colors=[220, 30, 30])
             self._log(f"table/{name}/{object_id}/centre", centre)
 
     def predicted(self, object_id: str, outline: Float64Array, poses: Float64Array, top: float) -> None:
         """A predicted motion, poses (n, 3), as outlines along it; no poses remove it."""
-        chosen = np.unique(np.linspace(0, len(poses) - 1, min(_GHOSTS, len(poses))).astype(int))
+        chosen = np.unique(np.linspace(0, len(poses) - 1, min(VIEWER.n_outlines, len(poses))).astype(int))
         ghosts = [transform_points(poses[i], outline) for i in chosen]
-        self._log(f"table/objects/{object_id}/predicted", self._lines(ghosts, top + 3 * _LIFT, _PREDICTED))
+        self._log(f"table/objects/{object_id}/predicted", self._lines(ghosts, top + 3 * VIEWER.lift, _PREDICTED))
 
     def next_push(self, object_id: str, path: Float64Array, top: float) -> None:
         """Path (n, 2) of the tool in the push to make next; an empty one removes it."""
@@ -205,12 +196,14 @@ class RerunScene:
         if len(path) < 2:
             self._log(name, rr.Clear(recursive=True))
             return
-        start, end = ([*path[i], top + 3 * _LIFT] for i in (0, -1))
-        self._log(f"{name}/tool", rr.Arrows3D(origins=[start], vectors=[np.subtract(end, start)], colors=_NEXT, radii=_WIDTH * 1.5))
+        start, end = ([*path[i], top + 3 * VIEWER.lift] for i in (0, -1))
+        self._log(
+            f"{name}/tool", rr.Arrows3D(origins=[start], vectors=[np.subtract(end, start)], colors=_NEXT, radii=VIEWER.line_width * 1.5)
+        )
 
     def next_end(self, object_id: str, outline: Float64Array, top: float) -> None:
         """Where the next push would leave the object: outline (n, 2) in `table`."""
-        self._log(f"table/objects/{object_id}/next_push/end", self._lines([outline], top + 3 * _LIFT, _NEXT))
+        self._log(f"table/objects/{object_id}/next_push/end", self._lines([outline], top + 3 * VIEWER.lift, _NEXT))
 
     def goal(self, drawing: GoalDrawing | None, top: float) -> None:
         """The goal or path that is pursued and the push under way, in place of the push to make next; None removes them."""
@@ -218,7 +211,7 @@ class RerunScene:
         self._log(name, rr.Clear(recursive=True))
         if drawing is None:
             return
-        height = top + 4 * _LIFT
+        height = top + 4 * VIEWER.lift
         self._log(f"{name}/outline", self._lines([drawing.goal], height, _GOAL))
         for part, line, colour in (("edge", drawing.edge, _EDGE), ("path", drawing.path, _GOAL)):
             if line is not None:
@@ -228,7 +221,8 @@ class RerunScene:
             # Of a tool that is steered the arrow is the end of its path.
             start, end = ([*point, height] for point in drawing.tool[-2:])
             self._log(
-                f"{name}/push/tool", rr.Arrows3D(origins=[start], vectors=[np.subtract(end, start)], colors=_NEXT, radii=_WIDTH * 1.5)
+                f"{name}/push/tool",
+                rr.Arrows3D(origins=[start], vectors=[np.subtract(end, start)], colors=_NEXT, radii=VIEWER.line_width * 1.5),
             )
             if len(drawing.tool) > 2:
                 self._log(f"{name}/push/path", self._lines([drawing.tool], height, _NEXT, closed=False))
@@ -240,7 +234,8 @@ class RerunScene:
             # At different corners, so that the words of a push that ends at the goal do not hide those of the goal.
             corner = corners[np.argmin(corners[:, 1]) if number else np.argmax(corners[:, 1])]
             self._log(
-                f"{name}/words/{number}", rr.Points3D([[*corner, height]], radii=_WIDTH, colors=colour, labels=text, show_labels=True)
+                f"{name}/words/{number}",
+                rr.Points3D([[*corner, height]], radii=VIEWER.line_width, colors=colour, labels=text, show_labels=True),
             )
 
     def score(self, error: float, expected: float, uniform: float) -> None:
@@ -249,7 +244,7 @@ class RerunScene:
             if np.isfinite(value):
                 self._log(f"error_mm/{name}", self._rr.Scalars(1e3 * value))
 
-    def words(self, markdown: str) -> None:
+    def status(self, markdown: str) -> None:
         """What is known, for reading."""
         self._log("status", self._rr.TextDocument(markdown, media_type="text/markdown"))
 
@@ -262,7 +257,7 @@ class RerunScene:
         """Lines through points, each of shape (n, 2); `closed`: back to the first one."""
         flat = [np.vstack([line, line[:1]]) if closed else line for line in lines]
         strips = [np.column_stack([line, np.full(len(line), height)]) for line in flat]
-        return self._rr.LineStrips3D(strips, colors=[colour] * len(strips), radii=[_WIDTH] * len(strips))
+        return self._rr.LineStrips3D(strips, colors=[colour] * len(strips), radii=[VIEWER.line_width] * len(strips))
 
     def _cells(self, cells: CellMap, share: Float64Array, palette: int) -> Any:
         """Squares coloured by `share` from 0 to 1, shape (n,)."""

@@ -15,14 +15,10 @@ from typing import Final
 from push_ident.errors import InputError
 from push_ident.limits import plain_text
 from push_ident.nodes.viewer.page_server import PageServer
+from push_ident.nodes.viewer.settings import VIEWER
 
 __all__ = ["RerunServer"]
 
-_START_WITHIN: Final = 10.0
-"""Time for the server to listen [s]; it takes 0.1 s on an idle machine."""
-_STOP_WITHIN: Final = 0.5
-"""Time from SIGTERM to SIGKILL [s]."""
-_POLL_PERIOD: Final = 0.02
 _PR_SET_PDEATHSIG: Final = 1
 """From linux/prctl.h: the signal that a process gets when its parent dies."""
 
@@ -70,7 +66,7 @@ class RerunServer:
             raise
 
     def _await_port(self, host: str, port: int) -> None:
-        deadline = time.monotonic() + _START_WITHIN
+        deadline = time.monotonic() + VIEWER.server_start
         while True:
             if self._process.poll() is not None or time.monotonic() > deadline:
                 raise InputError(f"The Rerun server does not listen on {host}, port {port}; check `memory` (as 512MB) and `bind`.")
@@ -78,7 +74,7 @@ class RerunServer:
                 socket.create_connection((host, port), timeout=1.0).close()
                 return
             except OSError:
-                time.sleep(_POLL_PERIOD)
+                time.sleep(0.02)
 
     def close(self) -> None:
         """End the server."""
@@ -86,7 +82,7 @@ class RerunServer:
             self._front.close()
         self._process.terminate()
         try:
-            self._process.wait(_STOP_WITHIN)
+            self._process.wait(VIEWER.server_stop)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path as PathMsg
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
 from visualization_msgs.msg import MarkerArray
@@ -18,7 +18,7 @@ from visualization_msgs.msg import MarkerArray
 from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se2 import transform_points
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
-from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter, Parameters
 from push_ident.nodes.base.run import run_node
 from push_ident.nodes.base.stamps import StampCheck
@@ -35,8 +35,8 @@ from push_ident.nodes.convert.messages import (
 from push_ident.nodes.convert.refusals import refusals_from_msg
 from push_ident.nodes.input.discovery import ObjectTopics
 from push_ident.nodes.input.tracked_objects import TrackedObjects
-from push_ident.nodes.viewer.ports import GRPC_PORT, WEB_PORT
 from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
+from push_ident.nodes.viewer.settings import VIEWER
 from push_ident.perception.depth import height_inside, points_in_table
 from push_ident.types import DepthFrame, Float64Array
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushScore
@@ -52,24 +52,14 @@ PARAMETERS: Final = (
         read_only=True,
     ),
     Parameter("bind", "127.0.0.1", "Address that both ports listen on; 0.0.0.0: every interface, for everyone there", read_only=True),
-    Parameter("web_port", WEB_PORT, "of the viewer for browsers", 1, 65535, read_only=True),
-    Parameter("grpc_port", GRPC_PORT, "of the data", 1, 65535, read_only=True),
+    Parameter("web_port", VIEWER.web_port, "of the viewer for browsers", 1, 65535, read_only=True),
+    Parameter("grpc_port", VIEWER.grpc_port, "of the data", 1, 65535, read_only=True),
     Parameter("memory", "512MB", "kept for viewers that come later; the oldest goes first", read_only=True),
     Parameter("address", "", "of the window's viewer, as `rerun+http://host:9876/proxy`; empty: on this machine", read_only=True),
     Parameter("file", "", "to write, `*.rrd`", read_only=True),
     Parameter("image_rate", 5.0, "Depth images shown a second", 0.1, 60.0),
     Parameter("pose_rate", 15.0, "Poses shown a second", 0.1, 240.0, read_only=True),
 )
-
-_LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_MAX_AGE: Final = 5.0
-"""An object without a pose for this time is not drawn [s]."""
-_NO_TOP: Final = 0.0
-"""Height at which objects are drawn until the camera has measured their upper side [m]."""
-_N_NODES: Final = 200
-"""Statuses of so many nodes are shown."""
-_JUMP_BACK: Final = 1.0
-"""Stamps this much older than the latest mean that time was set back [s]."""
 
 
 class ViewerNode(CellNode):
@@ -133,15 +123,15 @@ class _Viewer(Component):
         self._goal: GoalDrawing | None = None
 
         self._node.create_subscription(CameraInfo, "depth/camera_info", self._on_info, qos_profile_sensor_data)
-        self._node.create_subscription(PoseStamped, "depth/camera_pose", self._on_camera, _LATCHED)
+        self._node.create_subscription(PoseStamped, "depth/camera_pose", self._on_camera, LATCHED)
         self._node.create_subscription(
             Image, "depth/image_rect", self._on_image, QoSProfile(depth=1, reliability=qos_profile_sensor_data.reliability)
         )
-        self._node.create_subscription(MarkerArray, "workspace/refused", self._on_refused, _LATCHED)
-        self._node.create_subscription(MarkerArray, "push_to_goal/markers", self._on_goal, _LATCHED)
+        self._node.create_subscription(MarkerArray, "workspace/refused", self._on_refused, LATCHED)
+        self._node.create_subscription(MarkerArray, "push_to_goal/markers", self._on_goal, LATCHED)
         self._node.create_subscription(PoseStamped, "tool/pose", self._on_tool, qos_profile_sensor_data)
         self._node.create_subscription(PoseStamped, "pusher/pose", self._on_tool, qos_profile_sensor_data)
-        self._node.create_subscription(SolidPrimitive, "pusher/shape", self._on_tool_shape, _LATCHED)
+        self._node.create_subscription(SolidPrimitive, "pusher/shape", self._on_tool_shape, LATCHED)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self._node.create_timer(1.0 / self._settings["pose_rate"], self._draw_objects, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -153,7 +143,7 @@ class _Viewer(Component):
 
     def _at(self, stamp: float) -> None:
         """Set the time of what follows. Where it was set back (a bag that starts again) the viewer's time goes on."""
-        if stamp < self._now - _JUMP_BACK:
+        if stamp < self._now - VIEWER.jump_back:
             self._shift += self._now - stamp
         self._now = stamp
         self._scene.set_time(stamp + self._shift)
@@ -196,7 +186,7 @@ class _Viewer(Component):
         points = points_in_table(frame, self._camera)
         for object_id in unknown:
             try:
-                latest = self._objects.get(object_id, _MAX_AGE)
+                latest = self._objects.get(object_id, VIEWER.max_age)
             except PushIdentError:
                 continue
             if (top := height_inside(points, transform_points(latest.pose, latest.shape.outline))) is not None:
@@ -224,19 +214,19 @@ class _Viewer(Component):
             (PushPrediction, "next_push_prediction", self._on_next_prediction),
             (PushScore, "push_score", self._on_score),
         ):
-            self._node.create_subscription(kind, f"objects/{object_id}/{topic}", callback, _LATCHED)
-        self._node.create_subscription(PathMsg, f"objects/{object_id}/next_push", lambda msg: self._on_next_push(object_id, msg), _LATCHED)
+            self._node.create_subscription(kind, f"objects/{object_id}/{topic}", callback, LATCHED)
+        self._node.create_subscription(PathMsg, f"objects/{object_id}/next_push", lambda msg: self._on_next_push(object_id, msg), LATCHED)
 
     def _draw_objects(self) -> None:
         for object_id in self._objects.ids:
             try:
-                latest = self._objects.get(object_id, _MAX_AGE)
+                latest = self._objects.get(object_id, VIEWER.max_age)
             except PushIdentError:
                 continue
             if latest.stamp != self._drawn.get(object_id):
                 self._drawn[object_id] = latest.stamp
                 self._at(latest.stamp)
-                self._scene.observed(object_id, latest.shape.outline, latest.pose, self._tops.get(object_id, _NO_TOP))
+                self._scene.observed(object_id, latest.shape.outline, latest.pose, self._tops.get(object_id, VIEWER.default_height))
 
     def _on_map(self, msg: MassFrictionMap) -> None:
         check_object_id(msg.object_id)
@@ -267,7 +257,7 @@ class _Viewer(Component):
         LIMITS.POINTS.check(len(msg.poses), "Prediction")
         if outline is not None:
             poses = np.array([planar_pose_of(pose.pose) for pose in msg.poses]).reshape(-1, 3)
-            self._scene.predicted(msg.object_id, outline, poses, self._tops.get(msg.object_id, _NO_TOP))
+            self._scene.predicted(msg.object_id, outline, poses, self._tops.get(msg.object_id, VIEWER.default_height))
 
     def _on_next_push(self, object_id: str, msg: PathMsg) -> None:
         LIMITS.POINTS.check(len(msg.poses), "Next push")
@@ -275,20 +265,20 @@ class _Viewer(Component):
         check_coordinates(path, "Next push")
         if self._goal is not None:
             return  # What would teach most is not what is done.
-        self._scene.next_push(object_id, path, self._tops.get(object_id, _NO_TOP))
+        self._scene.next_push(object_id, path, self._tops.get(object_id, VIEWER.default_height))
 
     def _on_next_prediction(self, msg: PushPrediction) -> None:
         outline = self._outline(msg.object_id)
         if outline is not None and msg.poses and self._goal is None:
             end = planar_pose_of(msg.poses[-1].pose)
-            self._scene.next_end(msg.object_id, transform_points(end, outline), self._tops.get(msg.object_id, _NO_TOP))
+            self._scene.next_end(msg.object_id, transform_points(end, outline), self._tops.get(msg.object_id, VIEWER.default_height))
 
     def _on_goal(self, msg: MarkerArray) -> None:
         """Show the goal, and for as long not the push to make next."""
         self._goal = goal_markers_from_msg(msg)
-        top = _NO_TOP
+        top = VIEWER.default_height
         if self._goal is not None:
-            top = self._tops.get(self._goal.object_id, _NO_TOP)
+            top = self._tops.get(self._goal.object_id, VIEWER.default_height)
             for object_id in self._objects.ids:
                 self._scene.next_push(object_id, np.empty((0, 2)), top)
         self._scene.goal(self._goal, top)
@@ -302,7 +292,7 @@ class _Viewer(Component):
         words["within the 90 % region"] = f"{100 * msg.share_within_90:.0f} %"
         self._show_words()
         # The push is over; what is shown was predicted from the middle of it.
-        self._scene.predicted(msg.object_id, np.empty((0, 2)), np.empty((0, 3)), _NO_TOP)
+        self._scene.predicted(msg.object_id, np.empty((0, 2)), np.empty((0, 3)), VIEWER.default_height)
 
     # ---- words
 
@@ -311,8 +301,8 @@ class _Viewer(Component):
         for status in msg.status:
             name = plain_text(status.name.rsplit("/", 1)[-1])
             text = plain_text(status.message) if status.level != DiagnosticStatus.OK else ""
-            if name not in self._warnings and len(self._warnings) >= _N_NODES:
-                raise InputError(f"Statuses of more than {_N_NODES} nodes; that of {name} is not shown.")
+            if name not in self._warnings and len(self._warnings) >= VIEWER.n_nodes:
+                raise InputError(f"Statuses of more than {VIEWER.n_nodes} nodes; that of {name} is not shown.")
             changed |= self._warnings.get(name, "") != text
             self._warnings[name] = text
         if changed:
@@ -327,7 +317,7 @@ class _Viewer(Component):
         warnings = [f"**{name}** {text}  " for name, text in sorted(self._warnings.items()) if text]
         if warnings:
             parts += ["## Warnings", *warnings]
-        self._scene.words("\n".join(parts))
+        self._scene.status("\n".join(parts))
 
 
 def main() -> int:

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
-from push_ident.nodes.base.run import NICENESS
+from push_ident.nodes.base.settings import NODE
 from push_ident_sim.faults.harness.cell import ARM_CELL, Cell, live_cell
 from push_ident_sim.faults.harness.hold import measure_hold
 from push_ident_sim.faults.harness.priority import set_priority, urgent
@@ -71,7 +71,7 @@ def _overload(cell: Cell, *, equal: bool) -> None:
     else:
         # A driver that takes the processor from everything is no matter of the nodes of the suite.
         for command in commands:
-            set_priority(cell.processes[command.name].pid, NICENESS)
+            set_priority(cell.processes[command.name].pid, NODE.niceness)
 
 
 def _cancelled_push(cell: Cell, side: int) -> Json:

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from push_ident.nodes.base.run import NICENESS
+from push_ident.nodes.base.settings import NODE
 from push_ident_sim.studies.common.base import Json
 from push_ident_sim.studies.common.drawing import COLOURS, label_below, markdown_table, new_figure, save
 from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
@@ -168,7 +168,8 @@ STUDY = Experiment(
         "wrench and joint states at 1 kHz before identification, three pushes. `recorder`: a camera at 30 Hz and such streams; on the "
         f"slow disk the kernel delays each write to the bag by {SLOW_WRITE:.1f} s (strace). `arm`: pushes that are cancelled in the "
         "middle; in the overloaded cell a camera of 60 Hz with ten objects and its perception, streams of three objects at 1 kHz and their "
-        f"identification, and two processes that only compute run beside it, all at niceness {NICENESS} as nodes that do not move the arm; "
+        f"identification, and two processes that only compute run beside it, all at "
+        f"niceness {NODE.niceness} as nodes that do not move the arm; "
         "in the last case all are as urgent as the arm. Nodes and sources share two cores, so a rate that a source does not reach is the "
         "limit of the machine."
     ),
