@@ -19,10 +19,10 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from visualization_msgs.msg import MarkerArray
 
+from helpers.node_process import NodeProcess, Talker
 from push_ident.identification.predicting.prediction import predict
 from push_ident.identification.predicting.scoring import PushScore, ScoreSummary
 from push_ident.identification.results.posterior import prior_posterior
-from helpers.node_process import NodeProcess, Talker
 from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_to_msg
