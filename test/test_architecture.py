@@ -22,6 +22,7 @@ ORDER = [
     "pages",
     "geometry",
     "perception",
+    "survey",
     "pushing",
     "physics",
     "identification",
@@ -36,6 +37,17 @@ ORDER = [
 ]
 """A stage imports what stands before it; `types`, `errors` and `limits` know each other; `files` and `checked_json` serve all."""
 ROOMS = {
+    "perception": [
+        "kernels refusals settings work",
+        "shape_kernels",
+        "frame",
+        "known_object",
+        "observation tracking",
+        "outline",
+        "search",
+        "calibration pipeline",
+        "recording",
+    ],
     "identification": [
         "observing unknowns",
         "results",

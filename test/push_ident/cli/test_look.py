@@ -14,7 +14,7 @@ import yaml
 from helpers.commands import run_here
 from helpers.depth_scene import CAMERA, Prism, rectangle, render
 from helpers.paths import EXAMPLE_BAG, recording
-from push_ident.perception.depth import points_in_table
+from push_ident.perception.frame.view import points_in_table
 from push_ident.types import CameraIntrinsics
 
 SMALL = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)

@@ -19,7 +19,7 @@ from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.messages import (
     shape_from_msgs,
 )
-from push_ident.perception.parameter_file import pose_lines
+from push_ident.survey.parameter_file import pose_lines
 
 pytestmark = pytest.mark.live
 

@@ -13,8 +13,8 @@ from helpers.depth_scene import CAMERA, HAMMER, render
 from push_ident.errors import ModelFileError
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.nodes.perception.object_memory import ObjectMemory
+from push_ident.perception.known_object import TrackStatus
 from push_ident.perception.pipeline import Perception
-from push_ident.perception.tracking import TrackStatus
 
 FIRST, LATER = np.array([0.03, -0.02, 0.4]), np.array([-0.05, 0.04, 2.1])
 
@@ -80,19 +80,21 @@ def test_a_better_outline_takes_the_place_of_the_one_that_was_kept(before: Perce
 def test_errors_that_last_are_kept_and_files_without_them_are_read(before: Perception, tmp_path: Path) -> None:
     known, memory = before.known("o1"), ObjectMemory(str(tmp_path))
     rests = (np.array([[0.5, 0.1], [0.4, -0.2]]), np.array([[0.3, 0.2]]))
-    traced = replace(known.traced, seen_from=rests, displaced_std=1e-3, displaced_frame=(0.1, 0.2, 0.3), frame_covariance=1e-8 * np.eye(3))
+    traced = replace(
+        known.traced, camera_positions=rests, displaced_std=1e-3, displaced_frame=(0.1, 0.2, 0.3), frame_covariance=1e-8 * np.eye(3)
+    )
     memory.keep("o1", replace(known, traced=traced))
     read = memory.load()["o1"].traced
-    assert read.displaced_frame == traced.displaced_frame and read.seen_from is not None
+    assert read.displaced_frame == traced.displaced_frame and read.camera_positions is not None
     np.testing.assert_array_equal(read.frame_covariance, traced.frame_covariance)
-    for ours, kept in zip(rests, read.seen_from, strict=True):
+    for ours, kept in zip(rests, read.camera_positions, strict=True):
         np.testing.assert_array_equal(ours, kept)
     file = tmp_path / "o1.object.json"
     content = json.loads(file.read_text())
     del content["displaced_frame"], content["frame_covariance"]
     file.write_text(json.dumps(content | {"seen_from": rests[0].tolist()}))
-    (places,) = memory.load()["o1"].traced.seen_from or ()
-    np.testing.assert_array_equal(places, rests[0])
+    (positions,) = memory.load()["o1"].traced.camera_positions or ()
+    np.testing.assert_array_equal(positions, rests[0])
     file.write_text(json.dumps(content | {"frame_covariance": [[1.0]]}))
     with pytest.raises(ModelFileError, match="frame_covariance"):
         memory.load()

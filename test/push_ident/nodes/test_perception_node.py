@@ -37,7 +37,7 @@ from push_ident.nodes.convert.messages import (
 )
 from push_ident.nodes.convert.refusals import refusals_from_msg
 from push_ident.nodes.perception.perception_node import PerceptionNode
-from push_ident.perception.depth import points_in_table
+from push_ident.perception.frame.view import points_in_table
 
 pytestmark = pytest.mark.live
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from helpers.depth_scene import CAMERA, HAMMER, Prism, circle, rectangle, render
-from push_ident.errors import InputError
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.survey import survey_frames
+from push_ident.survey.survey import survey_frames
 
 BOX = rectangle(-0.06, -0.04, 0.06, 0.04)
 
@@ -52,8 +51,3 @@ def test_a_survey_says_so():
     rng = np.random.default_rng(0)
     survey = survey_frames([render([Prism(BOX, 0.010)], rng=rng, stamp=i / 30) for i in range(10)], CAMERA)
     assert any(note.startswith("object o1: it is") and "lower the tool" in note for note in survey.notes)
-
-
-def test_reach_of_the_tool_has_its_tip_first():
-    with pytest.raises(InputError, match="tool_reach"):
-        PerceptionSettings(tool_reach=(0.09, 0.01))

@@ -7,7 +7,7 @@ import pytest
 
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.perception.edges import EdgeLines, displaced_std, edge_std, hidden_walls, same_curve, without_teeth
+from push_ident.perception.outline.edges import EdgeLines, displaced_std, edge_std, hidden_walls, same_curve, without_teeth
 from push_ident.perception.pipeline import Perception
 from push_ident.types import DepthFrame
 from push_ident_sim.cell.sensor_unit import Sensor
@@ -39,12 +39,6 @@ def test_walls_that_no_camera_sees_are_hidden():
     assert hidden_walls(SQUARE, np.array([[0.0, -0.5], [0.4, 0.0]])).tolist() == [False, False, True, True]
     assert displaced_std(SQUARE, np.array([[0.0, -0.5]]), [lines_of(1e-3)]) == pytest.approx(0.0, abs=1e-5)
     assert displaced_std(SQUARE, np.array([[0.0, 0.5]]), [lines_of(1e-3)]) == pytest.approx(1.8e-3, abs=2.5e-4)
-
-
-def test_edges_that_no_line_of_sight_passes_have_the_deviation_of_the_prior():
-    nothing = EdgeLines(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty((0, 2)))
-    for views in ([nothing], []):
-        assert edge_std(SQUARE, views, SQUARE, views, np.array([[0.0, 0.5]])) == pytest.approx(np.full(4, 1e-3))
 
 
 def test_teeth_of_a_pixel_are_no_shape_and_larger_ones_are():

@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from helpers.depth_scene import CAMERA, HAMMER, Prism, rectangle, render
-from push_ident.perception import looking, pipeline, tracking
+from push_ident.perception.frame import occupancy, table
+from push_ident.perception.frame.view import FrameView
+from push_ident.perception.known_object import Template
 from push_ident.perception.pipeline import Perception
+from push_ident.perception.search import search
 from push_ident.perception.settings import PerceptionSettings
+from push_ident.perception.tracking import pose_fit, tracker
 
 SETTINGS = PerceptionSettings(rest_frames=3)
 HAMMER_AT = np.array([0.1, 0.1, 0.4])
@@ -25,10 +29,9 @@ class Watched:
         self.perception, self.rate, self.n = Perception(CAMERA, SETTINGS), rate, 0
         self.calls: dict[int, Counter[str]] = defaultdict(Counter)
         self.rng = np.random.default_rng(3)
-        names = ("cover_hollows", "find_segments", "parts_seen", "top_down", "plane_now")
-        for name in names:
-            module = looking if hasattr(looking, name) else pipeline
-            monkeypatch.setattr(module, name, self._counted(name, getattr(module, name)))
+        functions = ((search, "cover_hollows"), (search, "find_segments"), (tracker, "compare_upper_side"), (occupancy, "top_down"))
+        for owner, name in (*functions, (table.TableCamera, "step")):
+            monkeypatch.setattr(owner, name, self._counted(name, getattr(owner, name)))
 
     def _counted(self, name, function):
         def call(*args):
@@ -55,13 +58,13 @@ def test_no_frame_of_a_usual_camera_does_two_slow_things(monkeypatch):
     first = watched.n
     for _ in range(45):
         watched.see()
-    slow = ("cover_hollows", "find_segments", "top_down", "plane_now")
+    slow = ("cover_hollows", "find_segments", "top_down", "step")
     assert max(sum(calls[name] for name in slow) for calls in watched.calls.values()) == 1
-    assert max(calls["parts_seen"] for calls in watched.calls.values()) == 1
+    assert max(calls["compare_upper_side"] for calls in watched.calls.values()) == 1
     total = sum(watched.calls.values(), Counter())
-    assert total["cover_hollows"] >= 4 and total["find_segments"] >= 4 and total["top_down"] >= 1 and total["plane_now"] >= 1
+    assert total["cover_hollows"] >= 4 and total["find_segments"] >= 4 and total["top_down"] >= 1 and total["step"] >= 1
     # Two objects, each checked about four times a second.
-    checked = [n - first for n, calls in watched.calls.items() if calls["parts_seen"]]
+    checked = [n - first for n, calls in watched.calls.items() if calls["compare_upper_side"]]
     assert len(checked) >= 2 * 4 and max(np.diff(checked)) * 1000 / 30 <= 2 * 250
 
 
@@ -90,15 +93,15 @@ def test_a_pose_is_fitted_in_few_steps(monkeypatch):
     watched.see_until_known()
     known = {name: watched.perception.known(name) for name in ("o1", "o2")}
     frame = render([*(prism.at(HAMMER_AT) for prism in HAMMER), BOX], rng=watched.rng, stamp=9.0)
-    steps, compare = [], tracking.compare_lines
-    monkeypatch.setattr(tracking, "compare_lines", lambda *args: steps.append(args[0]) or compare(*args))
-    for own in known.values():
-        template = tracking.Template(own.traced)
-        scene = tracking.Scene(frame, watched.perception.camera_in_table)
+    steps, compare = [], pose_fit.compare_lines
+    monkeypatch.setattr(pose_fit, "compare_lines", lambda *args: steps.append(args[0]) or compare(*args))
+    view = FrameView(frame, watched.perception.camera_in_table)
+    for one in known.values():
+        template = Template(one.traced)
         fits = []
         for sign in (-1.0, 1.0):
             steps.clear()
-            fits.append(tracking.fit_pose(template, scene, own.pose + sign * np.array([0.002, -0.002, 0.02])))
+            fits.append(pose_fit.fit_pose(template, view, one.pose + sign * np.array([0.002, -0.002, 0.02])))
             assert len(steps) <= 9
         # Where the iterations end does not depend on where they begin, to less than a tenth of the noise of a pose.
         np.testing.assert_array_less(np.abs(fits[0].pose - fits[1].pose), 0.15 * np.sqrt(np.diag(fits[0].covariance)) + [5e-6, 5e-6, 5e-5])

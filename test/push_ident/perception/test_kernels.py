@@ -5,19 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from helpers.depth_scene import CAMERA, HAMMER, INTRINSICS, render
-from push_ident.errors import FrameError
+from helpers.depth_scene import CAMERA, INTRINSICS
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.rod import Rod
-from push_ident.perception.depth import points_in_table, rays_in_table
+from push_ident.perception.frame.occupancy import top_down
+from push_ident.perception.frame.robot import Cylinder, in_robot
+from push_ident.perception.frame.view import OBJECT, ROBOT, TABLE, UNKNOWN, FrameView, median_frame
 from push_ident.perception.kernels import Grid, compare_lines, interpolate, nearest_values
-from push_ident.perception.labels import OBJECT, ROBOT, TABLE, UNKNOWN, Cylinder, in_robot, label_pixels
+from push_ident.perception.known_object import Template, TracedObject
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import TracedObject, median_depth
 from push_ident.perception.shape_kernels import edges_nearest, grow_surfaces, mark_folds, mark_jumps, outline_distances
-from push_ident.perception.topdown import top_down
-from push_ident.perception.tracking import Scene, Template, fit_pose
-from push_ident.types import CellGrid, DepthFrame, ObjectShape
+from push_ident.types import CameraIntrinsics, CellGrid, DepthFrame, ObjectShape
 
 SETTINGS = PerceptionSettings()
 POSE = np.array([0.02, -0.03, 0.6])
@@ -82,22 +80,16 @@ def test_normal_matrix_and_shares_are_sums_over_the_lines(field, lines):
     assert nothing[3:] == (1.0, 1.0)
 
 
-def test_points_are_the_camera_centre_plus_depth_times_ray():
-    frame = render([prism.at(POSE) for prism in HAMMER], rng=np.random.default_rng(0))
-    centre, rays = rays_in_table(INTRINSICS, CAMERA)
-    expected = centre.astype(np.float32) + rays * frame.depth[..., None]
-    assert np.allclose(points_in_table(frame, CAMERA), expected, atol=1e-6, equal_nan=True)
-
-
 def test_labels_follow_the_height_inside_the_workspace():
-    settings = PerceptionSettings(workspace_low=(-1, -1), workspace_high=(1, 1), max_object_height=1)
-    points = np.zeros((4, 60, 3), dtype=np.float32)
-    columns = {0: (0.0, 0.0, TABLE), 10: (0.0, 0.05, OBJECT), 20: (0.0, 1.5, ROBOT), 30: (2.0, 0.05, TABLE), 40: (0.0, np.nan, UNKNOWN)}
-    for first, (x, z, _) in columns.items():
-        points[:, first : first + 10] = (x, 0.0, z)
-    points[:, 50:] = (0.0, 0.0, -0.5)
-    labels = label_pixels(points, (), settings)
-    assert [labels[2, first + 5] for first in (*columns, 50)] == [*(label for *_, label in columns.values()), UNKNOWN]
+    # A camera 1 m above the table that looks straight down; columns from 50 on lie outside the workspace.
+    down = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0], [0.0, 0.0, 0.0, 1.0]])
+    settings = PerceptionSettings(workspace_low=(-2, -2), workspace_high=(1, 2))
+    columns = {0: (0.0, TABLE), 10: (0.05, OBJECT), 20: (0.7, ROBOT), 30: (np.nan, UNKNOWN), 40: (-0.5, UNKNOWN), 50: (0.05, TABLE)}
+    depth = np.empty((4, 60), np.float32)
+    for first, (height, _) in columns.items():
+        depth[:, first : first + 10] = 1.0 - height
+    labels = FrameView(DepthFrame(0.0, depth, CameraIntrinsics(60, 4, 20.0, 20.0, 29.5, 1.5)), down, settings=settings).labels
+    assert [labels[2, first + 5] for first in columns] == [label for _, label in columns.values()]
 
 
 def test_a_cylinder_is_open_upwards_and_a_rod_ends_on_both_sides():
@@ -115,20 +107,11 @@ def test_a_cylinder_is_open_upwards_and_a_rod_ends_on_both_sides():
 def test_the_grid_holds_the_highest_point_of_the_object_and_leaves_out_what_is_beside_it():
     points = np.array([[[0.001, 0.001, 0.02], [0.0011, 0.001, 0.05], [0.001, 0.0012, 0.001], [5.0, 0.0, 0.3], [np.nan] * 3]], np.float32)
     labels = np.array([[OBJECT, OBJECT, TABLE, OBJECT, OBJECT]], dtype=np.int8)
-    grid = top_down(points, labels, SETTINGS)
+    depth = np.ones((1, 5), np.float32)
+    view = FrameView(DepthFrame(0.0, depth, CameraIntrinsics(5, 1, 20.0, 20.0, 2.0, 0.0)), CAMERA)
+    grid = top_down(view.with_pixels(depth, points, labels))
     assert np.nanmax(grid.height) == pytest.approx(0.05)
     assert np.count_nonzero(np.isfinite(grid.height)) == 1
-
-
-def test_images_of_another_size_than_their_camera_are_refused_before_any_loop_over_pixels():
-    square = 0.015 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    shape = ObjectShape(CellGrid(np.zeros((1, 2)), 0.03), square)
-    traced = TracedObject(shape, np.zeros(3), np.full((3, 3), 0.03, np.float32), np.array([-0.01, -0.01]), 0.01)
-    small = DepthFrame(0.0, np.ones((4, 4), np.float32), INTRINSICS)
-    with pytest.raises(FrameError, match=r"shape \(4, 4\)"):
-        fit_pose(Template(traced), Scene(small, CAMERA), np.zeros(3))
-    with pytest.raises(FrameError, match="one image"):
-        top_down(points_in_table(render([]), CAMERA), np.zeros((2, 2), np.int8), SETTINGS)
 
 
 # Loops that replace arrays, against those arrays: equal to the last bit
@@ -234,9 +217,8 @@ def test_the_median_of_frames_is_that_of_the_measured_values(n_frames):
     rare = 2 * np.count_nonzero(np.isfinite(depth), axis=0) < n_frames
     with np.errstate(invalid="ignore"):
         expected = np.nanmedian(np.where(rare, np.float32(0.0), depth), axis=0)
-    assert np.array_equal(
-        median_depth([DepthFrame(0.0, image, INTRINSICS) for image in depth]), np.where(rare, np.float32(np.nan), expected), equal_nan=True
-    )
+    median = median_frame([DepthFrame(0.0, image, INTRINSICS) for image in depth])
+    assert np.array_equal(median.depth, np.where(rare, np.float32(np.nan), expected), equal_nan=True)
 
 
 def test_the_field_of_a_template_is_exact_near_the_outline_and_linear_between_every_fourth_node_further_out():

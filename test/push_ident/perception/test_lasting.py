@@ -9,9 +9,10 @@ import pytest
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
-from push_ident.perception.lasting import frame_step, in_table
+from push_ident.perception.frame.view import FrameView
+from push_ident.perception.known_object import Template, TrackStatus
 from push_ident.perception.pipeline import Perception
-from push_ident.perception.tracking import Scene, Template, TrackStatus, fit_pose
+from push_ident.perception.tracking.pose_fit import fit_pose, frame_step, in_table
 from push_ident.types import CameraAccuracy, DepthFrame
 from push_ident_sim.cell.sensor_unit import Sensor
 from push_ident_sim.cell.sensors import SENSORS, suitable_pose
@@ -43,7 +44,7 @@ def fits_of_displaced_edges(turn):
     turned, start = frame(np.add(first, (0.0, 0.0, turn)), 1.0), np.add(traced.pose, (0.0, 0.0, turn))
     start[:2] = transform_points((0.0, 0.0, turn), traced.pose[None, :2])[0]
     templates = (Template(replace(traced, displaced_std=std)) for std in (1e-3, 0.0))
-    return (fit_pose(template, Scene(turned, perception.camera_in_table), start) for template in templates)
+    return (fit_pose(template, FrameView(turned, perception.camera_in_table), start) for template in templates)
 
 
 def test_displaced_edges_widen_the_covariance_of_a_turned_object_along_one_direction():

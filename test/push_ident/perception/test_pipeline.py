@@ -9,19 +9,20 @@ from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, INTRINSICS, Pris
 from push_ident.errors import FrameError, InputError, PerceptionError
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
-from push_ident.perception.depth import points_in_table
-from push_ident.perception.depth_image import depth_from_buffer
-from push_ident.perception.fusion import View, fuse_views
-from push_ident.perception.labels import OBJECT, ROBOT, TABLE, UNKNOWN, Cylinder, label_pixels
+from push_ident.perception.frame.depth_image import depth_from_buffer
+from push_ident.perception.frame.occupancy import FREE, OCCUPIED, UNOBSERVED, top_down
+from push_ident.perception.frame.robot import Cylinder
+from push_ident.perception.frame.table import fit_table
+from push_ident.perception.frame.view import FrameView, median_frame, points_in_table
+from push_ident.perception.known_object import SegmentedView, Template, TrackStatus
+from push_ident.perception.outline.fusion import fuse_views
+from push_ident.perception.outline.tracing import trace_object
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.recording import observe_offline
 from push_ident.perception.refusals import Reason
-from push_ident.perception.segments import find_segments
+from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import SegmentedView, median_depth, trace_object
-from push_ident.perception.table import fit_table
-from push_ident.perception.topdown import FREE, OCCUPIED, UNOBSERVED, top_down
-from push_ident.perception.tracking import Scene, Template, TrackStatus, fit_pose, relocate
+from push_ident.perception.tracking.pose_fit import fit_pose, relocate
 from push_ident.types import CameraIntrinsics, DepthFrame
 
 SETTINGS = PerceptionSettings()
@@ -38,12 +39,10 @@ def trace_hammer(pose, rng, n_frames=10):
     frames = [render(hammer(pose), rng=rng, stamp=0.03 * i) for i in range(n_frames)]
     plane = fit_table(points_in_table(frames[0], CAMERA), SETTINGS)
     camera = plane.correct(CAMERA)
-    points = points_in_table(frames[0], camera)
-    segments, _ = find_segments(frames[0], points, label_pixels(points, (), SETTINGS), SETTINGS)
-    noise = plane.noise / np.sqrt(n_frames)
-    mean = DepthFrame(0.0, median_depth(frames), INTRINSICS)
-    traced = trace_object([SegmentedView(mean, camera, segments[0], noise)], min_height=0.008, cell_count=80)
-    return fuse_views(traced, [View(mean, camera, traced.pose)], pose_known=True), camera
+    segments, _ = find_segments(FrameView(frames[0], camera))
+    median = FrameView(median_frame(frames), camera, noise=plane.noise / np.sqrt(n_frames))
+    traced = trace_object([SegmentedView(median, segments[0])], min_height=0.008, cell_count=80)
+    return fuse_views(traced, [(median, traced.pose)], pose_known=True), camera
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +59,7 @@ def errors_of(known, truths, rng, *, obstacles=lambda pose: [], robot=lambda pos
     for truth in truths:
         expected = compose(truth, offset)
         start = expected + rng.normal(size=3) * [0.004, 0.004, 0.03]
-        fit = fit_pose(template, Scene(render(hammer(truth) + obstacles(truth), rng=rng), camera, robot(truth)), start)
+        fit = fit_pose(template, FrameView(render(hammer(truth) + obstacles(truth), rng=rng), camera, robot(truth)), start)
         fits.append(fit)
         if fit.status is TrackStatus.TRACKED:
             error = fit.pose - expected
@@ -156,24 +155,9 @@ def test_no_table_is_an_error_that_counts_the_valid_points():
 # Labels, top-down grid, segments
 
 
-def test_pixels_are_labelled_and_those_without_depth_stay_unknown():
-    tool = Prism(np.add(circle(RADIUS), (-0.1, 0.1)), 0.11, 0.005)
-    frame = render([*hammer(FIRST), tool], rng=np.random.default_rng(0))
-    depth = frame.depth.copy()
-    depth[:40] = np.nan
-    points = points_in_table(DepthFrame(0.0, depth, INTRINSICS), CAMERA)
-    labels = label_pixels(points, (Cylinder(-0.1, 0.1, RADIUS, 0.005),), SETTINGS)
-    assert np.all(labels[:40] == UNKNOWN)
-    body = signed_distance(points[labels == OBJECT][:, :2], transform_points(FIRST, HAMMER_OUTLINE))
-    assert np.quantile(body, 0.99) < 0.004
-    assert np.count_nonzero(labels == ROBOT) > 500
-    assert np.mean(labels[40:] == TABLE) > 0.95
-
-
 def test_top_down_grid_shows_the_object_and_keeps_its_shadow_unknown():
     box = Prism(rectangle(-0.05, -0.1, 0.05, 0.1), 0.06)
-    points = points_in_table(render([box], rng=np.random.default_rng(0)), CAMERA)
-    grid = top_down(points, label_pixels(points, (), SETTINGS), SETTINGS)
+    grid = top_down(FrameView(render([box], rng=np.random.default_rng(0)), CAMERA))
 
     def cells(x0, y0, x1, y1):
         low = np.array(grid.origin)
@@ -191,14 +175,11 @@ def test_an_object_beside_the_robot_is_no_whole_segment():
     rng = np.random.default_rng(0)
     touching = compose(FIRST, [-0.03, 0.029, 0.0])[:2]
     frame = render([*hammer(FIRST), Prism(circle(RADIUS) + touching, 0.11)], rng=rng)
-    points = points_in_table(frame, CAMERA)
-    segments, counts = find_segments(frame, points, label_pixels(points, (Cylinder(*touching, RADIUS),), SETTINGS), SETTINGS)
+    segments, counts = find_segments(FrameView(frame, CAMERA, (Cylinder(*touching, RADIUS),)))
     assert not any(segment.whole for segment in segments)
     assert counts["segments"] == len(segments) > 0
     assert {segment.fault for segment in segments} == {Reason.BESIDE_ROBOT}
-    frame = render(hammer(FIRST), rng=rng)
-    points = points_in_table(frame, CAMERA)
-    segments, _ = find_segments(frame, points, label_pixels(points, (), SETTINGS), SETTINGS)
+    segments, _ = find_segments(FrameView(render(hammer(FIRST), rng=rng), CAMERA))
     assert len(segments) == 1 and segments[0].whole
     assert segments[0].area == pytest.approx(abs(polygon_area(HAMMER_OUTLINE)), rel=0.3)
 
@@ -226,12 +207,6 @@ def test_outline_is_exact_on_all_sides_the_hidden_one_included(yaw):
     # Handle and head are of different height.
     assert np.quantile(traced.top, 0.02) == pytest.approx(0.025, abs=0.002)
     assert np.quantile(traced.top, 0.98) == pytest.approx(0.035, abs=0.002)
-
-
-def test_median_depth_leaves_out_pixels_that_are_rarely_valid():
-    depths = [np.array([[1.0, np.nan, 1.0]]), np.array([[1.2, np.nan, np.nan]]), np.array([[1.1, 2.0, 3.0]])]
-    frames = [DepthFrame(0.0, depth.astype(np.float32), INTRINSICS) for depth in depths]
-    np.testing.assert_allclose(median_depth(frames), [[1.1, np.nan, 2.0]], rtol=1e-6)
 
 
 # Tracking
@@ -276,20 +251,22 @@ def test_a_touching_pusher_does_not_pull_the_pose(known):
 def test_nothing_visible_is_a_status_and_never_a_frozen_pose(known):
     template, camera, offset = known
     start = compose(FIRST, offset)
-    gone = fit_pose(template, Scene(render([], rng=np.random.default_rng(0)), camera), start)
+    gone = fit_pose(template, FrameView(render([], rng=np.random.default_rng(0)), camera), start)
     assert gone.status is TrackStatus.POOR_FIT
     roof = Prism(rectangle(-0.2, -0.2, 0.3, 0.2), 0.3, 0.28)
-    assert fit_pose(template, Scene(render([*hammer(FIRST), roof]), camera), start).status is TrackStatus.HIDDEN
+    assert fit_pose(template, FrameView(render([*hammer(FIRST), roof]), camera), start).status is TrackStatus.HIDDEN
     blind = DepthFrame(0.0, np.full((480, 640), np.nan, np.float32), INTRINSICS)
-    assert fit_pose(template, Scene(blind, camera), start).status is TrackStatus.HIDDEN
-    assert fit_pose(template, Scene(blind, camera), [3.0, 0.0, 0.0]).status is TrackStatus.OUT_OF_VIEW
+    assert fit_pose(template, FrameView(blind, camera), start).status is TrackStatus.HIDDEN
+    assert fit_pose(template, FrameView(blind, camera), [3.0, 0.0, 0.0]).status is TrackStatus.OUT_OF_VIEW
 
 
 def test_a_lost_object_is_found_again_at_any_yaw(known):
     template, camera, offset = known
     for truth in (np.array([-0.1, 0.1, 2.7]), np.array([0.1, -0.1, -1.2])):
         expected = compose(truth, offset)
-        fit = relocate(template, Scene(render(hammer(truth), rng=np.random.default_rng(8)), camera), np.add(expected[:2], (0.006, -0.005)))
+        fit = relocate(
+            template, FrameView(render(hammer(truth), rng=np.random.default_rng(8)), camera), np.add(expected[:2], (0.006, -0.005))
+        )
         assert fit.status is TrackStatus.TRACKED
         error = fit.pose - expected
         assert np.hypot(*error[:2]) < 0.0005 and abs(wrap_angle(error[2])) < 0.005
@@ -397,8 +374,16 @@ def test_reasons_are_given_when_nothing_comes_out():
         observe_offline([render([], rng=rng, stamp=0.1 * i) for i in range(2)], CAMERA)
 
 
-def test_settings_that_contradict_each_other_are_refused():
-    with pytest.raises(InputError, match="low must be below high"):
-        PerceptionSettings(workspace_low=(0.1, 0.1), workspace_high=(0.0, 0.2))
-    with pytest.raises(InputError, match="0 < min < max"):
-        PerceptionSettings(min_object_height=0.6)
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"workspace_low": (0.1, 0.1), "workspace_high": (0.0, 0.2)}, "low must be below high"),
+        ({"min_object_height": 0.6}, "0 < min < max"),
+        ({"tool_reach": (0.09, 0.01)}, "tool_reach"),
+        ({"min_step": 0.0}, "min_step"),
+        ({"rest_frames": 0}, "at least 1"),
+    ],
+)
+def test_settings_that_contradict_each_other_are_refused(wrong, text):
+    with pytest.raises(InputError, match=text):
+        PerceptionSettings(**wrong)

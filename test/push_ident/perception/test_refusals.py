@@ -10,13 +10,13 @@ import pytest
 
 from helpers.depth_scene import CAMERA, HAMMER, INTRINSICS, Prism, circle, rectangle, render
 from push_ident.errors import InputError, PerceptionError
-from push_ident.perception import registration
-from push_ident.perception.depth import points_in_table
-from push_ident.perception.labels import Cylinder
+from push_ident.perception.frame.robot import Cylinder
+from push_ident.perception.frame.table import fit_table
+from push_ident.perception.frame.view import points_in_table
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.refusals import Reason
+from push_ident.perception.search import registration
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.table import fit_table
 from push_ident.types import DepthFrame
 
 POSE = np.array([0.03, -0.02, 0.4])
@@ -96,7 +96,7 @@ def test_a_segment_without_a_shape_leaves_the_others_and_is_tried_less_and_less_
 
     def fails_for_the_box(views, **settings):
         if views[0].segment.centre[0] < -0.05:
-            tried.append(views[0].frame.stamp)
+            tried.append(views[0].view.frame.stamp)
             raise InputError("two corners are the same")
         return original(views, **settings)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -14,13 +15,12 @@ from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, Prism, rectangle
 from push_ident.errors import PerceptionError
 from push_ident.geometry.outline import cells_in_outline, polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points
-from push_ident.perception.depth import points_in_table
+from push_ident.perception.frame.view import FrameView, points_in_table
+from push_ident.perception.known_object import NewObject, PoseFit, Segment, SegmentedView, TrackStatus
+from push_ident.perception.outline.rests import Rests, with_cells
 from push_ident.perception.pipeline import Perception
-from push_ident.perception.rests import Rests, with_cells
-from push_ident.perception.segments import Segment
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import SegmentedView
-from push_ident.perception.tracking import PoseFit, TrackStatus
+from push_ident.perception.tracking.tracker import KnownObjects
 from push_ident.types import DepthFrame, ObjectShape
 from push_ident_sim.cell.sensor_unit import Sensor
 from push_ident_sim.cell.sensors import suitable_pose
@@ -126,9 +126,9 @@ def test_a_better_outline_keeps_the_errors_of_poses_that_last(toolbox):
     watched, first = toolbox.watched, toolbox.first
     assert first.displaced_frame == (0.0, 0.0, 0.0) and not first.frame_covariance.any()
     refined = watched.perception.known("o1").traced
-    assert refined.displaced_std == first.displaced_std > 0 and len(refined.seen_from) == 2
+    assert refined.displaced_std == first.displaced_std > 0 and len(refined.camera_positions) == 2
     camera, offset = suitable_pose("kinect_v1")[None, :2, 3], compose(inverse(PLACES[0]), watched.perception.first_pose("o1"))
-    for (place,), pose in zip(refined.seen_from, PLACES, strict=False):
+    for (place,), pose in zip(refined.camera_positions, PLACES, strict=False):
         assert place == pytest.approx(transform_points(inverse(compose(pose, offset)), camera)[0], abs=0.01)
     assert np.hypot(*refined.displaced_frame[:2]) < 1.0 and np.any(refined.displaced_frame)
     assert np.all(np.linalg.eigvalsh(refined.frame_covariance) > 0) and np.sqrt(refined.frame_covariance[0, 0]) < 5e-4
@@ -156,13 +156,13 @@ def ragged_hammer(rng):
 
 def test_what_a_better_outline_takes_is_spread_over_frames_and_is_the_same_in_each_replay(monkeypatch):
     """Parts are counted where they are done: at most one in a frame at 30 Hz, none where there is a search."""
-    done, per_frame, go_on = [], [], Rests.go_on
+    n_parts, step = Counter(), Rests.step
 
-    def counted(self, n_parts=None):
-        done.append((n_parts, bool(self._work)))
-        go_on(self, n_parts)
+    def counted(self, view):
+        n_parts[view.frame.stamp] += self.is_refining
+        return step(self, view)
 
-    monkeypatch.setattr(Rests, "go_on", counted)
+    monkeypatch.setattr(Rests, "step", counted)
     seen = []
     for _ in range(2):
         watched = Watched(CAMERA, ragged_hammer(np.random.default_rng(0)))
@@ -170,10 +170,10 @@ def test_what_a_better_outline_takes_is_spread_over_frames_and_is_the_same_in_ea
         at = [i for i, frame in enumerate(frames) if frame.refined]
         assert len(at) == 1 and at[0] > 25  # a search after ten frames at rest, then many parts
         seen.append((at, frames[at[0]].refined["o1"].outline))
-        per_frame.append([n for n, is_busy in done if is_busy])
+        assert max(n_parts.values()) == 1 and n_parts.total() > 15
+        n_parts.clear()
     assert seen[0][0] == seen[1][0]
     np.testing.assert_array_equal(seen[0][1], seen[1][1])
-    assert set(per_frame[0]) == {1} and len(per_frame[0]) > 15
 
 
 def test_a_slow_camera_does_several_parts_in_a_frame():
@@ -209,7 +209,7 @@ def test_a_failure_stays_with_its_object_and_is_said_once(monkeypatch, error):
         yield
         raise error
 
-    monkeypatch.setattr("push_ident.perception.rests.refine", fails)
+    monkeypatch.setattr("push_ident.perception.outline.rests.refine", fails)
     frames = rests_of(Watched(CAMERA, ragged_hammer(np.random.default_rng(0))), 30)
     said = [frame.not_refined for frame in frames if frame.not_refined]
     expected = str(error) if isinstance(error, PerceptionError) else f"ValueError: {error}"
@@ -230,15 +230,17 @@ def test_a_rest_is_wanted_in_a_new_place_and_heading_only_and_from_an_object_at_
     for i in range(5):
         perception.observe(hammer_frame(np.asarray(PLACES[0]), rng, stamp=i / 30))
     known = perception.known("o1")
-    rests = Rests()
-    view = SegmentedView(hammer_frame(np.asarray(PLACES[0]), rng), CAMERA, whole_segment(), 1e-3)
-    rests.begin("o1", [view], known.pose)
+    rests, objects = Rests(), KnownObjects()
+    frame = hammer_frame(np.asarray(PLACES[0]), rng)
+    name = objects.add(NewObject(known.traced, known.area, (), ""), 0.0)
+    rests.begin(name, [SegmentedView(FrameView(frame, CAMERA, noise=1e-3), whole_segment())], known.pose)
 
     def wants(pose, step=(0.0, 0.0, 0.0), traced=known.traced):
         for i in range(5):
             fit = PoseFit(TrackStatus.TRACKED, np.asarray(pose) + i * np.asarray(step), 1e-8 * np.eye(3), 1000, 1.0, 0.0)
-            rests.note(view.frame, {"o1": fit}, 5)
-        return rests.wants("o1", traced) is not None
+            rests.note(frame, {name: fit}, 5)
+        objects[name].traced = traced
+        return bool(rests.resting(objects))
 
     near, moved, turned = (known.pose + np.array(by) for by in ([0.01, 0.0, 0.05], [0.03, 0.0, 0.0], [0.0, 0.0, 0.2]))
     assert not wants(known.pose) and not wants(near)

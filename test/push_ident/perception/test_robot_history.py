@@ -7,8 +7,7 @@ import pytest
 
 from push_ident.errors import InputError
 from push_ident.geometry.arm_shape import ArmShape
-from push_ident.perception.labels import Cylinder
-from push_ident.perception.robot_history import RobotHistory
+from push_ident.perception.frame.robot import Cylinder, RobotHistory
 from push_ident_sim.cell.robot import HOME, robot_description
 
 NAMES = [f"lbr_iiwa_joint_{number}" for number in range(1, 8)]

@@ -9,30 +9,27 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, INTRINSICS, Prism, circle, look_at, rectangle, render
+from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, Prism, circle, look_at, rectangle, render
 from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points
-from push_ident.perception.depth import height_inside, points_in_table
-from push_ident.perception.fusion import View, fuse_views
-from push_ident.perception.labels import OBJECT, ROBOT, Cylinder, in_robot, label_pixels
+from push_ident.perception.frame.robot import Cylinder, in_robot
+from push_ident.perception.frame.view import OBJECT, ROBOT, FrameView, height_inside, median_frame, points_in_table
+from push_ident.perception.known_object import SegmentedView, TrackStatus
+from push_ident.perception.outline.fusion import fuse_views
+from push_ident.perception.outline.tracing import trace_object
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.refusals import Reason
-from push_ident.perception.segments import find_segments
+from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import SegmentedView, median_depth, trace_object
-from push_ident.perception.tracking import TrackStatus
-from push_ident.types import DepthFrame
 
 FIRST = np.array([0.03, -0.02, 0.4])
 TALL = PerceptionSettings(max_object_height=0.3)
 
 
 def segments_of(prisms, *, settings=TALL, seed=0, camera=CAMERA):
-    frame = render(prisms, camera, rng=np.random.default_rng(seed))
-    points = points_in_table(frame, camera)
-    return find_segments(frame, points, label_pixels(points, (), settings), settings)
+    return find_segments(FrameView(render(prisms, camera, rng=np.random.default_rng(seed)), camera, settings=settings))
 
 
 def box(x, y, width, depth, height, yaw=0.0, bottom=0.0):
@@ -75,12 +72,11 @@ def test_the_shadow_of_a_step_of_an_object_does_not_divide_it(head, n_segments, 
     points = points_in_table(frame, CAMERA)
     depth = frame.depth.copy()
     depth[(points[..., 0] > 0.1 - shadow) & (points[..., 0] < 0.1) & (points[..., 2] > 0.012)] = np.nan
-    shadowed = replace(frame, depth=depth)
-    points = points_in_table(shadowed, CAMERA)
-    segments, counts = find_segments(shadowed, points, label_pixels(points, (), TALL), TALL)
+    shadowed = FrameView(replace(frame, depth=depth), CAMERA, settings=TALL)
+    segments, counts = find_segments(shadowed)
     assert counts["segments"] == n_segments
     if n_segments == 1:
-        assert np.ptp(points[segments[0].rows, segments[0].columns][segments[0].mask][:, 0]) > 0.23
+        assert np.ptp(segments[0].points_in(shadowed.points)[:, 0]) > 0.23
 
 
 def test_an_object_behind_another_is_found_but_not_registered():
@@ -103,17 +99,16 @@ def outline_error(traced, truth):
     return float(np.sqrt(np.average(signed_distance(points, transform_points(truth, HAMMER_OUTLINE)) ** 2, weights=weight)))
 
 
-def mean_frame(pose, camera, rng, n=4):
+def median_view(pose, camera, rng, n=4):
     frames = [render([prism.at(pose) for prism in HAMMER], camera, rng=rng) for _ in range(n)]
-    return DepthFrame(0.0, median_depth(frames), INTRINSICS)
+    return FrameView(median_frame(frames), camera, noise=0.0006)
 
 
 def first_sight(rng):
-    frame = mean_frame(FIRST, CAMERA, rng)
-    points = points_in_table(frame, CAMERA)
-    segments, _ = find_segments(frame, points, label_pixels(points, (), PerceptionSettings()), PerceptionSettings())
-    traced = trace_object([SegmentedView(frame, CAMERA, segments[0], 0.0006)], min_height=0.008, cell_count=80)
-    return traced, View(frame, CAMERA, traced.pose)
+    view = median_view(FIRST, CAMERA, rng)
+    segments, _ = find_segments(view)
+    traced = trace_object([SegmentedView(view, segments[0])], min_height=0.008, cell_count=80)
+    return traced, (view, traced.pose)
 
 
 def test_a_second_camera_and_other_poses_make_the_outline_better():
@@ -121,11 +116,11 @@ def test_a_second_camera_and_other_poses_make_the_outline_better():
     traced, first = first_sight(rng)
     single = fuse_views(traced, [first], pose_known=True)
     other_side = look_at((-0.35, 0.45, 0.8), (0.0, 0.0, 0.0))
-    views = [first, View(mean_frame(FIRST, other_side, rng), other_side, traced.pose)]
+    views = [first, (median_view(FIRST, other_side, rng), traced.pose)]
     for change in ((0.05, 0.03, 0.9), (-0.06, 0.02, 2.0)):
         moved = compose(FIRST, change)
         near = compose(moved, compose(inverse(FIRST), traced.pose)) + rng.normal(size=3) * (0.003, 0.003, 0.03)
-        views.append(View(mean_frame(moved, CAMERA, rng), CAMERA, near))
+        views.append((median_view(moved, CAMERA, rng), near))
     together = fuse_views(traced, views, pose_known=True)
     errors = [outline_error(found, FIRST) for found in (traced, single, together)]
     assert errors[1] < errors[0] and errors[2] < errors[0]
@@ -137,9 +132,8 @@ def test_views_are_needed_and_must_show_the_object():
     traced, first = first_sight(np.random.default_rng(4))
     with pytest.raises(InputError, match="no views"):
         fuse_views(traced, [])
-    elsewhere = replace(first, pose=np.array([0.2, 0.2, 0.0]))
     with pytest.raises(PerceptionError, match="in none of 1 views"):
-        fuse_views(traced, [elsewhere])
+        fuse_views(traced, [(first[0], np.array([0.2, 0.2, 0.0]))])
 
 
 SIDE = look_at((0.0, -0.6, 0.8), (0.0, 0.0, 0.0))
@@ -266,7 +260,7 @@ def test_a_low_link_is_robot_and_not_an_object():
     finger = Prism(rectangle(-0.115, 0.0, -0.085, 0.2), 0.075, 0.045)
     frame = render([*(prism.at(FIRST) for prism in HAMMER), finger], rng=np.random.default_rng(0))
     points = points_in_table(frame, CAMERA)
-    blind, masked = (label_pixels(points, robot, PerceptionSettings()) for robot in ((), rods))
+    blind, masked = (FrameView(frame, CAMERA, robot).labels for robot in ((), rods))
     over = (np.abs(points[..., 0] + 0.1) < 0.012) & (np.abs(points[..., 1] - 0.1) < 0.09) & (points[..., 2] > 0.05)
     assert np.count_nonzero(over) > 200
     assert np.mean(blind[over] == OBJECT) > 0.95 and np.mean(masked[over] == ROBOT) > 0.95

@@ -10,11 +10,10 @@ import pytest
 
 from helpers.depth_scene import CAMERA, HAMMER, render
 from push_ident.errors import FrameError, PerceptionError
-from push_ident.perception.depth import usable_frame
-from push_ident.perception.depth_image import check_intrinsics
+from push_ident.perception.frame.depth_image import check_intrinsics, usable_frame
 from push_ident.perception.pipeline import Perception
+from push_ident.perception.search.segments import split_surfaces
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.surfaces import split_surfaces
 from push_ident.types import CameraIntrinsics, DepthFrame
 
 SMALL = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)

@@ -11,7 +11,7 @@ from helpers.depth_scene import Prism, look_at, rectangle, render
 from push_ident.errors import InputError
 from push_ident.geometry.outline import points_in_polygon, signed_distance
 from push_ident.geometry.se2 import inverse, transform_points
-from push_ident.perception.depth import points_in_table
+from push_ident.perception.frame.view import points_in_table
 from push_ident.types import CameraIntrinsics
 from push_ident_sim.objects import make_object
 from push_ident_sim.studies.common.arm_in_view import ArmInView

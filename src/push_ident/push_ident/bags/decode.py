@@ -10,7 +10,7 @@ from push_ident.errors import BagError, FrameError
 from push_ident.geometry.outline import outline_of_cells, polygon_area
 from push_ident.geometry.se2 import transform_points, yaw_of_quaternion
 from push_ident.limits import LIMITS, check_coordinates
-from push_ident.perception.depth_image import check_intrinsics, depth_from_buffer
+from push_ident.perception.frame.depth_image import check_intrinsics, depth_from_buffer
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array
 
 __all__ = [

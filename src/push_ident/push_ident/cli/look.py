@@ -19,12 +19,12 @@ from push_ident.errors import InputError, PerceptionError
 from push_ident.extras import need, need_ros
 from push_ident.files import write_whole
 from push_ident.offline.depth_images import DepthImages
-from push_ident.perception.parameter_file import parameter_text
-from push_ident.perception.scale_check import KnownSize, ScaleCheck, check_scale
-from push_ident.perception.survey import Survey, frames_at_rest, survey_frames
-from push_ident.perception.survey_json import survey_json
-from push_ident.perception.survey_page import table_sentence, write_survey_page
-from push_ident.perception.survey_picture import draw_survey, is_small, png_of, size_text
+from push_ident.survey.parameter_file import parameter_text
+from push_ident.survey.scale_check import KnownSize, ScaleCheck, check_scale
+from push_ident.survey.survey import Survey, frames_at_rest, survey_frames
+from push_ident.survey.survey_json import survey_json
+from push_ident.survey.survey_page import table_sentence, write_survey_page
+from push_ident.survey.survey_picture import draw_survey, is_small, png_of, size_text
 from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["look_command"]

@@ -20,7 +20,7 @@ from push_ident.errors import FrameError, InputError, PushIdentError
 from push_ident.extras import need
 from push_ident.files import read_regular
 from push_ident.limits import LIMITS, plain_text
-from push_ident.perception.depth_image import check_intrinsics, check_size
+from push_ident.perception.frame.depth_image import check_intrinsics, check_size
 from push_ident.types import CameraIntrinsics, DepthFrame
 
 __all__ = ["CAMERA_INFO", "DepthImages", "OrganisedCloud", "read_camera_info", "read_cloud"]

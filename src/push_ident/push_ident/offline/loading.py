@@ -23,7 +23,7 @@ from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, PushRecord
 
 if TYPE_CHECKING:
-    from push_ident.perception.labels import Cylinder
+    from push_ident.perception.frame.robot import Cylinder
 
 __all__ = ["LoadedPushes", "load_pushes", "most_pushed", "touching_radius", "track_from_depth"]
 
@@ -166,7 +166,7 @@ def touching_radius(records: Sequence[PushRecord]) -> float:
 def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None = None) -> BagContents:
     """The same bag with objects detected and tracked in its depth images."""
     # Bags of poses need none of this, and it takes half a second to import.
-    from push_ident.perception.labels import Cylinder
+    from push_ident.perception.frame.robot import Cylinder
     from push_ident.perception.recording import observe_offline
     from push_ident.perception.settings import PerceptionSettings
 

@@ -1,7 +1,6 @@
 """From depth frames to the objects on the table: shapes, poses and a top-down occupancy grid.
 
-`depth_image` (bytes to metres), `depth` (metres to points), `calibration` (camera pose from a mark), `table` (the plane), `labels` (table,
-object, robot, unknown per pixel), `topdown` (grid), `surfaces` and `segments` (candidate objects), `shape` (outline and cells of an object
-at rest), `tracking` (pose per frame), `fusion` (the outline from several views), `further_camera` (a second view of an object at rest),
-`pipeline` (all of it).
+Rooms, each of which imports only from those before it: `frame` (points, labels, table plane of a depth frame), `tracking` (pose per frame),
+`outline` (shape of an object at rest), `search` (new and lost objects). `known_object` has the values that they hand to each other, and
+`pipeline` the way of a frame through all of them; `recording` runs it over a recording. `calibration` gives the camera pose from a mark.
 """

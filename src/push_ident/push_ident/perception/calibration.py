@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.outline import cells_in_outline, points_in_polygon, polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points
-from push_ident.perception.depth import points_in_table
-from push_ident.perception.labels import label_pixels
-from push_ident.perception.segments import Segment, find_segments
+from push_ident.perception.frame.view import FrameView, median_frame, points_in_table
+from push_ident.perception.known_object import PoseFit, Segment, SegmentedView, Template, TracedObject, TrackStatus
+from push_ident.perception.outline.tracing import trace_object
+from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape import SegmentedView, TracedObject, median_depth, trace_object
-from push_ident.perception.tracking import PoseFit, Scene, Template, TrackStatus, relocate
+from push_ident.perception.tracking.pose_fit import relocate
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["Calibration", "Mark", "calibrate", "camera_over_table", "table_extent"]
@@ -98,7 +98,7 @@ def camera_over_table(frame: DepthFrame, tilt_limit: float = np.deg2rad(80.0)) -
     """Camera pose over the largest plane in view, without prior knowledge: z points up, the origin is the middle of that plane.
 
     Args:
-        frame: Preferably the `median_depth` of several frames.
+        frame: Preferably the `median_frame` of several frames.
         tilt_limit: Largest angle between the optical axis and the plane's normal [rad]; excludes walls.
 
     Returns:
@@ -157,15 +157,14 @@ def calibrate(frames: Sequence[DepthFrame], mark: Mark) -> Calibration:
     """
     if not frames:
         raise PerceptionError("There are no depth frames to calibrate from; start the camera.")
-    depth = median_depth(frames)
-    frame = DepthFrame(frames[-1].stamp, depth, frames[-1].intrinsics, frames[-1].frame_id)
+    frame = median_frame(frames)
     camera, noise, _ = camera_over_table(frame)
     low, high = table_extent(frame, camera, noise)
     settings = PerceptionSettings(
         workspace_low=low, workspace_high=high, min_object_height=max(0.35 * mark.height, 0.008), max_object_height=3.0 * mark.height
     )
-    points = points_in_table(frame, camera)
-    segments, counts = find_segments(frame, points, label_pixels(points, (), settings), settings)
+    view = FrameView(frame, camera, settings=settings, noise=noise)
+    segments, counts = find_segments(view)
     area = polygon_area(mark.outline)
     similar = [segment for segment in segments if segment.whole and _AREA[0] * area < segment.area < _AREA[1] * area]
     if not similar:
@@ -175,8 +174,8 @@ def calibrate(frames: Sequence[DepthFrame], mark: Mark) -> Calibration:
         )
     centroid = transform_points(inverse([*mark.outline.mean(axis=0), 0.0]), mark.outline)
     template = Template(_as_object(centroid, mark.height))
-    fitted = [_fit(template, frame, camera, segment, noise) for segment in similar]
-    fit, residual, height = min(fitted, key=lambda found: (found[0].status is not TrackStatus.TRACKED, found[1]))
+    fitted = [_fit(template, view, segment) for segment in similar]
+    fit, residual, height = min(fitted, key=lambda result: (result[0].status is not TrackStatus.TRACKED, result[1]))
     if fit.status is not TrackStatus.TRACKED or residual > _MAX_RESIDUAL or abs(height - mark.height) > _MAX_HEIGHT_ERROR:
         raise PerceptionError(
             f"The segment most similar to the mark differs from it by {residual * 1e3:.1f} mm in outline and "
@@ -215,16 +214,16 @@ def _as_object(outline: Float64Array, height: float) -> TracedObject:
     return TracedObject(shape, np.zeros(3), np.full((1, 1), height, dtype=np.float32), np.zeros(2), 1.0)
 
 
-def _fit(template: Template, frame: DepthFrame, camera: Float64Array, segment: Segment, noise: float) -> tuple[PoseFit, float, float]:
+def _fit(template: Template, view: FrameView, segment: Segment) -> tuple[PoseFit, float, float]:
     """Pose of the mark at the segment, the residual of its outline [m], and its measured height [m]."""
-    fit = relocate(template, Scene(frame, camera), segment.centre)
+    fit = relocate(template, view, segment.centre)
     if fit.status is not TrackStatus.TRACKED:
         return fit, np.inf, np.inf
     outline = transform_points(fit.pose, template.outline)
-    traced = trace_object([SegmentedView(frame, camera, segment, noise)], min_height=0.008, cell_count=50)
+    traced = trace_object([SegmentedView(view, segment)], min_height=0.008, cell_count=50)
     edge = _dense(traced.shape.outline + traced.pose[:2], 30)
     residual = float(np.sqrt(np.mean(np.square(signed_distance(edge, outline)))))
-    points = points_in_table(frame, camera)[segment.rows, segment.columns][segment.mask]
+    points = segment.points_in(view.points)
     top: NDArray[np.float32] = points[points_in_polygon(points[:, :2], outline), 2]
     return fit, residual, float(np.median(top[top > 0.5 * template.top_range[1]]))
 

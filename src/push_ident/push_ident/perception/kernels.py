@@ -40,7 +40,7 @@ class Grid(NamedTuple):
     values: Float64Array
     """Shape (rows, columns)."""
     origin: Float64Array
-    """Place of the first node [m], shape (2,): node (row, column) lies at origin + step * (column, row)."""
+    """Position of the first node [m], shape (2,): node (row, column) lies at origin + step * (column, row)."""
     step: float
     """Distance between nodes [m]."""
 
@@ -68,8 +68,8 @@ _inline = njit(inline="always", error_model="numpy")
 
 
 @_inline
-def _place(grid: Any, x: Any, y: Any) -> Any:
-    """Row and column of a place, in nodes, with fractions."""
+def _row_and_column(grid: Any, x: Any, y: Any) -> Any:
+    """Row and column of a point, in nodes, with fractions."""
     return (y - grid.origin[1]) / grid.step, (x - grid.origin[0]) / grid.step
 
 
@@ -84,8 +84,8 @@ def _nearest_node(grid: Any, row: Any, column: Any) -> Any:
 
 @_inline
 def _nearest(grid: Any, x: Any, y: Any) -> Any:
-    """Value of the node nearest to a place."""
-    row, column = _place(grid, x, y)
+    """Value of the node nearest to a point."""
+    row, column = _row_and_column(grid, x, y)
     return _nearest_node(grid, row, column)
 
 
@@ -117,11 +117,23 @@ def _innermost(field: Any, upper: Any, lower: Any, pose: Any, cos: Any, sin: Any
     """
     upper_x, upper_y = _to_object(upper[0], upper[1], pose, cos, sin)
     lower_x, lower_y = _to_object(lower[0], lower[1], pose, cos, sin)
-    upper_row, upper_column = _place(field, upper_x, upper_y)
-    lower_row, lower_column = _place(field, lower_x, lower_y)
+    upper_row, upper_column = _row_and_column(field, upper_x, upper_y)
+    lower_row, lower_column = _row_and_column(field, lower_x, lower_y)
     is_upper = _nearest_node(field, upper_row, upper_column) < _nearest_node(field, lower_row, lower_column)
     x, y = upper_x if is_upper else lower_x, upper_y if is_upper else lower_y
     return x, y, upper_row if is_upper else lower_row, upper_column if is_upper else lower_column
+
+
+@_inline
+def _expected(field: Any, upper: Any, lower: Any, pose: Any, cos: Any, sin: Any, width: Any) -> Any:
+    """Innermost end of a line of sight, object frame, its distance from the outline [m], the expected, and the derivatives of that by the
+    pose."""
+    x, y, row, column = _innermost(field, upper, lower, pose, cos, sin)
+    distance, along_x, along_y = _bilinear(field, row, column)
+    expected = 1.0 / (1.0 + math.exp(distance / width))
+    steepness = expected * (1.0 - expected) / width
+    by_x, by_y = steepness * (cos * along_x - sin * along_y), steepness * (sin * along_x + cos * along_y)
+    return x, y, distance, expected, by_x, by_y, -steepness * (along_x * y - along_y * x)
 
 
 @kernel(_GRID, _ROWS)
@@ -138,7 +150,7 @@ def interpolate(grid: Any, points: Any) -> Any:
     """Bilinear values, shape (n,), and gradients, shape (n, 2), at points (n, 2)."""
     value, gradient = np.empty(len(points)), np.empty((len(points), 2))
     for i in range(len(points)):
-        row, column = _place(grid, points[i, 0], points[i, 1])
+        row, column = _row_and_column(grid, points[i, 0], points[i, 1])
         value[i], gradient[i, 0], gradient[i, 1] = _bilinear(grid, row, column)
     return value, gradient
 
@@ -229,9 +241,7 @@ def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, w
     square, square_at_edge = 0.0, 0.0
     n_at_edge, n_off_edge, n_contradicting = 0, 0, 0
     for i in range(len(upper)):
-        x, y, row, column = _innermost(field, upper[i], lower[i], pose, cos, sin)
-        distance, along_x, along_y = _bilinear(field, row, column)
-        expected = 1.0 / (1.0 + math.exp(distance / width))
+        _, _, distance, expected, by_x, by_y, by_turn = _expected(field, upper[i], lower[i], pose, cos, sin, width)
         residual = stopped[i] - expected
         square += residual**2
         near, far = abs(distance) < at_edge, abs(distance) > off_edge
@@ -239,10 +249,6 @@ def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, w
         square_at_edge += residual**2 if near else 0.0
         n_off_edge += far
         n_contradicting += far & ((distance < 0.0) != (stopped[i] > 0.5))
-        steepness = expected * (1.0 - expected) / width
-        by_x = steepness * (cos * along_x - sin * along_y)
-        by_y = steepness * (sin * along_x + cos * along_y)
-        by_turn = -steepness * (along_x * y - along_y * x)
         x_residual += by_x * residual
         y_residual += by_y * residual
         t_residual += by_turn * residual
@@ -285,13 +291,7 @@ def scores_of_squares(field: Any, upper: Any, lower: Any, stopped: Any, pose: An
     normal, gradient = np.zeros((rows * columns, 3, 3)), np.zeros((rows * columns, 3))
     slope = np.empty(3)
     for i in range(len(upper)):
-        x, y, row, column = _innermost(field, upper[i], lower[i], pose, cos, sin)
-        distance, along_x, along_y = _bilinear(field, row, column)
-        expected = 1.0 / (1.0 + math.exp(distance / width))
-        steepness = expected * (1.0 - expected) / width
-        slope[0] = steepness * (cos * along_x - sin * along_y)
-        slope[1] = steepness * (sin * along_x + cos * along_y)
-        slope[2] = -steepness * (along_x * y - along_y * x)
+        x, y, _, expected, slope[0], slope[1], slope[2] = _expected(field, upper[i], lower[i], pose, cos, sin, width)
         u = min(max(int((x - origin[0]) / cell), 0), columns - 1)
         v = min(max(int((y - origin[1]) / cell), 0), rows - 1)
         for j in range(3):
@@ -302,14 +302,14 @@ def scores_of_squares(field: Any, upper: Any, lower: Any, stopped: Any, pose: An
 
 
 @kernel(_GRID, _ROWS, _ROWS, _REALS, _REAL, _REALS, read_only(types.float64, 3))
-def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, camera: Any, seen_from: Any) -> Any:
+def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, camera: Any, camera_positions: Any) -> Any:
     """J'd of a camera that displaces by one metre every edge whose wall it does not see, in this image and in the outline.
 
     Args:
         upper, lower: As in `LinesOfSight`.
         width: Width s of the expected step [m].
-        camera: Place of the camera [m], shape (2,), table frame.
-        seen_from: Places of the cameras that traced the outline in each rest [m], shape (n_rests, n_cameras, 2), object frame; NaN where
+        camera: Position of the camera [m], shape (2,), table frame.
+        camera_positions: Of the cameras that traced the outline in each rest [m], shape (n_rests, n_cameras, 2), object frame; NaN where
             a rest has fewer cameras.
 
     Returns:
@@ -326,12 +326,12 @@ def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, 
         if abs(distance) > 3.0 * width:
             continue  # its square of the steepness is 3 % of that at the edge
         change = 0.0 if along_x * (camera_x - x) + along_y * (camera_y - y) > 0.0 else 1.0
-        for j in range(len(seen_from)):
-            seen = False
-            for k in range(seen_from.shape[1]):
-                seen |= along_x * (seen_from[j, k, 0] - x) + along_y * (seen_from[j, k, 1] - y) > 0.0
-            if not seen:
-                change -= 1.0 / len(seen_from)
+        for j in range(len(camera_positions)):
+            is_visible = False
+            for k in range(camera_positions.shape[1]):
+                is_visible |= along_x * (camera_positions[j, k, 0] - x) + along_y * (camera_positions[j, k, 1] - y) > 0.0
+            if not is_visible:
+                change -= 1.0 / len(camera_positions)
         expected = 1.0 / (1.0 + math.exp(distance / width))
         steepness = expected * (1.0 - expected) / width
         by_x_sum += change * steepness**2 * (cos * along_x - sin * along_y)

@@ -1,16 +1,15 @@
-"""What perception says of one frame."""
+"""The result of perception for one frame."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from push_ident.perception.frame.occupancy import TopDownGrid
+from push_ident.perception.known_object import TrackStatus
 from push_ident.perception.refusals import Refusal, Removal, summary_of
-from push_ident.perception.shape import TracedObject
-from push_ident.perception.topdown import TopDownGrid
-from push_ident.perception.tracking import PoseFit, TrackStatus
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["KnownObject", "Observation", "ObservedObject", "observed"]
+__all__ = ["Observation", "ObservedObject"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +47,7 @@ class Observation:
     restarted: bool = False
     """Whether time went back, so that everything known was dropped."""
     refined: dict[str, ObjectShape] = field(default_factory=dict)
-    """Better shapes of known objects, by id: their rests showed their outlines better. The object frame stays."""
+    """Better shapes of known objects, by id: of several rests. The object frame stays."""
     not_refined: dict[str, str] = field(default_factory=dict)
     """Why the outline of an object, by id, stays as it is although a rest might have shown it better: what failed."""
     doubts: dict[str, str] = field(default_factory=dict)
@@ -65,21 +64,3 @@ class Observation:
         if self.refused:
             return summary_of(self.refused)
         return f"nothing on the table is higher than min_object_height ({self.counts['table']} pixels show the table)"
-
-
-@dataclass(frozen=True, slots=True)
-class KnownObject:
-    """What is needed to find an object again: how it was traced, and where it was last."""
-
-    traced: TracedObject
-    area: float
-    """Area of its segment [m^2]."""
-    pose: Float64Array
-    """(x, y, yaw) [m, m, rad], table frame."""
-
-
-def observed(name: str, fit: PoseFit) -> ObservedObject:
-    """A known object as its fit says; without a pose unless it is TRACKED."""
-    if fit.status is not TrackStatus.TRACKED:
-        return ObservedObject(name, fit.status, None, None)
-    return ObservedObject(name, fit.status, fit.pose, fit.covariance)

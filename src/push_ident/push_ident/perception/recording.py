@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from push_ident.errors import FrameError, PerceptionError
-from push_ident.perception.labels import RobotPart
+from push_ident.perception.frame.robot import RobotPart
+from push_ident.perception.known_object import TrackStatus
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.tracking import TrackStatus
 from push_ident.types import CameraAccuracy, DepthFrame, Float64Array, ObjectShape, PoseTrack
 
 __all__ = ["observe_offline"]

@@ -13,7 +13,7 @@ __all__ = ["Reason", "Refusal", "Removal", "summary_of"]
 
 
 class Reason(Enum):
-    """Kind of a refusal; the value says what was seen and what to do about it."""
+    """Kind of a refusal; the value says what the image shows and what to do about it."""
 
     AT_IMAGE_BORDER = "cut by the border of the image; move it into view"
     AT_WORKSPACE_BORDER = "reaches over the border of the workspace; move it inside, or enlarge workspace_low and workspace_high"

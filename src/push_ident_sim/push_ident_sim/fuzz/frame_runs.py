@@ -18,10 +18,11 @@ from push_ident.geometry.outline import polygon_centroid
 from push_ident.geometry.se2 import transform_points
 from push_ident.geometry.shape_check import check_shape
 from push_ident.limits import LIMITS
-from push_ident.perception.labels import Cylinder
-from push_ident.perception.pipeline import Observation, Perception
+from push_ident.perception.frame.robot import Cylinder
+from push_ident.perception.known_object import TrackStatus
+from push_ident.perception.observation import Observation
+from push_ident.perception.pipeline import Perception
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.tracking import TrackStatus
 from push_ident.types import DepthFrame, Float64Array
 from push_ident_sim.fuzz.frame_scenes import WIDTHS, FrameScene, scene_of
 from push_ident_sim.fuzz.mutate_frame import FRAME_MUTATIONS, Around, mutated

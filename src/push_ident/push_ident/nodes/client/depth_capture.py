@@ -26,7 +26,7 @@ from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import COMMAND_LINE, RANGE
 from push_ident.nodes.convert.messages import transform_from_msg
 from push_ident.nodes.input.depth_pairs import MAX_SKEW, DepthPairs
-from push_ident.perception.depth_image import ACCEPTED_ENCODINGS
+from push_ident.perception.frame.depth_image import ACCEPTED_ENCODINGS
 from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["DepthCapture"]

@@ -27,7 +27,7 @@ from push_ident.geometry.se2 import quaternion_of_yaw, transform_points, yaw_of_
 from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
-from push_ident.perception.depth_image import check_intrinsics, depth_from_buffer
+from push_ident.perception.frame.depth_image import check_intrinsics, depth_from_buffer
 from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
 from push_ident_msgs.msg import PushRecord

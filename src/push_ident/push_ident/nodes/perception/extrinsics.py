@@ -13,7 +13,7 @@ from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.convert.messages import TABLE_FRAME
 from push_ident.perception.calibration import Calibration, Mark, calibrate
-from push_ident.perception.parameter_file import POSITION, QUATERNION
+from push_ident.survey.parameter_file import POSITION, QUATERNION
 from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["Extrinsics", "FromMark", "FromParameters", "FromTf", "TfBuffer", "mark_of", "pose_rows"]

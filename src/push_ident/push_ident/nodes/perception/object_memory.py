@@ -16,8 +16,7 @@ from push_ident.checked_json import CheckedContent, Listed, Numbers, Points, Row
 from push_ident.errors import InputError, ModelFileError, PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.perception.pipeline import KnownObject
-from push_ident.perception.shape import TracedObject
+from push_ident.perception.known_object import KnownObject, TracedObject
 from push_ident.types import CellGrid, Float64Array, ObjectShape
 
 __all__ = ["ObjectMemory"]
@@ -43,6 +42,7 @@ class _Object(CheckedContent):
     top_resolution: float
     hollow: Listed[Listed[bool]] | None = None
     seen_from: Listed[Points] | Points | None = None
+    """Positions of the cameras."""
     displaced_std: float = 0.0
     displaced_frame: tuple[float, float, float] = (0.0, 0.0, 0.0)
     frame_covariance: Rows | None = None
@@ -87,7 +87,7 @@ class ObjectMemory:
             top_origin=tuple(np.asarray(traced.top_origin).tolist()),
             top_resolution=float(traced.top_resolution),
             hollow=None if traced.hollow is None else traced.hollow.tolist(),
-            seen_from=None if traced.seen_from is None else [positions.tolist() for positions in traced.seen_from],
+            seen_from=None if traced.camera_positions is None else [positions.tolist() for positions in traced.camera_positions],
             displaced_std=float(traced.displaced_std),
             displaced_frame=traced.displaced_frame,
             frame_covariance=traced.frame_covariance.tolist(),
@@ -151,7 +151,7 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
     # Files of earlier versions have the positions of one rest, without the list of rests.
     rests = [np.array(positions, dtype=np.float64).reshape(-1, 2) for positions in content.seen_from or ()]
     is_flat = any(isinstance(positions, tuple) for positions in content.seen_from or ())
-    seen_from = ((np.vstack(rests),) if is_flat else tuple(rests)) if rests else None
+    camera_positions = ((np.vstack(rests),) if is_flat else tuple(rests)) if rests else None
     traced = TracedObject(
         shape,
         np.array(content.pose),
@@ -159,7 +159,7 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
         np.array(content.top_origin),
         content.top_resolution,
         hollow,
-        seen_from,
+        camera_positions,
         content.displaced_std,
         content.displaced_frame,
         frame_covariance,

@@ -9,8 +9,8 @@ from typing import Any, Final
 from push_ident.errors import InputError
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.input.depth_pairs import MAX_SKEW
-from push_ident.perception.parameter_file import HEADING_STD, POSITION_STD
 from push_ident.perception.settings import PerceptionSettings
+from push_ident.survey.parameter_file import HEADING_STD, POSITION_STD
 from push_ident.types import CameraAccuracy
 
 __all__ = ["PARAMETERS", "IMAGE_TIMES", "ImageTimes", "names_of_further_cameras", "perception_settings"]

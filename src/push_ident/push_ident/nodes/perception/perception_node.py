@@ -51,11 +51,11 @@ from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromPar
 from push_ident.nodes.perception.object_memory import ObjectMemory
 from push_ident.nodes.perception.older_images import OlderImages
 from push_ident.nodes.perception.parameters import IMAGE_TIMES, PARAMETERS, names_of_further_cameras, perception_settings
-from push_ident.perception.labels import RobotPart
-from push_ident.perception.parameter_file import pose_lines
-from push_ident.perception.pipeline import Observation, ObservedObject, Perception
+from push_ident.perception.frame.robot import RobotHistory, RobotPart
+from push_ident.perception.observation import Observation, ObservedObject
+from push_ident.perception.pipeline import Perception
 from push_ident.perception.refusals import Refusal, Removal
-from push_ident.perception.robot_history import RobotHistory
+from push_ident.survey.parameter_file import pose_lines
 from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["PARAMETERS", "PerceptionNode", "main"]

@@ -37,7 +37,7 @@ from push_ident.nodes.input.discovery import ObjectTopics
 from push_ident.nodes.input.tracked_objects import TrackedObjects
 from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
 from push_ident.nodes.viewer.settings import VIEWER
-from push_ident.perception.depth import height_inside, points_in_table
+from push_ident.perception.frame.view import height_inside, points_in_table
 from push_ident.types import DepthFrame, Float64Array
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushScore
 

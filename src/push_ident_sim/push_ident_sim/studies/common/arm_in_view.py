@@ -13,7 +13,7 @@ from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.perception.perception_node import PARAMETERS
-from push_ident.perception.labels import Cylinder, RobotPart
+from push_ident.perception.frame.robot import Cylinder, RobotPart
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.push import PushCode

@@ -11,9 +11,9 @@ import numpy as np
 from push_ident.errors import PerceptionError
 from push_ident.geometry.se2 import compose, inverse, transform_points
 from push_ident.identification.predicting.next_push import PlannedPush, candidate_pushes
-from push_ident.perception.labels import Cylinder
+from push_ident.perception.frame.robot import Cylinder
+from push_ident.perception.known_object import TrackStatus
 from push_ident.perception.pipeline import Perception
-from push_ident.perception.tracking import TrackStatus
 from push_ident.pushing.push import PushSettings
 from push_ident.types import DepthFrame, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord
 from push_ident_sim.cell.camera import DepthImage, View

@@ -15,10 +15,11 @@ from scipy.optimize import least_squares
 from push_ident.errors import InputError, PerceptionError, PlanningError
 from push_ident.geometry.outline import points_in_polygon, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
-from push_ident.perception.labels import RobotPart
-from push_ident.perception.pipeline import Observation, Perception
-from push_ident.perception.topdown import OCCUPIED, TopDownGrid
-from push_ident.perception.tracking import TrackStatus
+from push_ident.perception.frame.occupancy import OCCUPIED, TopDownGrid
+from push_ident.perception.frame.robot import RobotPart
+from push_ident.perception.known_object import TrackStatus
+from push_ident.perception.observation import Observation
+from push_ident.perception.pipeline import Perception
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 from push_ident_sim.cell.camera import DepthCamera, View
 from push_ident_sim.cell.sensor_unit import Sensor

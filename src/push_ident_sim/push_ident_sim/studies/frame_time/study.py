@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from push_ident.errors import PerceptionError
 from push_ident.geometry.se2 import compose, inverse
-from push_ident.perception.pipeline import Observation, Perception
+from push_ident.perception.observation import Observation
+from push_ident.perception.pipeline import Perception
 from push_ident.types import DepthFrame, Float64Array
 from push_ident_sim.cell.camera import Placed
 from push_ident_sim.cell.sensor_unit import Sensor

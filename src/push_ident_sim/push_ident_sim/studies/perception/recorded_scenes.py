@@ -19,13 +19,11 @@ from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.offline.depth_images import read_cloud
 from push_ident.perception.calibration import camera_over_table, table_extent
-from push_ident.perception.depth import points_in_table
-from push_ident.perception.hollows import cover_hollows
-from push_ident.perception.labels import label_pixels
+from push_ident.perception.known_object import Segment, TrackStatus
 from push_ident.perception.pipeline import Perception
-from push_ident.perception.segments import Segment, find_segments
+from push_ident.perception.search.hollows import cover_hollows
+from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.tracking import TrackStatus
 from push_ident.types import BoolArray, DepthFrame, Float64Array
 from push_ident_sim.studies.common.base import Json
 
@@ -83,13 +81,11 @@ def find_objects(scene: Scene) -> tuple[Json, list[Segment]]:
     settings = PerceptionSettings(workspace_low=low, workspace_high=high)
     perception = Perception(camera, settings)
     shapes, followed = _taken_in(perception, frame)
-    camera = perception.camera_in_table
-    points = points_in_table(frame, camera)
-    covered = cover_hollows(frame, points, label_pixels(points, (), perception.limits), camera, perception.limits)
+    covered = cover_hollows(perception.view(frame)).view
     points = covered.points
-    segments, counts = find_segments(covered.frame, points, covered.labels, perception.limits)
+    segments, counts = find_segments(covered)
     reach = np.array([*np.subtract(low, _AROUND), *np.add(high, _AROUND)])
-    masks = [_from_above(points[s.rows, s.columns][s.mask], reach) for s in segments]
+    masks = [_from_above(segment.points_in(points), reach) for segment in segments]
     areas = {name: _inside(outline, reach) for name, outline in shapes.items()}
     rows, best_of = [], dict.fromkeys(shapes, 0.0)
     for number in sorted({int(value) // _SURFACES for value in np.unique(scene.label) if value >= _SURFACES}):

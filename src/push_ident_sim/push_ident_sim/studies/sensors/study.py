@@ -14,7 +14,7 @@ from push_ident.identification.identify import identify
 from push_ident.identification.observing.observation import observe_push
 from push_ident.identification.predicting.prediction import CHI2_90, held_out_errors, predict
 from push_ident.identification.results.posterior import ModelPosterior
-from push_ident.perception.fusion import with_edges_moved
+from push_ident.perception.outline.fusion import with_edges_moved
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array, ObjectShape, PushRecord

@@ -1,0 +1,87 @@
+"""Top-down occupancy grid of the workspace."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.perception.frame.view import OBJECT, TABLE, FrameView
+from push_ident.perception.kernels import project_down
+from push_ident.perception.work import is_due
+
+__all__ = ["FREE", "OCCUPIED", "UNOBSERVED", "OccupancyMap", "TopDownGrid", "top_down"]
+
+UNOBSERVED: Final = -1
+FREE: Final = 0
+OCCUPIED: Final = 100
+
+
+@dataclass(frozen=True, slots=True)
+class TopDownGrid:
+    """Cells of the workspace, rows along y, columns along x, table frame."""
+
+    occupancy: NDArray[np.int8]
+    """UNOBSERVED, FREE or OCCUPIED, shape (rows, columns)."""
+    height: NDArray[np.float32]
+    """Highest point measured in the cell [m], same shape; NaN where there is none."""
+    origin: tuple[float, float]
+    """Low corner [m]."""
+    resolution: float
+    """[m]"""
+
+
+def top_down(view: FrameView) -> TopDownGrid:
+    """Project the labelled points of a frame straight down.
+
+    A cell with object points is occupied, a cell with table points only is free, any other cell is unobserved. Gaps of single cells
+    between pixels are closed by their neighbours; shadows are not.
+    """
+    settings = view.settings
+    low, high, size = np.array(settings.workspace_low), np.array(settings.workspace_high), settings.grid_resolution
+    columns, rows = (int(n) for n in np.maximum(np.ceil((high - low) / size - 1e-9), 1))
+    has_table, has_object, height = project_down(view.points, view.labels, TABLE, OBJECT, low, size, rows, columns)
+    occupancy = np.full((rows, columns), UNOBSERVED, dtype=np.int8)
+    occupancy[_closed(has_table)] = FREE
+    occupancy[_closed(has_object)] = OCCUPIED
+    return TopDownGrid(occupancy, np.where(np.isfinite(height), height, np.float32(np.nan)), settings.workspace_low, size)
+
+
+def _closed(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Set the cells most of whose neighbours are set."""
+    neighbours = cv2.blur(mask.astype(np.float32), (3, 3), borderType=cv2.BORDER_CONSTANT)
+    return mask | (neighbours > 0.5)
+
+
+class OccupancyMap:
+    """A job that makes the occupancy grid once in an occupancy period.
+
+    Args:
+        makes_grid: Without it the turns pass all the same: which work a frame does stays as it is in a live cell.
+    """
+
+    is_under_way: Final = False
+
+    def __init__(self, *, makes_grid: bool) -> None:
+        self._makes_grid = makes_grid
+        self._last = -np.inf
+        self._grid: TopDownGrid | None = None
+
+    def due(self, view: FrameView) -> bool:
+        """Once in an occupancy period."""
+        return is_due(view.frame.stamp, self._last, view.settings.occupancy_period)
+
+    def step(self, view: FrameView) -> int:
+        """Make the grid; the turns that took."""
+        self._last = view.frame.stamp
+        if self._makes_grid:
+            self._grid = top_down(view)
+        return 1
+
+    def take_grid(self) -> TopDownGrid | None:
+        """The grid that was made since the last call; None where there was none."""
+        grid, self._grid = self._grid, None
+        return grid

@@ -1,0 +1,131 @@
+"""The robot in a depth image: which points belong to it, and where its parts were when the image was taken."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.errors import InputError
+from push_ident.geometry.arm_shape import ArmShape
+from push_ident.geometry.rod import Rod
+from push_ident.perception.kernels import points_in_rods
+from push_ident.types import BoolArray, Float64Array
+
+__all__ = ["Cylinder", "RobotHistory", "RobotPart", "in_robot"]
+
+_TOOL_POSES: Final = 200
+"""Tool poses kept: 3 s at 60 Hz."""
+_JOINT_STATES: Final = 400
+"""Joint states kept: 4 s at 100 Hz."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cylinder:
+    """A vertical cylinder of the robot without upper end [m], table frame."""
+
+    x: float
+    y: float
+    radius: float
+    z_min: float = -1.0
+    """Height of its lower end."""
+
+
+RobotPart = Cylinder | Rod
+"""Tool and hand, placed by the pose of the tool, or links of the arm, placed by its joint states."""
+
+
+def in_robot(points: NDArray[np.float32], robot: Sequence[RobotPart], margin: float) -> BoolArray:
+    """Which of `points`, shape (..., 3), lie in a part of the robot grown by `margin` [m]."""
+    if not robot:
+        return np.zeros(points.shape[:-1], dtype=bool)
+    flat = np.ascontiguousarray(points, dtype=np.float32).reshape(-1, 3)
+    inside = points_in_rods(flat, np.array([_as_row(part) for part in robot]), margin)
+    return np.asarray(inside.reshape(points.shape[:-1]))
+
+
+def _as_row(part: RobotPart) -> tuple[float, ...]:
+    """Start, unit direction, length and radius of a part."""
+    if isinstance(part, Cylinder):
+        return part.x, part.y, part.z_min, 0.0, 0.0, 1.0, math.inf, part.radius
+    axis = part.end - part.start
+    length = float(np.linalg.norm(axis))
+    return *part.start, *(axis / length), length, part.radius
+
+
+class RobotHistory:
+    """Keeps recent states of tool and arm and interpolates between them.
+
+    Args:
+        tool_radius: radius of the cylinder at the tip [m].
+        tool_length: from the tip to the hand [m].
+    """
+
+    def __init__(self, tool_radius: float, tool_length: float) -> None:
+        self.tool_radius, self.tool_length = tool_radius, tool_length
+        self.arm_shape: ArmShape | None = None
+        """Links of the arm; None until its description is known."""
+        self._tool: deque[tuple[float, Float64Array]] = deque(maxlen=_TOOL_POSES)
+        self._joints: deque[tuple[float, Float64Array]] = deque(maxlen=_JOINT_STATES)
+        self._joint_names: tuple[str, ...] = ()
+
+    def add_tool(self, stamp: float, position: Float64Array) -> None:
+        """Position of the tip at `stamp` [s], shape (3,), table frame [m]; an older stamp begins anew."""
+        if self._tool and stamp < self._tool[-1][0]:
+            self._tool.clear()
+        self._tool.append((stamp, position))
+
+    def add_joints(self, stamp: float, names: Sequence[str], position: Float64Array) -> None:
+        """Joint positions [rad] at `stamp` [s]; an older stamp, or other joints, begin anew.
+
+        Raises InputError for numbers that are not finite, or not one for each name.
+        """
+        if len(position) != len(names) or not np.isfinite(position).all():
+            raise InputError(f"{len(position)} positions for {len(names)} joints, or not finite")
+        if self._joints and (stamp < self._joints[-1][0] or tuple(names) != self._joint_names):
+            self._joints.clear()
+        self._joint_names = tuple(names)
+        self._joints.append((stamp, position))
+
+    def tool_age(self, stamp: float) -> float | None:
+        """How much older than `stamp` the latest tool pose is [s]; None where there is none."""
+        return stamp - self._tool[-1][0] if self._tool else None
+
+    def joints_age(self, stamp: float) -> float | None:
+        """How much older than `stamp` the latest joint state is [s]; None where there is none."""
+        return stamp - self._joints[-1][0] if self._joints else None
+
+    def tool_at(self, stamp: float, hand_radius: float) -> tuple[RobotPart, ...]:
+        """Tool and hand at `stamp` [s]; nothing without tool poses. `hand_radius` [m] is that of the hand above the tool."""
+        if not self._tool:
+            return ()
+        times = np.array([time for time, _ in self._tool])
+        positions = np.array([position for _, position in self._tool])
+        x, y, z = (float(np.interp(stamp, times, positions[:, axis])) for axis in range(3))
+        return Cylinder(x, y, self.tool_radius, z), Cylinder(x, y, hand_radius, z + self.tool_length)
+
+    def joints_at(self, stamp: float) -> dict[str, float]:
+        """Joint positions at `stamp` [rad] by name, linear between the states around it, held outside; empty without joint states."""
+        if not self._joints:
+            return {}
+        times = np.array([time for time, _ in self._joints])
+        after = int(np.searchsorted(times, stamp).clip(1, len(times) - 1)) if len(times) > 1 else 0
+        position = self._joints[after][1]
+        if after:
+            share = float(np.clip((stamp - times[after - 1]) / max(times[after] - times[after - 1], 1e-9), 0.0, 1.0))
+            position = (1.0 - share) * self._joints[after - 1][1] + share * position
+        return dict(zip(self._joint_names, position.tolist(), strict=True))
+
+    def arm_at(self, stamp: float, reach: float) -> tuple[RobotPart, ...]:
+        """Links of the arm at `stamp` [s] that come below the height `reach` [m]; nothing without description or joint states.
+
+        What is higher than every object is labelled as robot anyway.
+        """
+        if self.arm_shape is None or not self._joints:
+            return ()
+        return tuple(rod for rod in self.arm_shape.at(self.joints_at(stamp)) if rod.lowest < reach)

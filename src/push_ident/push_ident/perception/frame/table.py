@@ -1,0 +1,237 @@
+"""The table plane, as measured near z = 0 of the extrinsics' table frame, and the pose of the camera that it corrects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.errors import PerceptionError
+from push_ident.perception.frame.robot import RobotPart
+from push_ident.perception.frame.view import FrameView, points_in_table
+from push_ident.perception.settings import PerceptionSettings
+from push_ident.perception.work import is_due
+from push_ident.types import DepthFrame, Float64Array
+
+__all__ = ["TableCamera", "TablePlane", "fit_table"]
+
+_SEARCH: Final = 0.05
+"""Points within this height of the expected plane are candidates for the table [m]."""
+_MAX_TILT: Final = 0.06
+"""A larger correction of tilt means wrong extrinsics [rad]."""
+_MAX_OFFSET: Final = 0.03
+"""A larger correction of height means wrong extrinsics [m]."""
+_STRIDE: Final = 4
+"""Every fourth pixel of every fourth row is used: enough for three unknowns."""
+_HYPOTHESES: Final = 60
+"""Random planes tried."""
+_MIN_POINTS: Final = 125
+"""Least number of points on the plane, after the stride."""
+_MIN_SHARE: Final = 0.2
+"""Fraction of the points in the workspace that must lie on the plane."""
+_MAX_NOISE: Final = 0.006
+"""A larger deviation of the points from their plane is no flat table [m]: a Kinect has 5 mm at 1.8 m (Nguyen et al., 2012)."""
+_UNDER: Final = 0.01
+"""Points that are further below the plane lie under the table [m], unless noise is larger."""
+_MAX_UNDER: Final = 0.1
+"""Largest fraction of the points in the workspace that may lie under the table: more is a reflection, or a rim taken for the table."""
+_MOVED: Final = 0.0015
+"""A table plane whose height differs by more at a corner of the workspace replaces the one in use [m]."""
+_CALMER: Final = 0.67
+"""A table with less than this share of the noise that its plane was fitted with is less noisy [-]: by three deviations of a deviation that
+the median of 125 points gives, the least number of a plane."""
+_HEIGHTS_OF_NOISE: Final = 4.0
+"""An object is at least that many deviations of a height high: one pixel in 16,000 of a flat table is further off."""
+
+
+@dataclass(frozen=True, slots=True)
+class TablePlane:
+    """z = slope_x x + slope_y y + offset in the table frame of the extrinsics; all zero where the extrinsics are exact."""
+
+    slope: tuple[float, float]
+    offset: float
+    """[m]"""
+    noise: float
+    """Standard deviation of the heights of single points about the plane [m]."""
+    n_points: int
+
+    @property
+    def least_height(self) -> float:
+        """Height below which nothing can be told from the table [m]."""
+        return _HEIGHTS_OF_NOISE * self.noise
+
+    def height(self, x: float, y: float) -> float:
+        """Height of the plane above the expected one at (x, y) [m]."""
+        return self.slope[0] * x + self.slope[1] * y + self.offset
+
+    @classmethod
+    def expected(cls) -> TablePlane:
+        """The plane z = 0 of exact extrinsics."""
+        return cls((0.0, 0.0), 0.0, 0.0, 0)
+
+    def difference(self, other: TablePlane, settings: PerceptionSettings) -> float:
+        """Largest difference of the heights of two planes at the corners of the workspace [m]."""
+        (x0, y0), (x1, y1) = settings.workspace_low, settings.workspace_high
+        return max(abs(self.height(x, y) - other.height(x, y)) for x, y in ((x0, y0), (x0, y1), (x1, y0), (x1, y1)))
+
+    def correct(self, camera_in_table: ArrayLike) -> Float64Array:
+        """Camera pose, shape (4, 4), corrected by the smallest rigid motion that moves the plane to z = 0."""
+        normal = np.array([-self.slope[0], -self.slope[1], 1.0])
+        normal /= np.linalg.norm(normal)
+        # Smallest rotation that takes the normal to the z axis (Rodrigues with the axis normal x z).
+        ax, ay = normal[1], -normal[0]
+        skew = np.array([[0.0, 0.0, ay], [0.0, 0.0, -ax], [-ay, ax, 0.0]])
+        correction = np.eye(4)
+        correction[:3, :3] += skew + skew @ skew / (1.0 + normal[2])
+        correction[2, 3] = -normal[2] * self.offset
+        return np.asarray(correction @ np.asarray(camera_in_table, dtype=np.float64))
+
+
+def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> TablePlane:
+    """Fit the plane to the points near z = 0 in the workspace: a few random planes, then least squares on the inliers.
+
+    Args:
+        points: [m], shape (height, width, 3), table frame of the extrinsics; NaN where nothing was measured.
+
+    Raises:
+        PerceptionError: No valid pixel, too few points on a plane, too many under it, or a correction larger than the error of usable
+            extrinsics.
+    """
+    sample = points[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(np.float64)
+    valid = sample[np.isfinite(sample[:, 2])]
+    if len(valid) == 0:
+        raise PerceptionError(f"Depth image has 0 valid of {points.shape[0] * points.shape[1]} pixels; check the camera and its range.")
+    low, high = settings.workspace_low, settings.workspace_high
+    in_workspace = np.all((valid[:, :2] >= low) & (valid[:, :2] <= high), axis=1)
+    near = valid[in_workspace & (np.abs(valid[:, 2]) < _SEARCH)]
+    needed = max(_MIN_POINTS, int(_MIN_SHARE * np.count_nonzero(in_workspace)))
+    if len(near) < needed:
+        raise PerceptionError(
+            f"{len(near)} of {len(valid)} points lie within {_SEARCH * 1e3:.0f} mm of the table, expected at least {needed}; "
+            "check the extrinsics and that the camera sees the workspace."
+        )
+    plane, design = _best_random_plane(near), np.column_stack([near[:, :2], np.ones(len(near))])
+    for _ in range(4):
+        distance = near[:, 2] - design @ plane
+        noise = 1.4826 * float(np.median(np.abs(distance[np.abs(distance) < 0.01]))) if np.any(np.abs(distance) < 0.01) else 0.01
+        inliers = np.abs(distance) < 3.0 * max(noise, 2e-4)
+        if np.count_nonzero(inliers) < needed:
+            raise PerceptionError(
+                f"{np.count_nonzero(inliers)} of {len(near)} points agree on a plane, expected {needed}; clear the table."
+            )
+        chosen = design[inliers]
+        plane = np.linalg.lstsq(chosen.T @ chosen, chosen.T @ near[inliers, 2], rcond=None)[0]
+    if np.hypot(plane[0], plane[1]) > _MAX_TILT or abs(plane[2]) > _MAX_OFFSET:
+        raise PerceptionError(
+            f"The table is tilted by {np.hypot(plane[0], plane[1]):.3f} rad and {plane[2] * 1e3:.0f} mm from its place in the extrinsics, "
+            f"expected at most {_MAX_TILT} rad and {_MAX_OFFSET * 1e3:.0f} mm; calibrate the camera."
+        )
+    if noise > _MAX_NOISE:
+        raise PerceptionError(
+            f"The points of the table deviate by {noise * 1e3:.1f} mm from a plane, expected at most {_MAX_NOISE * 1e3:.0f} mm; "
+            "it is not flat, or glossy, or too far from the camera."
+        )
+    everything = valid[in_workspace]
+    under = float(np.mean(everything[:, 2] - everything[:, :2] @ plane[:2] - plane[2] < -max(_UNDER, _HEIGHTS_OF_NOISE * noise)))
+    if under > _MAX_UNDER:
+        raise PerceptionError(
+            f"{under:.0%} of the points in the workspace lie more than {_UNDER * 1e3:.0f} mm under the table, expected at most "
+            f"{_MAX_UNDER:.0%}: a reflection, or the rim of a bin taken for the table; check extrinsics and workspace."
+        )
+    return TablePlane((float(plane[0]), float(plane[1])), float(plane[2]), max(noise, 1e-4), int(np.count_nonzero(inliers)))
+
+
+def _best_random_plane(points: Float64Array) -> Float64Array:
+    """The plane through three points with the most points within 6 mm."""
+    rng = np.random.default_rng(0)
+    scored = points[rng.integers(len(points), size=min(len(points), 1500))]
+    triples = points[rng.integers(len(points), size=(_HYPOTHESES, 3))]
+    design = np.concatenate([triples[:, :, :2], np.ones((_HYPOTHESES, 3, 1))], axis=2)
+    spread = np.abs(np.linalg.det(design)) > 1e-3
+    planes = np.linalg.solve(design[spread], triples[spread][:, :, 2:])[:, :, 0]
+    planes = planes[np.hypot(planes[:, 0], planes[:, 1]) < 2 * _MAX_TILT]
+    if len(planes) == 0:
+        return np.zeros(3)
+    distance = scored[:, 2:] - scored[:, :2] @ planes[:, :2].T - planes[:, 2]
+    return np.asarray(planes[np.argmax(np.count_nonzero(np.abs(distance) < 0.006, axis=0))])
+
+
+class TableCamera:
+    """The camera over the table: its extrinsics, corrected by the plane of the table in its frames; a job that checks that plane.
+
+    Args:
+        extrinsics: Optical frame in the table frame, homogeneous, shape (4, 4).
+        settings: May be replaced between frames.
+    """
+
+    is_under_way: Final = False
+
+    def __init__(self, extrinsics: Float64Array, settings: PerceptionSettings) -> None:
+        self._extrinsics = extrinsics
+        self.settings = settings
+        self.plane: TablePlane | None = None
+        """In use; None before the first frame."""
+        self.camera_in_table = extrinsics
+        """Optical frame in the table frame, shape (4, 4); another array after each change."""
+        self.n_hidden = 0
+        """Checks in which too little of the table was visible."""
+        self._last = -np.inf
+
+    def view(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> FrameView:
+        """The frame seen by this camera; the first frame gives the plane.
+
+        Raises:
+            PerceptionError: No table is found in the first frame.
+        """
+        if self.plane is None:
+            self._use(fit_table(points_in_table(frame, self._extrinsics), self.settings))
+        assert self.plane is not None
+        # An object is higher than the noise of the table.
+        limits = replace(self.settings, min_object_height=max(self.settings.min_object_height, self.plane.least_height))
+        return FrameView(frame, self.camera_in_table, robot, limits, self.plane.noise)
+
+    def current(self, view: FrameView) -> FrameView:
+        """The view, with the plane as it is now."""
+        return view if view.camera_in_table is self.camera_in_table else self.view(view.frame, view.robot)
+
+    def due(self, view: FrameView) -> bool:
+        """Once in an occupancy period."""
+        return is_due(view.frame.stamp, self._last, view.settings.occupancy_period)
+
+    def step(self, view: FrameView) -> int:
+        """Use another plane from now on if the table or the camera was moved; the turns that took. Smaller differences are noise and would
+        make the poses jump.
+
+        A plane that was fitted to a noisy image, such as the first one of a camera that starts, gets the noise of a better one: otherwise
+        the low parts of objects would count as table. One that was fitted to an image in which the table was elsewhere is fitted again.
+        """
+        self._last = view.frame.stamp
+        assert self.plane is not None
+        try:
+            plane = self._plane_in(view, self.plane)
+        except PerceptionError:
+            self.n_hidden += 1  # The robot may cover the table for a while; the plane in use remains valid.
+            return 1
+        if plane is not self.plane:
+            self._use(plane)
+        return 1
+
+    def _plane_in(self, view: FrameView, plane: TablePlane) -> TablePlane:
+        """The plane to use from this frame on, `plane` as a rule. Raises PerceptionError: the table is hidden."""
+        try:
+            moved = fit_table(view.points, self.settings)
+        except PerceptionError:
+            # As far from the plane in use as a correction goes, and as near to the extrinsics.
+            anew = fit_table(points_in_table(view.frame, self._extrinsics), self.settings)
+            if anew.difference(plane, self.settings) <= _MOVED:
+                raise
+            return anew
+        if moved.difference(TablePlane.expected(), self.settings) > _MOVED:
+            return fit_table(points_in_table(view.frame, self._extrinsics), self.settings)
+        return replace(plane, noise=moved.noise) if moved.noise < _CALMER * plane.noise else plane
+
+    def _use(self, plane: TablePlane) -> None:
+        self.plane, self.camera_in_table = plane, plane.correct(self._extrinsics)

@@ -1,0 +1,191 @@
+"""A depth frame over the table: where its pixels look, which points they measure, and what those points belong to.
+
+Pixel (u, v) looks along ((u - cx) / fx, (v - cy) / fy, 1) in the optical frame (x right, y down, z forward; REP 103),
+so a point is the camera centre plus its depth times that direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.errors import FrameError
+from push_ident.geometry.outline import points_in_polygon
+from push_ident.perception.frame.depth_image import check_intrinsics, check_size
+from push_ident.perception.frame.robot import RobotPart, in_robot
+from push_ident.perception.kernels import label_heights, place_points
+from push_ident.perception.settings import PerceptionSettings
+from push_ident.perception.shape_kernels import sort_columns
+from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame, Float64Array
+
+__all__ = [
+    "OBJECT",
+    "ROBOT",
+    "TABLE",
+    "UNKNOWN",
+    "FrameView",
+    "height_inside",
+    "median_frame",
+    "points_in_table",
+    "unmeasured_areas",
+]
+
+UNKNOWN: Final = -1
+TABLE: Final = 0
+OBJECT: Final = 1
+ROBOT: Final = 2
+
+_BELOW: Final = -0.02
+"""Points below this height are beside the table [m]."""
+_AREA: Final = 3
+"""Least width of an unmeasured area that counts as a shadow [px]: wider than the pixels that are lost on both sides of an edge."""
+_BLOCK: Final = 8192
+"""Pixels of all frames that are sorted at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameView:
+    """A depth frame, the pose of its camera and the robot in it. Rays, points and labels are computed once, when first asked for.
+
+    Raises:
+        FrameError: The size of the image differs from its camera info.
+    """
+
+    frame: DepthFrame
+    camera_in_table: Float64Array
+    """Optical frame in the table frame, homogeneous, shape (4, 4)."""
+    robot: Sequence[RobotPart] = ()
+    """Tool and arm when the frame was taken."""
+    settings: PerceptionSettings = field(default_factory=PerceptionSettings)
+    noise: float = 0.0
+    """Standard deviation of the height of a point [m]."""
+
+    def __post_init__(self) -> None:
+        check_size(self.frame)
+
+    @cached_property
+    def rays(self) -> tuple[Float64Array, NDArray[np.float32]]:
+        """Camera centre [m], shape (3,), and direction of each pixel per metre of depth, shape (height, width, 3), table frame.
+
+        Raises:
+            FrameError: The pose of the camera is no finite (4, 4) transform.
+        """
+        return rays_in_table(self.frame.intrinsics, self.camera_in_table)
+
+    @cached_property
+    def points(self) -> NDArray[np.float32]:
+        """Point of each pixel [m], shape (height, width, 3), table frame; NaN where nothing was measured."""
+        centre, rays = self.rays
+        points: NDArray[np.float32] = place_points(np.asarray(self.frame.depth, dtype=np.float32), rays, centre)
+        return points
+
+    @cached_property
+    def labels(self) -> NDArray[np.int8]:
+        """UNKNOWN, TABLE, OBJECT or ROBOT of each pixel by the height of its point, shape (height, width).
+
+        A median over 3 x 3 pixels removes single outliers from the heights and keeps edges in place. Everything above `max_object_height`
+        is ROBOT as well; outside the workspace nothing is OBJECT.
+        """
+        heights, settings = self.points[..., 2], self.settings
+        (low_x, low_y), (high_x, high_y) = settings.workspace_low, settings.workspace_high
+        # Only raised pixels can be robot; the test is run on those few pixels.
+        labels, raised = label_heights(
+            self.points,
+            cv2.medianBlur(np.where(np.isfinite(heights), heights, np.float32(0.0)), 3),
+            (low_x, high_x, low_y, high_y),
+            (_BELOW, 0.5 * settings.min_object_height, settings.min_object_height, settings.max_object_height),
+            (UNKNOWN, TABLE, OBJECT, ROBOT),
+        )
+        if self.robot:
+            raised[raised] = self.is_robot(self.points[raised])
+            labels[raised] = ROBOT
+        return np.asarray(labels)
+
+    def is_robot(self, points: NDArray[np.float32]) -> BoolArray:
+        """Which points, shape (..., 3), table frame, lie in the robot."""
+        return in_robot(points, self.robot, self.settings.mask_margin)
+
+    def with_pixels(self, depth: NDArray[np.float32], points: NDArray[np.float32], labels: NDArray[np.int8]) -> FrameView:
+        """The same view with these depths, points and labels."""
+        view = replace(self, frame=replace(self.frame, depth=depth))
+        view.__dict__.update(points=points, labels=labels)
+        return view
+
+
+@lru_cache(maxsize=8)
+def _rays_in_camera(intrinsics: CameraIntrinsics) -> NDArray[np.float32]:
+    """Direction of each line of sight per metre of depth, optical frame, shape (height, width, 3)."""
+    check_intrinsics(intrinsics)
+    u, v = np.meshgrid(np.arange(intrinsics.width, dtype=np.float64), np.arange(intrinsics.height, dtype=np.float64))
+    rays = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones_like(u)], axis=-1).astype(np.float32)
+    rays.setflags(write=False)
+    return rays
+
+
+@lru_cache(maxsize=8)
+def _rays_in_table(intrinsics: CameraIntrinsics, transform: bytes) -> tuple[Float64Array, NDArray[np.float32]]:
+    camera_in_table = np.frombuffer(transform).reshape(4, 4)
+    rays = _rays_in_camera(intrinsics) @ camera_in_table[:3, :3].T.astype(np.float32)
+    centre = camera_in_table[:3, 3].copy()
+    for array in (centre, rays):
+        array.setflags(write=False)
+    return centre, rays
+
+
+def rays_in_table(intrinsics: CameraIntrinsics, camera_in_table: ArrayLike) -> tuple[Float64Array, NDArray[np.float32]]:
+    """As `FrameView.rays`; cached for a camera that does not move."""
+    transform = np.ascontiguousarray(camera_in_table, dtype=np.float64)
+    if transform.shape != (4, 4) or not np.all(np.isfinite(transform)):
+        raise FrameError(f"camera_in_table has shape {transform.shape}, expected a finite homogeneous (4, 4) transform.")
+    return _rays_in_table(intrinsics, transform.tobytes())
+
+
+def points_in_table(frame: DepthFrame, camera_in_table: ArrayLike) -> NDArray[np.float32]:
+    """Point of every pixel, as `FrameView.points`.
+
+    Raises:
+        FrameError: The size of the image differs from its camera info.
+    """
+    return FrameView(frame, np.asarray(camera_in_table, dtype=np.float64)).points
+
+
+def median_frame(frames: Sequence[DepthFrame]) -> DepthFrame:
+    """The last of some frames at rest with the median depth of each pixel; NaN where fewer than half of them measured something."""
+    images = [np.asarray(frame.depth, dtype=np.float32).reshape(-1) for frame in frames]
+    median = np.empty(len(images[0]), dtype=np.float32)
+    for at in range(0, len(median), _BLOCK):  # blocks that stay in the cache
+        stack = np.stack([image[at : at + _BLOCK] for image in images])
+        valid = np.isfinite(stack)
+        n_valid = np.count_nonzero(valid, axis=0)
+        stack[~valid] = np.inf
+        sort_columns(stack)  # What was not measured is at the end, so the median is in the middle of the first n_valid.
+        last, column = np.maximum(n_valid - 1, 0), np.arange(stack.shape[1])
+        low, high = stack[last // 2, column], stack[(last + 1) // 2, column]
+        median[at : at + _BLOCK] = np.where(2 * n_valid >= len(stack), 0.5 * (low + high), np.float32(np.nan))
+    return replace(frames[-1], depth=median.reshape(frames[0].depth.shape))
+
+
+def unmeasured_areas(measured: BoolArray) -> NDArray[np.uint8]:
+    """Unmeasured pixels of an area, not of a line: 1, same shape.
+
+    They are the shadow that the projector or the second imager of a camera leaves beside an object. Single unmeasured pixels along an edge
+    may belong to either side of it and prove nothing.
+    """
+    return np.asarray(cv2.morphologyEx((~measured).astype(np.uint8), cv2.MORPH_OPEN, np.ones((_AREA, _AREA), np.uint8)))
+
+
+def height_inside(points: NDArray[np.float32], outline_in_table: Float64Array) -> float | None:
+    """Median height [m], at least 0, of the points over an outline, shape (n_vertices, 2); None where there are none.
+
+    `points`: of every pixel, see `FrameView.points`; every second pixel in each direction is used.
+    """
+    some = points[::2, ::2].reshape(-1, 3)
+    some = some[np.isfinite(some[:, 2])].astype(np.float64)
+    inside = some[points_in_polygon(some[:, :2], outline_in_table)]
+    return max(float(np.median(inside[:, 2])), 0.0) if len(inside) else None

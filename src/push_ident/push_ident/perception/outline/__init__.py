@@ -1,0 +1,1 @@
+"""Outline, cells and heights of an object from one or several views at rest."""

@@ -1,0 +1,381 @@
+"""Known objects at rest between pushes: what is kept of each rest, and when it gives a better outline.
+
+A rest in a new place or heading is kept as one view. An outline is replaced when the latest rest, which did not make it, contradicts it
+clearly more than it contradicts the outline of all rests. So nothing changes for a camera that was right at once, and nothing is
+replaced for the noise of a single view.
+
+The fit of several views takes as long as several frames. It is done in parts, a few of them in a frame (`step`), so that poses wait for
+none of it; what it gives is taken up in the first frame after its last part.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from push_ident.errors import InputError, PerceptionError, PushIdentError
+from push_ident.geometry.outline import cells_in_outline, signed_distance
+from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
+from push_ident.geometry.shape_check import check_shape
+from push_ident.perception.frame.view import FrameView, median_frame
+from push_ident.perception.known_object import ON_OBJECT, PoseFit, Refined, Segment, SegmentedView, Template, TracedObject, TrackStatus
+from push_ident.perception.outline.refinement import DISPLACED, RestView, refine
+from push_ident.perception.tracking.pose_fit import displaced_by_camera, fit_pose, frame_step
+from push_ident.perception.tracking.tracker import KnownObjects
+from push_ident.perception.work import InParts
+from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
+
+__all__ = ["RestingObject", "Rests", "cut_to", "with_cells"]
+
+_STILL: Final = (0.003, 0.03)
+"""Largest distance and turn of a pose of a rest from their mean [m, rad]: three times the noise of one frame of a RealSense D435."""
+_DRIFT: Final = (0.001, 0.01)
+"""Largest distance and turn between the mean poses of the first and of the second half of a rest [m, rad]: less than a slow push."""
+_NEW: Final = (0.02, 0.1)
+"""A rest shows something new where the object moved or turned by more since each rest that is kept [m, rad]: a matcher displaces edges
+anew, and other lines of sight pass them."""
+_KEPT: Final = 6
+"""Rests that are kept of an object: what bounds the time of a refinement."""
+_BETTER: Final = 0.9
+"""An outline is replaced where the latest rest scatters less about the new one, by this factor [-]. Of 59 outlines in the check of
+decision 13 none ended worse; of exact cameras the ratio is mostly nearer to 1."""
+_SAME_CELLS: Final = 0.1
+"""Share of the cells that may lie outside the outline or be missing in it, before the object gets cells anew [-]: its masses and frictions
+belong to the old ones. A part that was hidden and is larger needs cells of its own."""
+_AROUND: Final = 60
+"""Margin of an image around the segment [px]: as far as parts of an object in a shadow are looked for."""
+_BEYOND: Final = 2e-4
+"""Area of a segment outside the known outline from which it must have been hidden before [m^2]."""
+_EMPTY: Final = 0.01
+"""A line of sight that ends so far behind a point has passed it [m]."""
+_FOREIGN: Final = 0.2
+"""Fraction of the points outside the outline that an earlier view may show to be empty [-]; with more it is another thing."""
+
+
+@dataclass(frozen=True, slots=True)
+class RestingObject:
+    """An object at rest whose outline this rest may show better."""
+
+    object_id: str
+    traced: TracedObject
+    template: Template
+    pose: Float64Array
+    """Mean over the rest (x, y, yaw) [m, m, rad], table frame."""
+    frames: tuple[DepthFrame, ...]
+    """Of the rest."""
+
+
+@dataclass(slots=True)
+class _RestHistory:
+    """The rests of one object."""
+
+    views: list[RestView] = field(default_factory=list)
+    poses: deque[Float64Array] = field(default_factory=deque)
+    """In the latest frames, without a gap."""
+    n_rests: int = 0
+
+    def note(self, fit: PoseFit, rest_frames: int) -> None:
+        """The pose in one more frame."""
+        if fit.status is not TrackStatus.TRACKED:
+            self.poses.clear()
+            return
+        self.poses.append(fit.pose)
+        while len(self.poses) > rest_frames:
+            self.poses.popleft()
+
+    def pose_at_rest(self, rest_frames: int) -> Float64Array | None:
+        """Mean pose of the latest frames; None where there are too few, or the object moves."""
+        if len(self.poses) < rest_frames:
+            return None
+        poses = np.stack(self.poses)
+        mean, half = poses.mean(axis=0), len(poses) // 2
+        moves = half > 0 and _is_apart(poses[:half].mean(axis=0), poses[half:].mean(axis=0), _DRIFT)
+        return None if moves or any(_is_apart(pose, mean, _STILL) for pose in poses) else mean
+
+    def shows_something_new(self, pose: Float64Array) -> bool:
+        return all(_is_apart(pose, view.pose, _NEW) for view in self.views)
+
+    def with_latest(self, view: RestView) -> list[RestView]:
+        """The views with one more; beyond `_KEPT` rests without the one whose heading is nearest to that of another one."""
+        views = [*self.views, view]
+        rests = {kept.rest: float(kept.pose[2]) for kept in views}
+        if len(rests) > _KEPT:
+            inner = list(rests)[1:-1]  # the first one holds the frame, and the latest one is to be used
+            alike = min(inner, key=lambda a: min(abs(float(wrap_angle(rests[a] - yaw))) for b, yaw in rests.items() if b != a))
+            views = [kept for kept in views if kept.rest != alike]
+        return views
+
+    def refinement(
+        self, resting: RestingObject, frames: Sequence[SegmentedView], points: NDArray[np.float32], min_height: float
+    ) -> InParts[tuple[Refined, Template] | None]:
+        """The better outline that the views and one more rest give, and what tracks it; None where it is not better.
+
+        Args:
+            frames: The segment of the object in each frame of the rest.
+            points: Of the segment in the last one [m], shape (n, 3), table frame.
+            min_height: Anything lower is table [m].
+
+        Raises:
+            InputError, PerceptionError: No outline of an object can be traced, or the object is not found with it.
+        """
+        cut = [cut_to(segmented) for segmented in frames]
+        last = cut[-1].view
+        median = replace(last, frame=median_frame([segmented.view.frame for segmented in cut]), noise=last.noise / np.sqrt(len(cut)))
+        view = RestView(replace(cut[-1], view=median), resting.pose, self.n_rests - 1)
+        if _has_other_thing(view, points, resting.template, self.views):
+            return None
+        self.views = self.with_latest(view)
+        if self.views[0].rest == view.rest:
+            return None
+        better = yield from refine(resting.traced, self.views, min_height=min_height)
+        if not _is_better(better):
+            return None
+        yield
+        better = yield from _held(better, resting.template, view)
+        yield
+        better = replace(better, traced=replace(better.traced, shape=with_cells(better.traced.shape)))
+        self.views = [replace(view, pose=pose) for view, pose in zip(self.views, better.poses, strict=True)]
+        return better, Template(better.traced)
+
+
+class Rests:
+    """The rests of all known objects, and the work on better outlines: a job that is always due."""
+
+    is_under_way: Final = False
+    """Between two parts anything else may be done."""
+
+    def __init__(self) -> None:
+        self._frames: deque[DepthFrame] = deque()
+        self._objects: dict[str, _RestHistory] = {}
+        self._work: dict[str, InParts[tuple[Refined, Template] | None]] = {}
+        self._refined: dict[str, tuple[Refined, Template]] = {}
+        self._failed: dict[str, str] = {}
+        self._waits = False
+
+    def begin(self, object_id: str, views: Sequence[SegmentedView] = (), pose: Float64Array | None = None) -> None:
+        """Follow an object, with the views that it was traced from at `pose`; without any for one of an earlier run."""
+        history = _RestHistory(n_rests=1 if views else 0)
+        if pose is not None:
+            history.views = [RestView(cut_to(view), pose, 0) for view in views]
+        self._objects[object_id] = history
+
+    def forget(self, object_id: str) -> None:
+        """The object is no longer known."""
+        for known in (self._objects, self._work, self._refined, self._failed):
+            known.pop(object_id, None)
+
+    def note(self, frame: DepthFrame, fits: Mapping[str, PoseFit], rest_frames: int) -> None:
+        """Take the next frame and the poses in it; a view of a rest is the median of `rest_frames` frames."""
+        if self._frames and (self._frames[-1].intrinsics != frame.intrinsics or self._frames.maxlen != rest_frames):
+            self._frames.clear()
+        if self._frames.maxlen != rest_frames:
+            self._frames = deque(maxlen=rest_frames)
+        self._frames.append(frame)
+        for name, fit in fits.items():
+            if name in self._objects:
+                self._objects[name].note(fit, rest_frames)
+
+    def resting(self, objects: KnownObjects) -> tuple[RestingObject, ...]:
+        """The objects that have been at rest for long enough, at a pose that may show something new, and away from others: which edges
+        belong to which of two objects near each other cannot be told."""
+        frames, needed, resting = tuple(self._frames), self._frames.maxlen or 0, []
+        if len(frames) < needed:
+            return ()
+        for name, known in objects.tracked().items():
+            # What is visible of a hollow object depends on its lid, which is made anew in each frame.
+            if known.traced.hollow is not None or name in self._work or name in self._refined:
+                continue
+            pose = self._objects[name].pose_at_rest(needed)
+            if pose is not None and self._objects[name].shows_something_new(pose) and not objects.others_near(name):
+                resting.append(RestingObject(name, known.traced, known.template, pose, frames))
+        return tuple(resting)
+
+    def begin_refinement(self, resting: RestingObject, segments: Sequence[Segment], view: FrameView, min_height: float) -> None:
+        """Take a rest for a refinement, which `step` then does.
+
+        Args:
+            segments: Those of the search.
+            view: In which it found them.
+            min_height: Anything lower is table [m].
+        """
+        segment = next((one for one in segments if _is_all_of(one, view.points, resting)), None)
+        if segment is None:
+            return
+        rest = [FrameView(frame, view.camera_in_table, view.robot, noise=view.noise) for frame in resting.frames]
+        history = self._objects[resting.object_id]
+        history.n_rests += 1
+        self._work[resting.object_id] = history.refinement(
+            resting, [SegmentedView(frame, segment) for frame in rest], segment.points_in(view.points), min_height
+        )
+
+    @property
+    def is_refining(self) -> bool:
+        """Whether parts of a refinement are left to do."""
+        return bool(self._work)
+
+    @property
+    def waits(self) -> bool:
+        """Whether a search ended since the last turn, so that the next turn is due to a refinement before another search."""
+        return self._waits and self.is_refining
+
+    def note_search(self) -> None:
+        """A search ended."""
+        self._waits = True
+
+    def due(self, view: FrameView) -> bool:
+        """Always."""
+        return True
+
+    def step(self, view: FrameView) -> int:
+        """Do one part of the refinements under way, in the order in which they began; the turns that took.
+
+        An error of any kind stays with its object, which remains usable as it is known: the frame whose turn it was has poses to give.
+        """
+        self._waits = False
+        self._do_part()
+        return 1
+
+    def finish(self) -> None:
+        """Do all parts that are left."""
+        while self._work:
+            self._do_part()
+
+    def _do_part(self) -> None:
+        if not self._work:
+            return
+        name, work = next(iter(self._work.items()))
+        try:
+            next(work)
+        except StopIteration as end:
+            del self._work[name]
+            if end.value is not None:
+                self._refined[name] = end.value
+        except Exception as error:
+            del self._work[name]
+            self._failed[name] = str(error) if isinstance(error, PushIdentError) else f"{type(error).__name__}: {error}"
+
+    def take_refined(self) -> tuple[dict[str, tuple[Refined, Template]], dict[str, str]]:
+        """The better outlines since the last call, and why others came to nothing; both by object."""
+        refined, self._refined, failed, self._failed = self._refined, {}, self._failed, {}
+        return refined, failed
+
+
+def cut_to(segmented: SegmentedView) -> SegmentedView:
+    """The part of a view around its segment."""
+    frame, segment = segmented.view.frame, segmented.segment
+    k = frame.intrinsics
+    rows = slice(max(0, segment.rows.start - _AROUND), min(k.height, segment.rows.stop + _AROUND))
+    columns = slice(max(0, segment.columns.start - _AROUND), min(k.width, segment.columns.stop + _AROUND))
+    size = (columns.stop - columns.start, rows.stop - rows.start)
+    intrinsics = CameraIntrinsics(*size, k.fx, k.fy, k.cx - columns.start, k.cy - rows.start)
+    moved = replace(
+        segment,
+        rows=slice(segment.rows.start - rows.start, segment.rows.stop - rows.start),
+        columns=slice(segment.columns.start - columns.start, segment.columns.stop - columns.start),
+    )
+    depth = np.ascontiguousarray(frame.depth[rows, columns])
+    return SegmentedView(replace(segmented.view, frame=DepthFrame(frame.stamp, depth, intrinsics, frame.frame_id)), moved)
+
+
+def _is_apart(pose: Float64Array, other: Float64Array, limits: tuple[float, float]) -> bool:
+    return bool(np.hypot(*(pose - other)[:2]) > limits[0] or abs(float(wrap_angle(pose[2] - other[2]))) > limits[1])
+
+
+def _is_all_of(segment: Segment, points: NDArray[np.float32], resting: RestingObject) -> bool:
+    """Whether the segment is the object and shows all of it; `points`: of the image, shape (height, width, 3), table frame."""
+    if not segment.whole:
+        return False
+    on_segment, pose = segment.points_in(points), resting.pose
+    some = on_segment[:: 1 + len(on_segment) // 1000, :2]
+    return bool(np.mean(resting.template.nearest_distance((some - pose[:2]) @ rotation(pose[2])) < 0.0) > 0.5)
+
+
+def _has_other_thing(view: RestView, points: NDArray[np.float32], template: Template, earlier: Sequence[RestView]) -> bool:
+    """Whether the segment holds more than the known object that an earlier view should have shown: a thing that touches it now.
+
+    Args:
+        points: Of the segment [m], shape (n, 3), table frame.
+    """
+    in_object = transform_points(inverse(view.pose), points[:, :2])
+    beyond = template.nearest_distance(in_object) > ON_OBJECT
+    if np.count_nonzero(beyond) * view.segmented.segment.area < _BEYOND * max(len(points), 1):
+        return False
+    positions = np.column_stack([in_object[beyond], points[beyond, 2]])
+    empty = np.zeros(len(positions), dtype=bool)
+    for other in earlier:
+        empty |= _passed(other.in_object(other.pose).view, positions)
+    return bool(np.mean(empty) > _FOREIGN)
+
+
+def _passed(view: FrameView, positions: Float64Array) -> NDArray[np.bool_]:
+    """Which positions [m], shape (n, 3), lines of sight of a view have passed."""
+    camera, k = view.camera_in_table, view.frame.intrinsics
+    in_camera = (positions - camera[:3, 3]) @ camera[:3, :3]
+    ahead = np.maximum(in_camera[:, 2], 1e-3)
+    u = np.rint(k.fx * in_camera[:, 0] / ahead + k.cx).astype(np.int64)
+    v = np.rint(k.fy * in_camera[:, 1] / ahead + k.cy).astype(np.int64)
+    inside = (u >= 0) & (u < k.width) & (v >= 0) & (v < k.height)
+    passed = np.zeros(len(positions), dtype=bool)
+    passed[inside] = view.frame.depth[v[inside], u[inside]] > ahead[inside] + _EMPTY
+    return passed
+
+
+def _held(better: Refined, before: Template, view: RestView) -> InParts[Refined]:
+    """The better object in the frame in which its pose in the latest view stays what it is: poses have no step where an outline changes.
+
+    Raises:
+        PerceptionError: The object is not found in the view.
+    """
+    after, latest = Template(better.traced), view.segmented.view
+    yield
+    old, new = fit_pose(before, latest, view.pose), fit_pose(after, latest, better.poses[-1])
+    yield
+    if old.status is not TrackStatus.TRACKED or new.status is not TrackStatus.TRACKED:
+        raise PerceptionError(f"The object is not found with its better outline: {new.status.value}.")
+    step = compose(inverse(old.pose), new.pose)
+    traced = better.traced
+    # The pose keeps the error that it has here by displaced edges, though the new outline has another one.
+    error = displaced_by_camera(before, latest, old.pose) - displaced_by_camera(after, latest, new.pose)
+    x, y = rotation(old.pose[2]).T @ error[:2]
+    rests = traced.camera_positions or ()
+    traced = replace(
+        traced,
+        camera_positions=tuple(transform_points(step, positions) for positions in rests),
+        displaced_frame=(float(x), float(y), float(error[2])),
+        frame_covariance=before.frame_covariance + frame_step(old.residual_covariance, float(old.pose[2]), len(rests)),
+    )
+    shape = replace(traced.shape, outline=transform_points(step, traced.shape.outline))
+    # Heights are known to a cell, which is more than such a turn moves them.
+    traced = replace(traced, shape=shape, top_origin=traced.top_origin + step[:2])
+    return replace(better, traced=traced, poses=tuple(compose(pose, inverse(step)) for pose in better.poses))
+
+
+def _is_better(better: Refined) -> bool:
+    """Whether the latest rest speaks for the new outline, and enough lines of sight pass its edges to know it better than the old one."""
+    error = better.traced.shape.outline_error
+    return better.misfit < _BETTER * better.misfit_before and error is not None and error < DISPLACED * better.misfit_before
+
+
+def with_cells(shape: ObjectShape) -> ObjectShape:
+    """The shape with the same cells, unless some lie clearly outside the outline or a part of it has none; checked.
+
+    Their number tells nothing: an edge that moves by a millimetre may hold a row of cells more or less.
+
+    Raises:
+        InputError: It is no shape of an object.
+    """
+    cells = shape.cells
+    anew = cells_in_outline(shape.outline, cells.size)
+    outside = signed_distance(cells.centres, shape.outline) > 0.5 * cells.size
+    bare = KDTree(cells.centres).query(anew.centres)[0] > 1.5 * cells.size
+    if np.count_nonzero(outside) + np.count_nonzero(bare) <= _SAME_CELLS * len(cells):
+        with suppress(InputError):
+            return check_shape(shape)
+    return check_shape(replace(shape, cells=anew))

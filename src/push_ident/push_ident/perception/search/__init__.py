@@ -1,0 +1,1 @@
+"""From a frame to new and lost objects: hollows, segments, registration."""

@@ -1,0 +1,169 @@
+"""Hollow things, such as a bowl, a mug or a box without a lid, are treated as if they had one.
+
+A camera sees the rim of a hollow thing, inner walls behind it and a floor far below: pieces that jumps of depth divide. What makes
+them one thing is that the rim encloses them. Where the highest points of a patch of object pixels enclose lower ones, each line of
+sight through the opening is cut off in the plane of the rim; segments and outlines then come from a thing with a flat top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.perception.frame.view import OBJECT, ROBOT, FrameView
+from push_ident.perception.known_object import Segment, TracedObject
+from push_ident.perception.settings import PerceptionSettings
+from push_ident.perception.shape_kernels import highest_in_cells
+from push_ident.types import BoolArray, Float64Array
+
+__all__ = ["Covered", "cover_hollows", "with_hollow"]
+
+_CELL: Final = 0.002
+"""Edge of a cell of the view from above [m]."""
+_RIM: Final = np.ones((7, 7), np.uint8)
+"""Window in which the cells beside an opening give the height of its rim [cells]."""
+_TORN: Final = np.ones((7, 7), np.uint8)
+"""Pieces of a patch so near to each other belong together [px]."""
+_LEVEL: Final = 0.01
+"""Between two heights at which a rim is looked for [m]."""
+_BELOW_RIM: Final = 0.005
+"""Points so far below the rim are in the hollow [m]: three times the noise of a height."""
+_INSIDE: Final = 1.5
+"""Lines of sight that enter or end so far inside the outer edge of the rim have passed it [cells]: points of the outer wall scatter about
+the edge."""
+_SMALLEST: Final = 100
+"""Patches with fewer pixels are not looked at: a rim has more."""
+_MOST: Final = 0.5
+"""Least fraction of the lines of sight through an opening that end below the rim [-]: an unmeasured spot is no hollow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Covered:
+    """A frame in which every hollow thing has a lid."""
+
+    view: FrameView
+    """The labels of lids are OBJECT."""
+    lid: BoolArray | None
+    """Which pixels are lids, shape (height, width); None where there is none."""
+
+    def lid_of(self, segment: Segment) -> Float64Array:
+        """Points of the lid of a segment [m], shape (n, 2), table frame; none where it has no lid."""
+        if self.lid is None:
+            return np.empty((0, 2))
+        box = (segment.rows, segment.columns)
+        return self.view.points[box][self.lid[box] & segment.mask][:, :2].astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class _Opening:
+    """A rim and what it encloses, seen from above."""
+
+    within: Float64Array
+    """Distance from the outer edge of the rim [cells], 0 outside of it, shape (rows, columns)."""
+    origin: Float64Array
+    """Low corner of the first cell [m], shape (2,)."""
+    rim: float
+    """Height of the rim [m]."""
+
+    def depth_within(self, points: NDArray[np.float32]) -> Float64Array:
+        """`within` at points [m], shape (n, 2); those not measured are outside."""
+        rows, columns = self.within.shape
+        with np.errstate(invalid="ignore"):
+            cell = np.floor((points - self.origin) / _CELL)
+            inside = np.all((cell >= 0) & (cell < (columns, rows)), axis=1)
+        index = np.where(inside[:, None], cell, 0).astype(np.int64)
+        return np.where(inside, self.within[index[:, 1], index[:, 0]], 0.0)
+
+
+def cover_hollows(view: FrameView) -> Covered:
+    """Put a lid on everything deeper than `min_step` that a rim encloses; the view itself where nothing is hollow."""
+    frame, points, labels, settings = view.frame, view.points, view.labels, view.settings
+    on_object = labels == OBJECT
+    if not on_object.any():
+        return Covered(view, None)
+    lid = np.zeros(labels.shape, dtype=bool)
+    depth, closed = frame.depth, points
+    centre, rays = view.rays
+    # A rim of two pixels is torn where the labels are smooth: its pieces are joined, and its points taken whatever their labels.
+    joined = cv2.dilate(on_object.view(np.uint8), _TORN)
+    u, v, width, height = cv2.boundingRect(joined)
+    joined = joined[v : v + height, u : u + width]
+    n, patches, boxes, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
+    for index in range(1, n):
+        left, top, columns, rows, size = (int(value) for value in boxes[index])
+        if size < _SMALLEST:
+            continue
+        box, part = (slice(v + top, v + top + rows), slice(u + left, u + left + columns)), np.s_[top : top + rows, left : left + columns]
+        with np.errstate(invalid="ignore"):
+            raised = (points[box][..., 2] > settings.min_object_height) & (patches[part] == index) & (labels[box] != ROBOT)
+        on_patch = points[box][raised]
+        pixel = float(np.median(frame.depth[box][raised])) / frame.intrinsics.fx if len(on_patch) else 0.0
+        for opening in _openings(on_patch, pixel, settings):
+            reach = (opening.rim - centre[2]) / rays[box][..., 2]
+            crossing = (centre[:2] + rays[box][..., :2] * reach[..., None]).astype(np.float32)
+            measured = points[box].reshape(-1, 3)
+            entry, end = opening.depth_within(crossing.reshape(-1, 2)), opening.depth_within(measured[:, :2])
+            # A line of sight that enters inside the rim ends in the hollow; just at the rim, only where its end shows that.
+            below = measured[:, 2] < opening.rim - _BELOW_RIM
+            ends_inside = below & ((entry > _INSIDE) | ((entry > 0) & (end > _INSIDE)))
+            unmeasured = ~np.isfinite(measured[:, 2]) & (entry > _INSIDE)
+            robot = labels[box].ravel() == ROBOT
+            if np.count_nonzero(ends_inside) < _MOST * np.count_nonzero(ends_inside | unmeasured):
+                continue
+            covered = ((ends_inside | unmeasured) & ~robot).reshape(rows, columns)
+            if not lid.any():
+                depth, closed, labels = frame.depth.copy(), points.copy(), labels.copy()
+            lid[box] |= covered
+            depth[box][covered] = reach[covered]
+            closed[box][covered] = np.dstack([crossing, np.full(reach.shape, opening.rim, np.float32)])[covered]
+            labels[box][covered] = OBJECT
+    return Covered(view.with_pixels(depth, closed, labels), lid) if lid.any() else Covered(view, None)
+
+
+def _openings(points: NDArray[np.float32], pixel: float, settings: PerceptionSettings) -> Iterator[_Opening]:
+    """Rims among the points of a patch, shape (n, 3), the highest first; `pixel`: the size of a pixel there [m].
+
+    A rim may have gaps of two pixels; wider ones, as between the handles of pliers, are no part of a rim.
+    """
+    highest = float(np.quantile(points[:, 2], 0.98)) if len(points) else 0.0
+    if highest < settings.min_step:
+        return
+    reach = round(pixel / _CELL)
+    gap = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    origin, far_corner = (np.array([end(points[:, 0]), end(points[:, 1])], dtype=np.float64) for end in (np.min, np.max))
+    origin -= len(gap) * _CELL
+    columns, rows = (int(n) for n in np.floor((far_corner - origin) / _CELL) + len(gap) + 1)
+    heights = highest_in_cells(points, origin, _CELL, rows, columns)
+    known = np.zeros((rows, columns), dtype=bool)
+    for level in np.arange(highest - _BELOW_RIM, settings.min_step, -_LEVEL):
+        high = cv2.morphologyEx((heights > level).astype(np.uint8), cv2.MORPH_CLOSE, gap)
+        contours, tree = cv2.findContours(high, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+        for i, contour in enumerate(contours):
+            outer = int(tree[0, i, 3])
+            if outer < 0 or cv2.contourArea(contour) * _CELL**2 < settings.min_object_area:
+                continue
+            hole, filled = (cv2.drawContours(np.zeros(high.shape, np.uint8), contours, k, 1, cv2.FILLED) for k in (i, outer))
+            hole = (hole > 0) & (high == 0)
+            # Where nothing raised is measured, the table or a shadow is.
+            floor = float(np.median(np.maximum(heights[hole], 0.0)))
+            if (known & hole).any() or level - floor < settings.min_step - _BELOW_RIM:
+                continue
+            beside = (cv2.dilate(hole.astype(np.uint8), _RIM) > 0) & (heights > level)
+            known |= hole
+            yield _Opening(cv2.distanceTransform(filled, cv2.DIST_L2, 3), origin, float(np.median(heights[beside])))
+
+
+def with_hollow(traced: TracedObject, lid: Float64Array) -> TracedObject:
+    """The object with the cells of its upper side that are a hollow; `lid` holds points of its lid [m], shape (n, 2), table frame."""
+    size = traced.top_resolution
+    cell = np.rint((lid - traced.pose[:2] - traced.top_origin) / size).astype(np.int64)
+    hollow = np.zeros(traced.top.shape, dtype=np.uint8)
+    inside = np.all((cell >= 0) & (cell < hollow.shape[::-1]), axis=1)
+    hollow[cell[inside, 1], cell[inside, 0]] = 1
+    # Pixels are up to two cells apart.
+    return replace(traced, hollow=cv2.morphologyEx(hollow, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0)

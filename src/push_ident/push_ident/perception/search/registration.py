@@ -1,0 +1,249 @@
+"""From a new segment to an object: wait until it was at rest for some frames, trace it, and compare the shape with what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from push_ident.errors import FrameError, InputError, PerceptionError
+from push_ident.geometry.outline import polygon_area, signed_distance
+from push_ident.geometry.se2 import transform_points
+from push_ident.geometry.shape_check import check_shape
+from push_ident.perception.frame.robot import RobotPart
+from push_ident.perception.frame.view import FrameView, median_frame
+from push_ident.perception.known_object import NewObject, Segment, SegmentedView, TracedObject
+from push_ident.perception.outline.fusion import dense, fuse_views
+from push_ident.perception.outline.tracing import trace_object
+from push_ident.perception.refusals import Reason, Refusal
+from push_ident.perception.search.further_camera import FurtherCamera
+from push_ident.perception.search.hollows import Covered, with_hollow
+from push_ident.perception.settings import PerceptionSettings
+from push_ident.perception.shape_kernels import outline_distances
+from push_ident.types import BoolArray, DepthFrame, Float64Array
+
+__all__ = ["Registration"]
+
+_SAME_AREA: Final = 0.15
+"""Largest relative difference of the areas of a segment at rest in two frames."""
+_MIN_COVERED: Final = 0.7
+"""Least fraction of the points of a segment that its traced outline must cover. On recorded scenes of a Kinect, refusing shapes below
+this caught half of the wrong ones and one in 128 right ones."""
+_WALL: Final = 0.01
+"""Points up to this distance outside the outline count as covered [m]: a wall's points scatter to both sides of it."""
+_CHECKED: Final = 2000
+"""About so many of the points are compared with the outline; more do not change the fraction."""
+_LONGEST_WAIT: Final = 16
+"""A segment without a shape is traced anew after twice as many frames each time, up to so many times `rest_frames`."""
+_EDGE_STEP: Final = 0.002
+"""Distance of the points of the edge that are looked at [m]: a cell of the heights."""
+_INSIDE_EDGE: Final = 0.003
+"""So far inside the outline the height of an edge is looked up [m]: nearer to it, heights are those of a wall or of the table."""
+_SIDE: Final = 0.008
+"""A point so near to the outline in the view from above is on the side below the edge [m]."""
+_LOW_EDGE: Final = 0.05
+"""Fraction of the edge from which it is reported that the tool passes over it [-]: less may be noise of the heights."""
+_VISIBLE_SIDE: Final = 0.1
+"""Least fraction of a high edge below which the side is visible [-]: a camera sees the sides that face it, at least a quarter of them."""
+_HOLLOW: Final = "the object is hollow, and only the main camera sees where its hollow is"
+
+
+@dataclass(slots=True)
+class _Candidate:
+    """A segment that may become an object, and the frames in which it was at rest."""
+
+    segment: Segment
+    frames: list[DepthFrame]
+    """Those since the last try, at most `rest_frames`."""
+    centres: list[Float64Array]
+    """Middle of the segment in each of them [m], shape (2,)."""
+    waited: int = 1
+    """Frames since the last try."""
+    wait: int = 1
+    """Frames until the next try, in units of `rest_frames`."""
+    failure: str = ""
+    """Why the last try gave no shape."""
+
+    def is_continued_by(self, segment: Segment, frame: DepthFrame, rest_distance: float) -> bool:
+        """Whether the segment has the position and the size of this candidate; noise moves the middle of a segment by up to a pixel.
+
+        Frames of another size or with other intrinsics, as after a driver has changed its mode, begin anew.
+        """
+        if frame.intrinsics != self.frames[-1].intrinsics:
+            return False
+        pixel = float(np.nanmedian(frame.depth[segment.rows, segment.columns][segment.mask])) / frame.intrinsics.fx
+        moved = float(np.linalg.norm(segment.centre - np.mean(self.centres, axis=0)))
+        return moved < max(rest_distance, pixel) and abs(segment.area - self.segment.area) < _SAME_AREA * segment.area
+
+
+@dataclass(slots=True)
+class Registration:
+    """Candidates for objects, and the further cameras that help to trace them."""
+
+    further_views: dict[str, str] = field(default_factory=dict)
+    """Of the frame at hand, when something was traced: per further camera why its view was left out; empty where it was used."""
+    _candidates: list[_Candidate] = field(default_factory=list)
+    _further: dict[str, FurtherCamera] = field(default_factory=dict)
+
+    def add_further_view(self, name: str, frame: DepthFrame, camera_in_table: ArrayLike, robot: Sequence[RobotPart]) -> None:
+        """Keep a frame of the further camera `name`; its optical frame in the table frame, shape (4, 4); the robot at that time."""
+        self._further.setdefault(name, FurtherCamera()).add(frame, camera_in_table, robot)
+
+    def update(self, segments: Sequence[Segment], covered: Covered) -> tuple[list[NewObject], list[Refusal]]:
+        """Take the whole segments of a frame that no object explains.
+
+        Args:
+            covered: The frame in which they were found.
+
+        Returns:
+            The objects that were at rest for `rest_frames` frames with this one, and why the others are none. What goes wrong with one
+            segment stays with it.
+        """
+        self.further_views = {}
+        view = covered.view
+        self._candidates = [self._continued(segment, view) for segment in segments]
+        new, refused, left = [], [], []
+        for candidate in self._candidates:
+            segment = candidate.segment
+            if candidate.waited >= candidate.wait * view.settings.rest_frames:
+                try:
+                    traced, views = self._shape_of(candidate, covered.lid_of(segment), view)
+                    _check_covered(traced, segment, view)
+                    measured = segment.measured_in(view.points).astype(np.float64)
+                    new.append(NewObject(traced, segment.area, tuple(views), _contact_doubt(traced, measured, view.settings.tool_reach)))
+                    continue
+                except (FrameError, InputError, PerceptionError) as error:
+                    candidate.failure = str(error)
+                    candidate.waited, candidate.wait = 0, min(2 * candidate.wait, _LONGEST_WAIT)
+            left.append(candidate)
+            reason, why = Reason.NOT_AT_REST, Reason.NOT_AT_REST.value
+            if candidate.failure:
+                reason, why = Reason.NO_SHAPE, f"{Reason.NO_SHAPE.value}: {candidate.failure}"
+            refused.append(segment.refusal(view.points, reason, why))
+        self._candidates = left
+        return new, refused
+
+    def _continued(self, segment: Segment, view: FrameView) -> _Candidate:
+        """The candidate at the position of the segment with this frame added, or a new one."""
+        frame, settings = view.frame, view.settings
+        for candidate in self._candidates:
+            if candidate.is_continued_by(segment, frame, settings.rest_distance):
+                frames = [*candidate.frames, frame][-settings.rest_frames :]
+                centres = [*candidate.centres, segment.centre][-settings.rest_frames :]
+                return _Candidate(segment, frames, centres, candidate.waited + 1, candidate.wait, candidate.failure)
+        return _Candidate(segment, [frame], [segment.centre])
+
+    def _shape_of(self, candidate: _Candidate, lid: Float64Array, view: FrameView) -> tuple[TracedObject, list[SegmentedView]]:
+        """Its shape, and the views it was traced from; `lid` has the points of its lid [m], shape (n, 2), `view` is the latest frame.
+
+        Raises FrameError, InputError or PerceptionError: there is no shape that agrees with what was measured.
+        """
+        frames, segment, settings = candidate.frames, candidate.segment, view.settings
+        median = FrameView(median_frame(frames), view.camera_in_table, noise=view.noise / np.sqrt(len(frames)))
+        is_hollow = len(lid) * segment.area > settings.min_object_area * int(np.count_nonzero(segment.mask))
+        main = SegmentedView(median, segment)
+        traced, views = self._trace_with_all(main, frames[0].stamp, frames[-1].stamp, settings, main_only=is_hollow)
+        fused = fuse_views(traced, [(segmented.view, traced.pose) for segmented in views], pose_known=True)
+        # What the nodes after this one refuse is no object here either.
+        check_shape(fused.shape, remedy="It may be several things; move them apart.")
+        return with_hollow(fused, lid) if is_hollow else fused, views
+
+    def _trace_with_all(
+        self, main: SegmentedView, began: float, ended: float, settings: PerceptionSettings, *, main_only: bool
+    ) -> tuple[TracedObject, list[SegmentedView]]:
+        """The object traced from the main camera's view and those of further cameras that agree with it, and all these views.
+
+        `main_only`: from the main camera only, since the lid of a hollow object is in its view only.
+        """
+
+        def trace(views: Sequence[SegmentedView]) -> TracedObject:
+            return trace_object(views, min_height=settings.min_object_height, cell_count=settings.cell_count)
+
+        traced, views = trace([main]), [main]
+        for name, camera in self._further.items():
+            if main_only:
+                self.further_views[name] = _HOLLOW
+                continue
+            try:
+                more = [*views, camera.view_of(traced, began, ended, settings)]
+                traced, views = trace(more), more
+                self.further_views.setdefault(name, "")
+            except (FrameError, PerceptionError) as error:
+                self.further_views[name] = str(error)
+        return traced, views
+
+
+def _check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> None:
+    """Raises PerceptionError unless the outline covers the points of its segment."""
+    points = segment.measured_in(view.points)[:, :2].astype(np.float64)
+    points = points[:: 1 + len(points) // _CHECKED]
+    covered = float(np.mean(signed_distance(points, transform_points(traced.pose, traced.shape.outline)) < _WALL))
+    if covered < _MIN_COVERED:
+        raise PerceptionError(
+            f"the traced outline covers {covered:.0%} of what was seen of it, expected at least {_MIN_COVERED:.0%}; "
+            "it may be hollow, leaning or several things"
+        )
+
+
+def _contact_doubt(traced: TracedObject, points: Float64Array, tool_reach: tuple[float, float]) -> str:
+    """Why contact may not be where the outline is, for people; empty where nothing speaks against it.
+
+    A tool that stands upright touches the widest part of an object between its tip and its upper end, and that is what the outline shows.
+    Two things it misses: parts lower than its tip, over which it passes, and parts above its upper end, below which the object may be
+    narrower.
+
+    Args:
+        points: What was measured of the object [m], shape (n, 3), table frame.
+        tool_reach: Heights of the tip and of the upper end of the tool above the table while it pushes [m].
+    """
+    low, high = tool_reach
+    edge = dense(traced.shape.outline, _EDGE_STEP)
+    height = _height_of_edge(traced, edge)
+    if float(traced.top.max()) < low:
+        return (
+            f"it is {1e3 * float(traced.top.max()):.0f} mm high, and the tip of the tool {1e3 * low:.0f} mm above the table: "
+            "pushes go over it; lower the tool"
+        )
+    share = float(np.mean(height < low))
+    if share > _LOW_EDGE:
+        return (
+            f"{share:.0%} of its edge is lower than the tip of the tool, {1e3 * low:.0f} mm above the table: there the tool touches it "
+            "further inside than its outline; lower the tool"
+        )
+    above = edge[height > high]
+    if len(above) == 0:
+        return ""
+    side = points[(points[:, 2] > low) & (points[:, 2] < high)]
+    visible = _is_near(transform_points(traced.pose, above), side[:, :2])
+    if float(np.mean(visible)) < _VISIBLE_SIDE:
+        return (
+            f"its edge is up to {1e3 * float(height.max()):.0f} mm high, above the upper end of the tool at {1e3 * high:.0f} mm, and no "
+            "side below it is seen: it may be narrower where the tool touches it"
+        )
+    return ""
+
+
+def _height_of_edge(traced: TracedObject, edge: Float64Array) -> Float64Array:
+    """Height of the upper side just inside each point of the edge [m], shape (n,)."""
+    rows, columns = np.indices(traced.top.shape)
+    cells = traced.top_origin + traced.top_resolution * np.stack([columns.ravel(), rows.ravel()], axis=1)
+    outline = np.ascontiguousarray(traced.shape.outline)
+    # A thin object has no cell that deep inside; half of its width, at the least the middle, will do.
+    depth = min(_INSIDE_EDGE, 0.25 * abs(polygon_area(outline)) / max(float(np.ptp(outline, axis=0).max()), 1e-6))
+    inside = outline_distances(np.ascontiguousarray(cells), outline) < -depth
+    if not inside.any():
+        return np.full(len(edge), float(traced.top.max()))
+    cells, heights = cells[inside], traced.top.ravel()[inside]
+    nearest = np.array([np.argmin(np.sum(np.square(cells - point), axis=1)) for point in edge])
+    return np.asarray(heights[nearest], dtype=np.float64)
+
+
+def _is_near(positions: Float64Array, points: Float64Array) -> BoolArray:
+    """Which positions (n, 2) have one of the points nearby, shape (n,)."""
+    if len(points) == 0:
+        return np.zeros(len(positions), dtype=bool)
+    some = points[:: 1 + len(points) // 2000]
+    return np.array([np.min(np.sum(np.square(some - position), axis=1)) < _SIDE**2 for position in positions])

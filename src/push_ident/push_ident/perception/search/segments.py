@@ -1,0 +1,241 @@
+"""Candidate objects: connected pixels above the table, divided into the surfaces of different objects where objects touch.
+
+Two criteria separate objects that touch in the image, both known from the segmentation of convex parts (Stein et al., "Object partitioning
+using local convexity", 2014): the depth jumps, or two surfaces meet in a fold, as where a wall rises from a lower object beside it. The
+inverse depth of a plane is linear in the image, so the chord between two pixels of one plane passes through the pixel midway between
+them, whatever the view; in a fold that pixel lies behind the chord. Objects themselves have steps and folds (the head of a
+hammer is higher than its handle), so both count only above a size. Objects of the same height side by side are not separated.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from push_ident.perception.frame.view import OBJECT, ROBOT, UNKNOWN, FrameView
+from push_ident.perception.known_object import Segment, area_from_above
+from push_ident.perception.refusals import Reason
+from push_ident.perception.shape_kernels import grow_surfaces, mark_folds, mark_jumps
+from push_ident.types import BoolArray, Float64Array
+
+__all__ = ["find_segments", "split_surfaces"]
+
+_NEAR: Final = 4
+"""Distance at which a robot pixel or the image border counts as touching [px]."""
+_SHADOW: Final = 0.05
+"""Width up to which unmeasured pixels may surround an object [m]: the shadow that the projector or the second imager of a depth camera
+leaves is baseline * height / (distance - height), 5 cm for an object of 0.4 m seen from 1 m at a baseline of 75 mm."""
+_OWN_SHADOW: Final = 1.0 / 3.0
+"""Width of the shadow that a step of an object leaves on the object itself over the height of the step [-]: a baseline of a third of the
+distance, that of a structured-light scanner near its object; other depth cameras have a tenth or less."""
+_UNMEASURED: Final = 0.15
+"""Largest fraction of the surrounding pixels beside which nothing is measured for further than that: half of one of four sides."""
+_ON_ANOTHER: Final = 0.6
+"""Fraction of the surrounding pixels that show other things from which something stands on one of them: things beside it are on one side,
+in a corner on two of four."""
+_SKIRT: Final = 0.004
+"""Distance from the border of the workspace at which a segment counts as cut by it [m]."""
+_SMALLEST: Final = 12
+"""Patches with fewer pixels are noise."""
+_ACROSS: Final = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""Directions (rows, columns) in which chords are drawn."""
+_LEG: Final = 0.8
+"""Half of a chord, across the line of sight, in steps: 0.8 of each side of a fold of a right angle."""
+_SAG: Final = 0.5
+"""Depth of a fold behind its chord, in steps."""
+_CORE: Final = 60
+"""Pixels that a surface needs inside its borders; smaller patches are merged into their neighbours."""
+
+
+def find_segments(view: FrameView) -> tuple[list[Segment], dict[str, int]]:
+    """Surfaces among the object pixels, largest first.
+
+    Returns:
+        The segments, those that cannot be objects included, and the counts `object_pixels` and `segments`, which leaves out the small.
+    """
+    depth, labels, settings, focal = view.frame.depth, view.labels, view.settings, view.frame.intrinsics.fx
+    on_object = labels == OBJECT
+    region = _region(on_object)
+    surfaces = np.zeros(labels.shape, dtype=np.int32)
+    shadowed, bridged = _bridged(depth[region], labels[region], focal, settings.min_step)
+    surfaces[region] = _surfaces(bridged, on_object[region] | shadowed, focal, settings.min_step)
+    surfaces[region][shadowed] = 0
+    counts = {"object_pixels": int(np.count_nonzero(on_object)), "segments": 0}
+    segments = []
+    for index, box in enumerate(_boxes(surfaces, region), start=1):
+        if box is None:
+            continue
+        mask = surfaces[box] == index
+        points = view.points[box][mask].astype(np.float64)
+        area = area_from_above(points)
+        small = area < settings.min_object_area
+        fault = Reason.TOO_SMALL if small else _fault(view, surfaces, index, box, points)
+        counts["segments"] += not small
+        segments.append(Segment(*box, mask, points[:, :2].mean(axis=0), area, fault))
+    return sorted(segments, key=lambda segment: -segment.area), counts
+
+
+def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[slice, slice], points: Float64Array) -> Reason | None:
+    """Why a surface, number `index` in `box` with points (n, 3), is not visible as a whole; None where it is."""
+    (rows, columns), labels, settings = box, view.labels, view.settings
+    height, width = labels.shape
+    if min(rows.start, columns.start) < _NEAR or rows.stop > height - _NEAR or columns.stop > width - _NEAR:
+        return Reason.AT_IMAGE_BORDER
+    low, high = np.array(settings.workspace_low) + _SKIRT, np.array(settings.workspace_high) - _SKIRT
+    if any(points[:, k].min() <= low[k] or points[:, k].max() >= high[k] for k in (0, 1)):
+        return Reason.AT_WORKSPACE_BORDER
+    wide = (slice(max(0, rows.start - _NEAR), rows.stop + _NEAR), slice(max(0, columns.start - _NEAR), columns.stop + _NEAR))
+    inside = surfaces[wide] == index
+    near = cv2.dilate(inside.astype(np.uint8), np.ones((2 * _NEAR + 1, 2 * _NEAR + 1), np.uint8)) > 0
+    if np.any(near & (labels[wide] == ROBOT)):
+        return Reason.BESIDE_ROBOT
+    around = near & ~inside
+    on_others = around & (surfaces[wide] > 0)
+    if _behind_another(view.frame.depth[wide], inside, on_others, settings.min_step):
+        return Reason.BEHIND_ANOTHER
+    if np.count_nonzero(on_others) > _ON_ANOTHER * np.count_nonzero(around):
+        return Reason.STACKED
+    if _beside_unmeasured(view, box, inside, around):
+        return Reason.BESIDE_UNMEASURED
+    return None
+
+
+def _beside_unmeasured(view: FrameView, box: tuple[slice, slice], inside: BoolArray, around: BoolArray) -> bool:
+    """Whether nothing is measured over a wide strip along much of the border of a segment, so that it may be larger than it seems.
+
+    `inside`, `around`: the pixels of the segment and those around it, over its box grown by `_NEAR`.
+    """
+    enough = _UNMEASURED * np.count_nonzero(around)
+    rows, columns = box
+    pixel = float(np.nanmedian(view.frame.depth[box])) / view.frame.intrinsics.fx
+    reach = _NEAR + int(np.ceil(_SHADOW / pixel))
+    wide = (slice(max(0, rows.start - reach), rows.stop + reach), slice(max(0, columns.start - reach), columns.stop + reach))
+    top, left = rows.start - _NEAR - wide[0].start, columns.start - _NEAR - wide[1].start
+    inner = (slice(top, top + inside.shape[0]), slice(left, left + inside.shape[1]))
+    others = view.labels[wide] != UNKNOWN
+    if np.count_nonzero(around & ~others[inner]) <= enough:
+        return False
+    others[inner] &= ~inside
+    # A line of single pixels is the foot of a wall of the segment itself.
+    areas = cv2.morphologyEx(others.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    to_others = cv2.distanceTransform(1 - areas, cv2.DIST_L2, 3)[inner]
+    return bool(np.count_nonzero(around & (to_others * pixel > _SHADOW)) > enough)
+
+
+def _bridged(depth: NDArray[np.float32], labels: NDArray[np.int8], focal: float, step: float) -> tuple[BoolArray, NDArray[np.float32]]:
+    """Unmeasured pixels between object pixels that a step of one object may shadow, and the depth image with the lower surface there.
+
+    An object divided by its own shadow is one patch with them; steps that divide objects still do.
+    """
+    on_object, unmeasured = (labels == OBJECT).astype(np.uint8), labels == UNKNOWN
+    none = np.zeros(labels.shape, dtype=bool)
+    if not unmeasured.any() or not on_object.any():
+        return none, depth
+    width = _OWN_SHADOW * step * focal / float(np.median(depth[on_object > 0]))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(np.ceil(width / 2)) + 1,) * 2)
+    between = (cv2.morphologyEx(on_object, cv2.MORPH_CLOSE, kernel) > 0) & unmeasured
+    if not between.any():
+        return none, depth
+    behind = cv2.dilate(np.where(on_object > 0, depth, np.float32(0.0)), kernel)
+    return between, np.where(between, behind, depth)
+
+
+def _region(mask: BoolArray) -> tuple[slice, slice]:
+    """Rows and columns that hold all pixels of the mask; one pixel where there are none."""
+    left, top, columns, rows = cv2.boundingRect(mask.view(np.uint8))
+    # OpenCV numbers patches in blocks of 2 x 2 pixels: blocks at even places keep the numbers of the whole image.
+    return slice(top - top % 2, top + max(rows, 1)), slice(left - left % 2, left + max(columns, 1))
+
+
+def _surfaces(depth: NDArray[np.float32], mask: BoolArray, focal: float, step: float) -> NDArray[np.int32]:
+    """Number of the surface of each pixel, 0 for none. Connected patches are divided one by one."""
+    surfaces = np.zeros(mask.shape, dtype=np.int32)
+    n, components, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    count = 0
+    for index in range(1, n):
+        left, top, columns, rows, size = (int(value) for value in boxes[index])
+        if size < _SMALLEST:
+            continue
+        box = (slice(top, top + rows), slice(left, left + columns))
+        divided = split_surfaces(depth[box], components[box] == index, focal, step)
+        surfaces[box][divided > 0] = count + divided[divided > 0]
+        count += int(divided.max())
+    return surfaces
+
+
+def _boxes(surfaces: NDArray[np.int32], region: tuple[slice, slice]) -> list[tuple[slice, slice] | None]:
+    """Rows and columns of surface 1, 2, ..., all of which lie in the region; None for one without pixels."""
+    top, left = region[0].start, region[1].start
+    return [
+        None if box is None else (slice(top + box[0].start, top + box[0].stop), slice(left + box[1].start, left + box[1].stop))
+        for box in ndimage.find_objects(surfaces[region])
+    ]
+
+
+def _behind_another(depth: NDArray[np.float32], inside: BoolArray, others: BoolArray, step: float) -> bool:
+    """Whether another surface beside this one is nearer to the camera by more than a step and so may hide part of it."""
+    if np.count_nonzero(others) < _SMALLEST:
+        return False
+    distance, nearest = cv2.distanceTransformWithLabels((~inside).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    depth_of = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
+    depth_of[nearest[inside]] = depth[inside]
+    with np.errstate(invalid="ignore"):
+        hides = others & (distance <= _NEAR) & (depth < depth_of[nearest] - step)
+    return bool(np.count_nonzero(hides) >= _SMALLEST)
+
+
+def split_surfaces(depth: NDArray[np.float32], mask: BoolArray, focal: float, step: float) -> NDArray[np.int32]:
+    """Number the surfaces of `mask`, which jumps of depth and folds divide.
+
+    Args:
+        depth: [m], shape (rows, columns); NaN where nothing was measured.
+        mask: Pixels to divide, same shape.
+        focal: Focal length [px].
+        step: Height of the smallest step that divides [m].
+
+    Returns:
+        1, 2, ... for the surfaces and 0 outside the mask, shape (rows, columns).
+    """
+    known = np.where(np.isfinite(depth), depth, np.float32(0.0))
+    smooth = cv2.medianBlur(known, 5)
+    smooth = np.where(mask & (smooth > 0), smooth, known)
+    mask = mask & (smooth > 0)
+    if not mask.any():
+        return np.zeros(mask.shape, dtype=np.int32)
+    cut = mark_jumps(smooth, mask, step)
+    patches = _cores(mask & ~cut)
+    leg = _LEG * step * focal / float(np.median(smooth[mask]))
+    folded = _folds(smooth, patches, leg, _SAG * step)
+    surfaces = _cores((patches > 0) & ~(cv2.dilate(folded.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0))
+    return np.asarray(grow_surfaces(surfaces, smooth, mask, step))
+
+
+def _folds(depth: NDArray[np.float32], patches: NDArray[np.int32], leg: float, sag: float) -> BoolArray:
+    """Pixels that lie behind a chord whose two ends are on the same patch as the pixel."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = _averaged(np.reciprocal(depth), patches > 0)
+    furthest = max(depth.shape)  # a longer chord ends outside; a wrong unit would make one of any length
+    lags = [max(2, round(min(leg / float(np.hypot(rows, columns)), furthest))) for rows, columns in _ACROSS]
+    legs = tuple((lag * rows, lag * columns) for lag, (rows, columns) in zip(lags, _ACROSS, strict=True))
+    return np.asarray(mark_folds(inverse, patches, legs, sag))
+
+
+def _averaged(values: NDArray[np.float32], mask: BoolArray) -> NDArray[np.float32]:
+    """Mean over 3 x 3 pixels of the mask; NaN outside."""
+    fraction = cv2.blur(mask.astype(np.float32), (3, 3))
+    total = cv2.blur(np.where(mask, values, np.float32(0.0)), (3, 3))
+    return np.where(mask, total / np.maximum(fraction, np.float32(0.1)), np.float32(np.nan))
+
+
+def _cores(mask: BoolArray) -> NDArray[np.int32]:
+    """Connected patches of the mask that are large enough, numbered 1, 2, ..."""
+    n, components, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    large = np.flatnonzero(boxes[:, cv2.CC_STAT_AREA] >= _CORE)
+    number = np.zeros(n, dtype=np.int32)
+    kept = large[large > 0]
+    number[kept] = np.arange(1, len(kept) + 1)
+    return number[components]

@@ -1,0 +1,364 @@
+"""Pose of a known object in each frame.
+
+Every pixel near the object gives a binary measurement: its line of sight is stopped by the upper part of the object (full), or it
+passes and meets something lower (empty). For a pose T the line of sight is stopped where the piece of it between the top of the
+object and a little below lies inside the outline. With the signed distance d (negative inside) of both ends of that piece,
+
+    expected(T) = sigmoid(-min(d(T^-1 a), d(T^-1 b)) / s)
+
+and the pose is the least-squares fit of the expected to the measured, by Gauss-Newton, first with a wide s, then with a narrow one.
+Pixels that measure something higher (a hand, the pusher) or nothing carry no information and are left out, so that occlusion does not
+bias the pose.
+
+Some errors are the same in all frames at one pose, so that no residual shows them. The object frame is that of the first detection: they
+are zero there, and grow as the object turns and moves:
+
+- A camera displaces edges where depth jumps (`outline.edges`), that is, where the object hides its wall. Those of the first view are
+  displaced in the outline; in each later view others are. A pose settles between both. With the displacement h of all such edges, the
+  pose is wrong by h N^-1 J'd, N = J'J, J the derivative of the expected lines of sight by the pose, and d that of the measured by h. An
+  outline of several rests has each edge displaced by h times the share of the rests that hide its wall. It is put into the frame in
+  which the pose at the last of them stays the same, with the error that it has there; that error f h then turns with the object.
+- Edges scatter, each by itself. A pose has the variance V of the view at hand and V / n of an outline of n rests, and its residuals show
+  both. What they do not show: the frame was defined with the scatter of the first view alone. Each further rest L changes the outline, and
+  the frame follows the old one: it moves by the error of the old outline in the pose at L less that of the new one, of the variance
+  V / (n - 1) - V / n. The pose at L with the old outline has V + V / (n - 1), hence the frame 1 / n^2 of its covariance.
+
+The error of the extrinsics is none of these: it moves all poses alike. It is stated once, of the camera (`CameraAccuracy`), and whoever
+compares poses with the pusher takes it as an unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
+from push_ident.perception.frame.view import FrameView, unmeasured_areas
+from push_ident.perception.kernels import (
+    compare_lines,
+    displaced_scores,
+    innermost_points,
+    intersect_object,
+    nearest_values,
+    scores_of_squares,
+)
+from push_ident.perception.known_object import FIELD_MARGIN, Placed, PoseFit, Template, TrackStatus
+from push_ident.types import BoolArray, Float64Array
+
+__all__ = ["LinesOfSight", "displaced_by_camera", "fit_pose", "frame_step", "in_table", "lines_of_sight", "relocate"]
+
+_LEVELS: Final = ((0.006, 0.02, 3, 8, 3e-4), (0.0015, 0.006, 1, 8, 2e-5))
+"""Width s [m], half width of the band of pixels used [m], stride over pixels, most iterations, and the step that ends them [m]: wide, then
+narrow. The wide one ends at a fifth of the narrow width, far inside the reach of the narrow one."""
+_TURN: Final = 10.0
+"""Turn that ends the iterations, per metre of the step that does [rad/m]: that of an edge 10 cm from the middle."""
+_OVERSHOOT: Final = 1.5
+"""Second derivative of half the sum of squares over J'J near the best pose [-]. The measured changes at the edge at once, the expected over
+the width s: across an edge, with e = sigmoid(-d / s), the integral of e'^2 is 1 / (6 s), and that of the residual times -e'' 1 / (12 s).
+A full step of Gauss-Newton thus ends half as far beyond the best pose as it began before it."""
+_STEP: Final = 0.005
+"""A line of sight counts as stopped this far below the top, if that is above half height [m]: three times the noise of a height."""
+_ABOVE: Final = 0.01
+"""Points this far above the top belong to something in front [m]."""
+_MIN_PIXELS: Final = 120
+"""Least number of informative pixels in the narrow band."""
+_MIN_SHARE: Final = 0.25
+"""Least fraction of the pixels in the narrow band that must be informative."""
+_CLEAR: Final = 0.003
+"""Pixels further than this from the edge can contradict a pose [m]."""
+_MAX_CONTRADICTING: Final = 0.2
+"""Largest fraction of the pixels away from the edge that may contradict the pose."""
+_FOUND_VISIBLE: Final = 0.7
+"""Least fraction of informative pixels in the narrow band where a lost object is found again."""
+_FOUND_CONTRADICTING: Final = 0.08
+"""Largest fraction of contradicting pixels where a lost object is found again."""
+_EQUAL_FIT: Final = 0.02
+"""Headings whose fractions of contradicting pixels differ by less fit equally well."""
+_FLOOR: Final = (6e-5, 6e-5, 3e-4)
+"""Least standard deviations of a pose [m, m, rad]: errors of outline and calibration, which no residual shows."""
+_SQUARE: Final = 0.02
+"""Edge of the squares of the object within which residuals may be correlated [m]: the window of a matcher is 7 to 9 px, 10 to 20 mm."""
+_MAX_DEVIATION: Final = (0.01, 0.01, 0.2)
+"""A pose with larger standard deviations is not used [m, m, rad]."""
+_SHADOW_MARGIN: Final = 0.005
+"""Lines of sight nearer to an unmeasured area are left out [m]: as far as the narrow width of the fit reaches."""
+_DAMPING: Final = np.array([1.0, 1.0, 1e-4])
+"""Added to the diagonal of the normal matrix of a pose (x, y, yaw) [1/m^2, 1/m^2, 1]."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinesOfSight:
+    """The informative lines of sight near an object."""
+
+    upper: Float64Array
+    """Where they pass the height of the top [m], shape (n, 2), table frame."""
+    lower: Float64Array
+    """Where they pass a little below."""
+    stopped: Float64Array
+    """1 where the object stops them, 0 where they pass, shape (n,)."""
+    height: NDArray[np.float32]
+    """Height of what they measured [m], shape (n,), table frame."""
+    n_uninformative: int
+    """Number of lines of sight in the narrow band that carry no information."""
+
+    def innermost_points(self, template: Template, pose: Float64Array) -> Float64Array:
+        """Per line the end that decides whether it is stopped at `pose`: the one further inside, object frame, shape (n, 2)."""
+        return np.asarray(innermost_points(template.field, self.upper, self.lower, np.ascontiguousarray(pose)))
+
+
+def fit_pose(template: Template, view: FrameView, start: ArrayLike, others: Sequence[Placed] = ()) -> PoseFit:
+    """Fit the pose of the object to one frame.
+
+    Args:
+        start: Initial pose (x, y, yaw), within about 15 mm and 10 degrees of the true one.
+        others: Other known objects; their pixels are left out.
+    """
+    start = np.asarray(start, dtype=np.float64)
+    pose, lines, width = start.copy(), None, 0.0
+    for width, band, stride, iterations, enough in _LEVELS:
+        lines = lines_of_sight(template, view, pose, band, stride, others)
+        if lines is None:
+            return _failed(TrackStatus.OUT_OF_VIEW, pose)
+        if len(lines.stopped) < _MIN_PIXELS / stride**2:
+            return _failed(TrackStatus.HIDDEN, pose, lines)
+        pose = _gauss_newton(template, lines, pose, width, iterations, enough)
+    assert lines is not None
+    comparison = _compare(template, lines, pose, width)
+    share_visible = len(lines.stopped) / (len(lines.stopped) + lines.n_uninformative)
+    share_contradicting = comparison.share_contradicting
+    normal = comparison.normal + 1e-6 * np.diag(_DAMPING)
+    covariance = comparison.edge_variance * np.linalg.inv(normal) + np.diag(np.square(_FLOOR))
+    residual_covariance = _at_least(covariance, _jackknife(template, lines, pose, normal))
+    covariance = residual_covariance + _covariance_shared_by_frames(template, view, lines, pose, normal)
+    status = TrackStatus.TRACKED
+    if np.hypot(*(pose - start)[:2]) > 0.05 or share_contradicting > _MAX_CONTRADICTING:
+        status = TrackStatus.POOR_FIT
+    elif share_visible < _MIN_SHARE:
+        status = TrackStatus.HIDDEN
+    elif np.any(np.diag(covariance) > np.square(_MAX_DEVIATION)):
+        status = TrackStatus.UNDETERMINED
+    pose[2] = start[2] + float(wrap_angle(pose[2] - start[2]))
+    covariance = 0.5 * (covariance + covariance.T)
+    return PoseFit(status, pose, covariance, len(lines.stopped), share_visible, share_contradicting, residual_covariance)
+
+
+def relocate(
+    template: Template, view: FrameView, centre: ArrayLike, *, others: Sequence[Placed] = (), last_yaw: float | None = None
+) -> PoseFit:
+    """Find a lost object at `centre` (x, y) [m] with any yaw: compare all headings coarsely, then fit from the best three.
+
+    Where several headings fit equally well, as those of a nearly symmetric object do, the one nearest `last_yaw` [rad] is taken.
+    """
+    everywhere = template.radius + FIELD_MARGIN
+    headings = np.linspace(-np.pi, np.pi, 36, endpoint=False)
+    starts = [np.array([*np.asarray(centre, dtype=np.float64), heading]) for heading in headings]
+    lines = lines_of_sight(template, view, starts[0], everywhere, 4, others)
+    if lines is None or len(lines.stopped) == 0:
+        return _failed(TrackStatus.OUT_OF_VIEW, starts[0])
+    mean_square = np.array([_compare(template, lines, start, 2 * _LEVELS[0][0]).mean_square for start in starts])
+    minima = np.flatnonzero((mean_square <= np.roll(mean_square, 1)) & (mean_square <= np.roll(mean_square, -1)))
+    fits = [fit_pose(template, view, starts[index], others) for index in minima[np.argsort(mean_square[minima])][:3]]
+    best = min(fits, key=lambda fit: (fit.status is not TrackStatus.TRACKED, fit.share_contradicting))
+    if last_yaw is not None:
+        equal = [fit for fit in fits if fit.status is best.status and fit.share_contradicting < best.share_contradicting + _EQUAL_FIT]
+        best = min(equal, key=lambda fit: abs(float(wrap_angle(fit.pose[2] - last_yaw))))
+    # Without a previous pose, one half of an object can be taken for the other half.
+    is_doubtful = best.share_visible < _FOUND_VISIBLE or best.share_contradicting > _FOUND_CONTRADICTING
+    return replace(best, status=TrackStatus.HIDDEN) if best.status is TrackStatus.TRACKED and is_doubtful else best
+
+
+def lines_of_sight(
+    template: Template, view: FrameView, pose: Float64Array, band: float, stride: int, others: Sequence[Placed] = ()
+) -> LinesOfSight | None:
+    """Lines of sight that pass the outline at `pose` within `band` [m]; None where the object is not in the image."""
+    pose = np.ascontiguousarray(pose, dtype=np.float64)
+    box = _image_box(template, view, pose, band)
+    if box is None:
+        return None
+    rows, columns = box
+    centre, rays = view.rays
+    level, slack = float(np.mean(template.top_range)), 0.5 * (template.top_range[1] - template.top_range[0])
+    upper, lower, points, stopped, informative = intersect_object(
+        template.field,
+        template.tops,
+        np.asarray(view.frame.depth, dtype=np.float32),
+        _beside_areas(view, box),
+        rays,
+        centre,
+        pose,
+        (rows.start, rows.stop, columns.start, columns.stop, stride),
+        (level, band + slack, _STEP, _ABOVE),
+    )
+    if template.hollow is not None:
+        # What is measured through an opening depends on the walls inside, which nobody knows.
+        in_object = (upper - pose[:2]) @ rotation(pose[2])
+        solid = nearest_values(template.hollow, np.ascontiguousarray(in_object)) < 0.5
+        upper, lower, points, stopped, informative = (values[solid] for values in (upper, lower, points, stopped, informative))
+    informative &= ~view.is_robot(points)
+    informative &= ~_in_others(points, others)
+    n_uninformative = int(np.count_nonzero(~informative))
+    return LinesOfSight(upper[informative], lower[informative], stopped[informative], points[informative, 2], n_uninformative)
+
+
+def _beside_areas(view: FrameView, box: tuple[slice, slice]) -> NDArray[np.uint8]:
+    """Which pixels of the box lie beside an unmeasured area, such as the shadow of the object: 1.
+
+    Where nothing is measured on one side of an edge, the lines of sight of the other side alone would push it into the shadow.
+    """
+    depth = view.frame.depth[box]
+    measured = np.isfinite(depth)
+    areas = unmeasured_areas(measured)
+    if not areas.any():
+        return areas
+    reach = _SHADOW_MARGIN * view.frame.intrinsics.fx / float(np.median(depth[measured])) if measured.any() else 0.0
+    reach = int(np.ceil(min(reach, max(areas.shape))))  # further than the box there is nothing to mark
+    return np.asarray(cv2.dilate(areas, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)))
+
+
+def _image_box(template: Template, view: FrameView, pose: Float64Array, band: float) -> tuple[slice, slice] | None:
+    """Rows and columns that show the outline at `pose`, grown by `band`; None where its origin is outside the image."""
+    outline = transform_points(pose, template.outline)
+    low, high = outline.min(axis=0) - band, outline.max(axis=0) + band
+    corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0.0, template.top_range[1])])
+    points = np.vstack([corners, [pose[0], pose[1], 0.5 * template.top_range[1]]])
+    in_camera = (points - view.camera_in_table[:3, 3]) @ view.camera_in_table[:3, :3]
+    if np.any(in_camera[:, 2] <= 0):
+        return None
+    intrinsics = view.frame.intrinsics
+    u = intrinsics.fx * in_camera[:, 0] / in_camera[:, 2] + intrinsics.cx
+    v = intrinsics.fy * in_camera[:, 1] / in_camera[:, 2] + intrinsics.cy
+    if not (0 <= u[-1] < intrinsics.width and 0 <= v[-1] < intrinsics.height):
+        return None
+    rows = slice(max(0, int(v.min())), min(intrinsics.height, int(v.max()) + 2))
+    columns = slice(max(0, int(u.min())), min(intrinsics.width, int(u.max()) + 2))
+    return rows, columns
+
+
+def _in_others(points: NDArray[np.float32], others: Sequence[Placed]) -> BoolArray:
+    """Which points, shape (n, 3), lie on another object."""
+    inside = np.zeros(len(points), dtype=bool)
+    for other, pose in others:
+        in_other = np.nan_to_num((points[:, :2] - pose[:2]) @ rotation(pose[2]), nan=1e3)
+        inside |= (other.nearest_distance(in_other) < 0.003) & (points[:, 2] > 0.5 * other.top_range[0])
+    return inside
+
+
+@dataclass(frozen=True, slots=True)
+class _Comparison:
+    """Measured against expected lines of sight at one pose."""
+
+    normal: Float64Array
+    """J'J, shape (3, 3), J the derivative of the expected by the pose."""
+    gradient: Float64Array
+    """J'r, shape (3,)."""
+    mean_square: float
+    """Mean square of the residuals."""
+    edge_variance: float
+    """Mean square of the residuals near the edge."""
+    share_contradicting: float
+    """Fraction of the lines clearly inside or outside that contradict the pose."""
+
+
+def _compare(template: Template, lines: LinesOfSight, pose: Float64Array, width: float) -> _Comparison:
+    return _Comparison(*compare_lines(template.field, lines.upper, lines.lower, lines.stopped, pose, (width, 3.0 * width, _CLEAR)))
+
+
+def _gauss_newton(
+    template: Template, lines: LinesOfSight, pose: Float64Array, width: float, iterations: int, enough: float
+) -> Float64Array:
+    """Fitted pose, after so many iterations or a step shorter than `enough` [m]."""
+    for _ in range(iterations):
+        now = _compare(template, lines, pose, width)
+        diagonal = np.diag(now.normal)
+        damped = now.normal.copy()
+        damped.flat[:: len(damped) + 1] = diagonal + (1e-3 * diagonal + _DAMPING)
+        step = np.linalg.solve(damped, now.gradient)
+        length = max(float(np.hypot(step[0], step[1])), template.radius * abs(float(step[2])), 1e-12)
+        # The linearisation does not hold beyond the width.
+        step *= 1.0 / _OVERSHOOT if length < width else min(1.0, 2.0 * width / length)
+        pose = pose + step
+        if np.hypot(step[0], step[1]) < enough and abs(step[2]) < _TURN * enough:
+            break
+    return pose
+
+
+def _jackknife(template: Template, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
+    """Covariance of the pose from fits without one square of the object each, shape (3, 3).
+
+    Residuals within a square may be correlated in any way: those of an edge that a sensor displaces over a whole window, and of errors of
+    the outline, are. Delete-a-group jackknife, linear in the residuals (Efron & Stein, "The jackknife estimate of variance", 1981).
+    """
+    squares, gradient = scores_of_squares(template.field, lines.upper, lines.lower, lines.stopped, pose, _LEVELS[-1][0], _SQUARE)
+    used = np.trace(squares, axis1=1, axis2=2) > 0
+    n = int(np.count_nonzero(used))
+    moved = np.linalg.solve(normal - squares[used], gradient[used][..., None])[..., 0]
+    return np.asarray((n - 1) / max(n, 1) * moved.T @ moved)
+
+
+def _covariance_shared_by_frames(
+    template: Template, view: FrameView, lines: LinesOfSight, pose: Float64Array, normal: Float64Array
+) -> Float64Array:
+    """Covariance of the errors that every frame at this pose has, shape (3, 3)."""
+    covariance = in_table(template.frame_covariance, pose)
+    if template.camera_positions is None or template.displaced_std == 0.0:
+        return covariance
+    moved = template.displaced_std * _displaced_pose(template, view, lines, pose, normal)
+    return covariance + np.outer(moved, moved)
+
+
+def _displaced_pose(template: Template, view: FrameView, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
+    """As `displaced_by_camera`, of a template whose `camera_positions` are known; `normal` is J'J."""
+    camera = np.array(view.camera_in_table[:2, 3], dtype=np.float64)
+    scores = displaced_scores(template.field, lines.upper, lines.lower, pose, _LEVELS[-1][0], camera, template.camera_positions)
+    of_frame = template.displaced_frame
+    return np.asarray(np.linalg.solve(normal, scores) + np.append(rotation(float(pose[2])) @ of_frame[:2], of_frame[2]))
+
+
+def displaced_by_camera(template: Template, view: FrameView, pose: Float64Array) -> Float64Array:
+    """Change of the pose fitted at `pose` by edges that the camera displaces, all alike, per metre [-, -, rad/m], shape (3,), table frame.
+
+    It is 0 where the positions of the cameras are unknown.
+    """
+    width, band, stride, *_ = _LEVELS[-1]
+    lines = lines_of_sight(template, view, pose, band, stride)
+    if template.camera_positions is None or lines is None:
+        return np.zeros(3)
+    normal = _compare(template, lines, pose, width).normal + 1e-6 * np.diag(_DAMPING)
+    return _displaced_pose(template, view, lines, np.ascontiguousarray(pose, dtype=np.float64), normal)
+
+
+def frame_step(covariance: Float64Array, yaw: float, n_rests: int) -> Float64Array:
+    """Covariance of the step of an object frame that follows the old outline, shape (3, 3), object frame.
+
+    Args:
+        covariance: Of the pose at the latest rest, with the old outline, of the errors that frames do not share, shape (3, 3), table frame.
+        yaw: Of the object there [rad].
+        n_rests: Of the new outline.
+    """
+    return in_table(covariance, np.array([0.0, 0.0, -yaw])) / n_rests**2
+
+
+def in_table(covariance: Float64Array, pose: Float64Array) -> Float64Array:
+    """Covariance of (x, y, yaw), shape (3, 3), given in the object frame, in the table frame."""
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(float(pose[2]))
+    return np.asarray(turn @ covariance @ turn.T)
+
+
+def _at_least(covariance: Float64Array, other: Float64Array) -> Float64Array:
+    """The smallest covariance that is nowhere below the first, and along the axes of the first not below the second either."""
+    factor = np.linalg.cholesky(covariance)
+    inverse = np.linalg.inv(factor)
+    values, axes = np.linalg.eigh(inverse @ other @ inverse.T)
+    return np.asarray(factor @ (axes * np.maximum(values, 1.0)) @ axes.T @ factor.T)
+
+
+def _failed(status: TrackStatus, pose: Float64Array, lines: LinesOfSight | None = None) -> PoseFit:
+    n_pixels = 0 if lines is None else len(lines.stopped)
+    share = 0.0 if lines is None else n_pixels / max(n_pixels + lines.n_uninformative, 1)
+    return PoseFit(status, pose, np.diag([1.0, 1.0, 10.0]), n_pixels, share, 1.0)
