@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from helpers.paths import SOURCE
+from helpers.sources import nodes, tree
 
 CORE = SOURCE / "push_ident" / "push_ident"
 SIM = SOURCE / "push_ident_sim" / "push_ident_sim"
@@ -68,7 +69,7 @@ ROS = {"rclpy", "push_ident_msgs", "std_msgs", "geometry_msgs", "sensor_msgs", "
 
 
 def imported(path: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -131,10 +132,10 @@ def test_only_the_simulated_cell_imports_pybullet() -> None:
 
 def test_every_public_name_exists() -> None:
     for path in CORE_FILES:
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        module = tree(path)
         exported: list[str] = []
         defined: set[str] = set()
-        for node in tree.body:
+        for node in module.body:
             if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
                 exported = [c.value for c in getattr(node.value, "elts", []) if isinstance(c, ast.Constant)]
             for target in getattr(node, "targets", [getattr(node, "target", None)]):

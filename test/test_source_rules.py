@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from helpers.paths import ROOT, SOURCE
+from helpers.sources import nodes, tree
 
 CORE = SOURCE / "push_ident" / "push_ident"
 SIM = SOURCE / "push_ident_sim" / "push_ident_sim"
@@ -44,7 +45,6 @@ class Module:
 
     path: Path
     tree: ast.Module
-    n_lines: int
 
     @property
     def name(self) -> str:
@@ -53,13 +53,12 @@ class Module:
 
     def functions(self) -> Iterator[Function]:
         """All of them, methods and nested ones included."""
-        yield from (node for node in ast.walk(self.tree) if isinstance(node, Function))
+        yield from (node for node in nodes(self.path) if isinstance(node, Function))
 
 
 @cache
 def modules() -> tuple[Module, ...]:
-    texts = ((path, path.read_text(encoding="utf-8")) for root in (CORE, SIM) for path in sorted(root.rglob("*.py")))
-    return tuple(Module(path, ast.parse(text), text.count("\n")) for path, text in texts)
+    return tuple(Module(path, tree(path)) for root in (CORE, SIM) for path in sorted(root.rglob("*.py")))
 
 
 def is_kernel(function: Function) -> bool:
@@ -140,7 +139,7 @@ def test_effects_are_named_only_in_their_own_files() -> None:
     for module in modules():
         if EFFECTS in module.path.parents or any(SIM / room in module.path.parents for room in ("injected", "engines")):
             continue
-        constants = (node.value for node in ast.walk(module.tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
+        constants = (node.value for node in nodes(module.path) if isinstance(node, ast.Constant) and isinstance(node.value, str))
         if literal := sorted(names.intersection(constants)):
             found[module.name] = literal
     assert not beyond(EFFECT_NAMES_OUTSIDE, found)
@@ -154,7 +153,7 @@ def test_tests_use_public_names_only_and_do_not_import_each_other() -> None:
     private: dict[str, object] = {}
     for path in sorted((ROOT / "test").rglob("*.py")):
         reached = []
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if isinstance(node, ast.ImportFrom):
                 full = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
                 assert not any(part.startswith("test_") for part in full), f"{path.name} imports a test"

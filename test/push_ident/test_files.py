@@ -7,11 +7,13 @@ import errno
 import os
 import stat
 import threading
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from helpers.paths import SOURCE
+from helpers.sources import nodes
 from push_ident.errors import InputError, PushIdentError
 from push_ident.files import make_folder, open_log, open_new, read_regular, replaced, write_whole
 
@@ -136,12 +138,13 @@ WRITERS = {
 FORBIDDEN = ("pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal", "jsonpickle")
 
 
+@cache
 def calls() -> list[tuple[str, ast.Call]]:
     found = []
     for package in ("push_ident", "push_ident_sim"):
         for path in sorted((SOURCE / package / package).rglob("*.py")):
             name = str(path.relative_to(SOURCE)).split("/", 1)[1]
-            found += [(name, node) for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+            found += [(name, node) for node in nodes(path) if isinstance(node, ast.Call)]
     return found
 
 
@@ -164,7 +167,7 @@ def test_only_one_module_writes_files() -> None:
 
 def test_nothing_is_read_that_can_run_code() -> None:
     for path in sorted(SOURCE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             found = {n.split(".")[0] for n in names} & set(FORBIDDEN)
