@@ -16,7 +16,10 @@ from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.client.cell_client import CellClient
 
-pytestmark = pytest.mark.alone
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.long,
+]  # quicker: test_goal_session.py, test_goal_pushing.py and test_push_collector.py have its parts
 
 CLI = [sys.executable, "-c", "from push_ident.cli.main import main; main()"]
 END = 0.10

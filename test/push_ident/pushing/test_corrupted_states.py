@@ -14,7 +14,7 @@ from push_ident.pushing.motion import joint_limits
 from push_ident.pushing.take_over import stand_at
 from push_ident_sim.cell.robot import HOME, robot_description
 
-STREAMS = int(os.environ.get("STREAMS", "60"))
+STREAMS = int(os.environ.get("STREAMS", "24"))
 """Random streams of states; `make states STREAMS=10000` for more."""
 SEED = int(os.environ.get("SEED", "1"))
 ROUNDING = 2e-3
