@@ -149,7 +149,15 @@ def rosbag1_bomb(path: Path) -> Path:
         return struct.pack("<I", len(joined)) + joined
 
     data = bz2.compress(bytes(ZEROS))
-    head = fields(op=b"\x03", index_pos=struct.pack("<Q", 1), conn_count=bytes(4), chunk_count=bytes(4)) + struct.pack("<I", 0)
     one = fields(op=b"\x05", compression=b"bz2", size=struct.pack("<I", ZEROS)) + struct.pack("<I", len(data)) + data
-    (path / "bomb.bag").write_bytes(b"#ROSBAG V2.0\n" + head + one * 40)
+
+    def head(index: int) -> bytes:
+        counts = {"conn_count": bytes(4), "chunk_count": struct.pack("<I", 40)}
+        return b"#ROSBAG V2.0\n" + fields(op=b"\x03", index_pos=struct.pack("<Q", index), **counts) + bytes(4)
+
+    begin = len(head(0))
+    places = (struct.pack("<Q", begin + number * len(one)) for number in range(40))
+    times = {"ver": struct.pack("<I", 1), "start_time": bytes(8), "end_time": bytes(8), "count": bytes(4)}
+    index = b"".join(fields(op=b"\x06", chunk_pos=place, **times) + bytes(4) for place in places)
+    (path / "bomb.bag").write_bytes(head(begin + 40 * len(one)) + one * 40 + index)
     return path / "bomb.bag"

@@ -129,7 +129,7 @@ def test_a_file_in_the_way_of_a_private_folder_is_refused(tmp_path: Path) -> Non
 
 WRITERS = {
     "push_ident/files.py": "the one writer",
-    "push_ident/bags/storage/folder_storage.py": "unpacks a compressed bag into a folder of its own with a random name",
+    "push_ident/bags/compression.py": "unpacks a compressed storage file into a folder with a random name",
     "push_ident/nodes/base/run.py": "/proc: how urgent the process is",
     "push_ident/physics/kernel.py": "the stamp of numba's cache, beside the sources",
     "push_ident_sim/cell/world.py": "a description for Bullet, in a folder of its own with a random name",

@@ -111,9 +111,6 @@ class LIMITS:
         "size of an uncompressed chunk is",
         "one largest message beside a full chunk; rosbag2 closes a chunk at 0.8 MB, ROS 1 too",
     )
-    OPEN_CHUNKS: Final = Limit(
-        268_435_456, "bytes", "size of the chunks that overlap in time is", "four largest chunks; chunks of a recorder hardly overlap"
-    )
     EXPANSION: Final = Limit(
         10, "times the size of the file, and 1 GB", "content uncompressed is", "depth images and joint states compress 2 to 6 times"
     )

@@ -18,7 +18,6 @@ from helpers.bags import COVARIANCE, L_SHAPE, bag_error, make_record, write_push
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
 from push_ident.bags.records import write_records
-from push_ident.bags.storage.chunks import Chunk, in_order
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
@@ -54,8 +53,8 @@ CLAIMS: dict[str, tuple[Callable[[Path], Path], str]] = {
     "bomb that claims little": (lambda path: claims.bomb(path, claimed=1000), "expected 1000"),
     "bomb that claims much": (lambda path: claims.bomb(path, claimed=2**63), "expected at most 67,108,864 bytes"),
     "chunk listed often": (lambda path: claims.with_index(path, listed=1000), "overlaps others"),
-    "chunk listed elsewhere": (lambda path: claims.with_index(path, offset=20), "the file is cut or damaged"),
-    "chunk listed beyond the end": (lambda path: claims.with_index(path, offset=2**63), "overlaps others"),
+    "chunk listed elsewhere": (lambda path: claims.with_index(path, offset=20), "damaged"),
+    "chunk listed beyond the end": (lambda path: claims.with_index(path, offset=2**63), "where there is none"),
     "type that contains itself": (lambda path: claims.with_schema(path, b"PoseStamped x"), "contains itself"),
     "array of 2^31 numbers": (lambda path: claims.with_schema(path, b"float64[2147483647] x"), "array of 2147483647"),
     "array without content": (lambda path: claims.with_schema(path, NOTHING_INSIDE), "array of"),
@@ -64,12 +63,12 @@ CLAIMS: dict[str, tuple[Callable[[Path], Path], str]] = {
     "two thousand objects": (lambda path: claims.with_objects(path, 1900), "number of objects"),
     "nested metadata": (lambda path: claims.with_metadata(path, "[" * 1_000_000), "nested deeper"),
     "metadata that laugh": (lambda path: claims.with_metadata(path, "a: &a [1]\nb: [*a, *a]\n"), "aliases"),
-    "long metadata": (lambda path: claims.with_metadata(path, "#" * 30_000_000), "metadata.yaml is"),
+    "long metadata": (lambda path: claims.with_metadata(path, "#" * 30_000_000), "larger than"),
     "file above the folder": (lambda path: claims.with_metadata(path, elsewhere), "not in the folder"),
     "file anywhere": (lambda path: claims.with_metadata(path, absolute), "not in the folder"),
     "file listed twice": (lambda path: claims.with_metadata(path, twice), "twice"),
     "view without end": (lambda path: claims.with_statements(path, RECURSIVE_VIEW), "expected a plain table"),
-    "computed column": (lambda path: claims.with_statements(path, COMPUTED), "lacks data"),
+    "computed column": (lambda path: claims.with_statements(path, COMPUTED), "expected a plain table"),
     "bomb of ROS 1": (claims.rosbag1_bomb, "content uncompressed"),
 }
 
@@ -200,21 +199,6 @@ def test_poses_and_forces_beyond_any_cell_are_dropped(tmp_path: Path) -> None:
         writer.write_pose("7", 4.0, (0.0, 0.0, 0.0), np.eye(3) * 1e30)
     contents = read_bag(tmp_path / "bag")
     assert (len(contents.pusher), len(contents.objects["7"].time)) == (31, 31)
-
-
-def test_overlapping_chunks_are_read_with_bounded_memory_each_message_once() -> None:
-    opened = 0
-
-    def read(chunk: Chunk):  # type: ignore[no-untyped-def]
-        nonlocal opened
-        opened += 1
-        assert opened <= LIMITS.OPEN_CHUNKS.value // LIMITS.CHUNK.value
-        yield 1, 100 - chunk.offset, b""
-        yield 1, 1000 + chunk.offset, b""
-        opened -= 1
-
-    found = list(in_order([Chunk(0, LIMITS.CHUNK.value, k) for k in range(20)], read))
-    assert sorted(time for _, time, _ in found) == [*range(81, 101), *range(1000, 1020)]
 
 
 def test_many_pushes_with_many_samples_are_cut_in_linear_time(tmp_path: Path) -> None:

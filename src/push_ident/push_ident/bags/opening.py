@@ -6,54 +6,70 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
+from urllib.parse import quote
 
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
+from rosbags.rosbag1 import Reader as Rosbag1Reader
+from rosbags.rosbag2 import Reader as Rosbag2Reader
+from rosbags.rosbag2.storage_mcap import McapReader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from push_ident.bags.compression import uncompress_file, uncompressed_message
 from push_ident.bags.contract import size_limit
 from push_ident.bags.definitions import check_definitions
+from push_ident.bags.folder import read_folder
+from push_ident.bags.mcap_records import IntactRecords, Message
 from push_ident.bags.migration import Migration, migration_of
-from push_ident.bags.storage.folder_storage import FolderStorage
-from push_ident.bags.storage.mcap_storage import McapStorage
-from push_ident.bags.storage.rosbag1_storage import Rosbag1Storage
-from push_ident.bags.storage.sqlite_storage import SqliteStorage
-from push_ident.bags.storage.storage import RecordedTopic, Storage
+from push_ident.bags.preflight import check_claims
 from push_ident.bags.typestore import jazzy_typestore
 from push_ident.errors import BagError, PushIdentError
 from push_ident.limits import LIMITS
 
-__all__ = ["OpenBag", "open_bag", "storage_of"]
+__all__ = ["Connection", "OpenBag", "open_bag"]
 
-_STORAGE: Final[dict[str, Callable[[Path], Storage]]] = {".mcap": McapStorage, ".db3": SqliteStorage, ".bag": Rosbag1Storage}
+_SUFFIXES: Final = (".mcap", ".db3", ".bag")
 _CAPITAL_PACKAGE: Final = re.compile(r"\b[A-Z]\w*(?=/\w)")
+
+_Reader = Rosbag1Reader | Rosbag2Reader
+_Decompressor = Callable[[bytes], bytes]
 
 
 class OpenBag:
     """A bag opened for reading, ROS 1 or ROS 2."""
 
-    def __init__(self, path: Path, storage: Storage) -> None:
+    def __init__(self, path: Path, readers: list[_Reader], promised: dict[str, int], decompress: _Decompressor | None) -> None:
+        """
+        Args:
+            path: Of the bag.
+            readers: Of its storage files, open, in order of time.
+            promised: Number of messages by topic that its metadata.yaml lists.
+            decompress: Of a message that is compressed.
+        """
         self.path = path
-        self._storage = storage
-        self._is_ros1 = isinstance(storage, Rosbag1Storage)
+        self._readers, self._decompress = readers, decompress
+        self._is_ros1 = any(isinstance(reader, Rosbag1Reader) for reader in readers)
         self._store = get_typestore(Stores.EMPTY)
         self._store.max_sequence_length = LIMITS.MESSAGE.value
-
-    @property
-    def topics(self) -> list[RecordedTopic]:
-        """Every recorded topic, once per recorded publisher."""
-        return list(self._storage.topics)
+        self.topics = [connection for reader in readers for connection in _checked(reader)]
+        """Every recorded topic, once for each publisher and storage file."""
+        counts = self.counts()
+        self.lacking = {topic: count - counts.get(topic, 0) for topic, count in promised.items() if count > counts.get(topic, 0)}
+        """Number of messages by topic that metadata.yaml lists and the files do not have."""
 
     def counts(self) -> dict[str, int]:
         """Number of messages by topic, from the index of the bag."""
         counts: Counter[str] = Counter()
-        for topic in self._storage.topics:
+        for topic in self.topics:
             counts[topic.topic] += topic.msgcount
         return dict(sorted(counts.items()))
 
-    def register(self, topics: Iterable[RecordedTopic]) -> None:
+    def register(self, topics: Iterable[Connection]) -> None:
         """Register the message types of these topics, from the schema in the bag where it has one.
 
         Only these types are registered, so that an unknown type elsewhere in the bag does no harm.
@@ -64,32 +80,63 @@ class OpenBag:
                 check_definitions({**self._store.fielddefs, **types}, topic.topic)
                 self._store.register(types)
 
-    def messages(self, topics: list[RecordedTopic]) -> Iterator[tuple[RecordedTopic, int, Any]]:
+    def messages(self, topics: Iterable[Connection]) -> Iterator[tuple[Connection, int, Any]]:
         """Messages of these (registered) topics with their log time [ns], decoded one at a time."""
         decode = self._store.deserialize_ros1 if self._is_ros1 else self._store.deserialize_cdr
-        types = {topic.id: _lower_package(topic.msgtype) for topic in topics}
-        limits = {topic.id: size_limit(topic.msgtype) for topic in topics}
         for topic, log_time, raw in self._raw(topics):
-            limits[topic.id].check(len(raw), topic.topic, error=BagError)
-            yield topic, log_time, decode(raw, types[topic.id])
+            size_limit(topic.msgtype).check(len(raw), topic.topic, error=BagError)
+            yield topic, log_time, decode(raw, _lower_package(topic.msgtype))
 
-    def raw_messages(self) -> Iterator[tuple[RecordedTopic, int, bytes | memoryview]]:
+    def raw_messages(self) -> Iterator[tuple[Connection, int, bytes]]:
         """All messages with their log time [ns], serialised (CDR) as the installed definitions have it.
 
         Raises BagError for a ROS 1 bag, which has another serialisation.
         """
         if self._is_ros1:
             raise BagError(f"{self.path}: a ROS 1 bag cannot be played directly; convert it first, with `rosbags-convert`.")
-        migrations = {topic.id: _migration(topic) for topic in self._storage.topics}
-        for topic, log_time, raw in self._raw(self._storage.topics):
-            migrate = migrations[topic.id]
+        migrations = {(topic.msgtype, topic.msgdef): _migration(topic) for topic in self.topics}
+        for topic, log_time, raw in self._raw(self.topics):
+            migrate = migrations[topic.msgtype, topic.msgdef]
             yield topic, log_time, raw if migrate is None else migrate(raw)
 
-    def _raw(self, topics: list[RecordedTopic]) -> Iterator[tuple[RecordedTopic, int, bytes | memoryview]]:
-        by_id = {topic.id: topic for topic in topics}
-        for identifier, log_time, raw in self._storage.messages(by_id.keys()) if by_id else ():
-            LIMITS.MESSAGE.check(len(raw), by_id[identifier].topic, error=BagError)
-            yield by_id[identifier], log_time, raw
+    def _raw(self, topics: Iterable[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+        """Messages file after file, each in order of log time."""
+        wanted = set(map(id, topics))
+        for reader in self._readers:
+            chosen = [topic for topic in reader.connections if id(topic) in wanted]
+            for topic, log_time, raw in _messages(reader, chosen) if chosen else ():
+                data = self._decompress(raw) if self._decompress else raw
+                LIMITS.MESSAGE.check(len(data), topic.topic, error=BagError)
+                yield topic, log_time, data
+
+
+def _checked(reader: _Reader) -> list[Connection]:
+    """Topics of a storage file. Raises BagError for impossible ones."""
+    LIMITS.TOPICS.check(len(reader.connections), str(reader.path), error=BagError)
+    for topic in reader.connections:
+        for name, what in ((topic.topic, "a topic"), (topic.msgtype, "a message type")):
+            LIMITS.STRING.check(len(name), what, error=BagError)
+        LIMITS.SCHEMA.check(len(topic.msgdef.data), topic.topic, error=BagError)
+        if isinstance(topic.ext, ConnectionExtRosbag2) and topic.ext.serialization_format != "cdr":
+            raise BagError(
+                f"topic {topic.topic} is serialised as {topic.ext.serialization_format[:40]!r}, expected 'cdr'; record with ROS 2."
+            )
+    return reader.connections
+
+
+def _messages(reader: _Reader, topics: list[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+    storage = reader.storage if isinstance(reader, Rosbag2Reader) else None
+    if not isinstance(storage, McapReader) or (storage.chunks and all(chunk.message_index_offsets for chunk in storage.chunks)):
+        yield from reader.messages(topics)
+        return
+    # rosbags reads a file without an index only if its messages are in order of time, which recorders do not promise.
+    by_id = {topic.id: topic for topic in topics}
+    records = IntactRecords(Path(str(reader.path)))
+    for record in records:
+        if isinstance(record, Message) and record.channel_id in by_id:
+            yield by_id[record.channel_id], record.log_time, record.data
+    if records.end or records.damaged_chunks:
+        raise BagError(records.end or f"{records.damaged_chunks} chunks of the file are damaged.")
 
 
 def _lower_package(text: str) -> str:
@@ -97,19 +144,20 @@ def _lower_package(text: str) -> str:
     return _CAPITAL_PACKAGE.sub(lambda match: match.group().lower(), text)
 
 
-def _migration(topic: RecordedTopic) -> Migration | None:
+def _migration(topic: Connection) -> Migration | None:
     """How its messages become those of the installed definition; None where nothing is to be done, or the definition cannot be read."""
     try:
-        types = get_types_from_msg(topic.definition, topic.msgtype) if topic.definition and topic.encoding == "ros2msg" else {}
+        has_text = topic.msgdef.format is MessageDefinitionFormat.MSG
+        types = get_types_from_msg(topic.msgdef.data, topic.msgtype) if has_text else {}
         check_definitions(types, topic.topic)
     except Exception:  # A foreign definition: the parser raises almost anything. Played as it is, as before.
         return None
     return migration_of(topic.msgtype, types)
 
 
-def _definitions(topic: RecordedTopic, known: Typestore) -> dict[str, Any]:
-    if topic.definition and topic.encoding == "ros2msg":
-        types = get_types_from_msg(_lower_package(topic.definition), _lower_package(topic.msgtype))
+def _definitions(topic: Connection, known: Typestore) -> dict[str, Any]:
+    if topic.msgdef.format is MessageDefinitionFormat.MSG:
+        types = get_types_from_msg(_lower_package(topic.msgdef.data), _lower_package(topic.msgtype))
     else:
         types = jazzy_typestore().fielddefs
         if topic.msgtype not in types:
@@ -117,27 +165,50 @@ def _definitions(topic: RecordedTopic, known: Typestore) -> dict[str, Any]:
     return {name: fields for name, fields in types.items() if name not in known.fielddefs}
 
 
-def storage_of(path: Path) -> Path:
-    """Path for a reader: a bag folder with metadata, or a storage file.
-
-    Raises BagError when there is no bag at `path`.
-    """
+def _storage_of(path: Path) -> Path:
+    """A bag folder with metadata, or a storage file. Raises BagError when there is no bag at `path`."""
     if not os.path.exists(path):  # unlike that of Path it raises for no name
-        raise BagError(f"{path}: there is no such bag; give a bag folder or a {', '.join(_STORAGE)} file.")
+        raise BagError(f"{path}: there is no such bag; give a bag folder or a {', '.join(_SUFFIXES)} file.")
     if path.name == "metadata.yaml":
         path = path.parent
     if path.is_dir():
         if (path / "metadata.yaml").exists():
             return path
-        files = sorted(file for file in path.iterdir() if file.suffix in _STORAGE)
+        files = sorted(file for file in path.iterdir() if file.suffix in _SUFFIXES)
         if not files:
-            raise BagError(f"{path}: the folder holds no bag (no metadata.yaml, no {', '.join(_STORAGE)} file).")
+            raise BagError(f"{path}: the folder holds no bag (no metadata.yaml, no {', '.join(_SUFFIXES)} file).")
         if len(files) > 1:
             raise BagError(f"{path}: the folder holds {len(files)} storage files and no metadata.yaml; name one of them.")
         path = files[0]
-    if path.suffix not in _STORAGE:
-        raise BagError(f"{path}: not the name of a bag; expected a bag folder or a {', '.join(_STORAGE)} file.")
+    if path.suffix not in _SUFFIXES:
+        raise BagError(f"{path}: not the name of a bag; expected a bag folder or a {', '.join(_SUFFIXES)} file.")
     return path
+
+
+def _opened(path: Path, stack: ExitStack) -> OpenBag:
+    storage = _storage_of(path)
+    if not storage.is_dir():
+        return OpenBag(path, [_reader(storage, stack)], {}, None)
+    folder = read_folder(storage)
+    files = folder.files
+    if folder.compression == "file":
+        temporary = Path(stack.enter_context(TemporaryDirectory(prefix="push_ident_")))
+        files = [temporary / f"{number}{folder.suffix}" for number in range(len(folder.files))]
+        for compressed, file in zip(folder.files, files, strict=True):
+            uncompress_file(compressed, file)
+    decompress = uncompressed_message if folder.compression == "message" else None
+    return OpenBag(path, [_reader(file, stack) for file in files], folder.promised, decompress)
+
+
+def _reader(file: Path, stack: ExitStack) -> _Reader:
+    check_claims(file)
+    if file.suffix == ".bag":
+        return stack.enter_context(Rosbag1Reader(file))
+    reader = Rosbag2Reader(file)
+    if isinstance(reader.storage, Sqlite3Reader):
+        # rosbags puts the path into a URI as it is.
+        reader.storage.path = Path(quote(str(file)))
+    return stack.enter_context(reader)
 
 
 @contextmanager
@@ -147,15 +218,17 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
     Every failure while it is open, unexpected exceptions of the decoders included, becomes a BagError of one line.
     """
     try:
-        place = storage_of(path)
-        opened: Storage = FolderStorage(place) if place.is_dir() else _STORAGE[place.suffix](place)
-        with closing(opened) as storage:
-            yield OpenBag(path, storage)
+        with ExitStack() as stack:
+            yield _opened(path, stack)
     except BagError as error:
         text = str(error)
         raise error if text.startswith(str(path)) else BagError(f"{path}: cannot be read ({text.rstrip('.')}){_remedy(path)}") from None
     except PushIdentError:
         raise
+    except MemoryError:
+        raise BagError(
+            f"{path}: reading it takes more memory than there is, or than this command may take; it is damaged, or split it."
+        ) from None
     except Exception as error:
         # Damaged bags make decoders and decompressors raise almost any exception (struct, overflow, recursion, database errors).
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")[:200]

@@ -12,8 +12,7 @@ import numpy as np
 
 from push_ident.bags import decode
 from push_ident.bags.contract import CAMERA_FRAME, OBJECT_ROLES, TABLE_FRAME, Role, TopicRole, role_of
-from push_ident.bags.opening import OpenBag, open_bag
-from push_ident.bags.storage.storage import RecordedTopic
+from push_ident.bags.opening import Connection, OpenBag, open_bag
 from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS
@@ -200,9 +199,9 @@ def _fail_for_missing(path: Path, topics: dict[str, int], missing: list[Role]) -
     raise BagError(f"{path}: no usable messages of {names}; the bag has {present or 'no messages at all'}. Record or remap these topics.")
 
 
-def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list[RecordedTopic]]:
+def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list[Connection]]:
     """Topics of the contract in this bag. Raises BagError for two topics of one role, which would mix two cells."""
-    by_role: dict[TopicRole, list[RecordedTopic]] = defaultdict(list)
+    by_role: dict[TopicRole, list[Connection]] = defaultdict(list)
     for connection in bag.topics:
         if not (role := role_of(connection.topic)):
             continue
@@ -220,7 +219,7 @@ def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list
     return dict(by_role)
 
 
-def _read(bag: OpenBag, wanted: dict[TopicRole, list[RecordedTopic]]) -> dict[TopicRole, _Recorded]:
+def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[TopicRole, _Recorded]:
     """Read the topics of these roles."""
     role_by_topic = {connection.topic: role for role, connections in wanted.items() for connection in connections}
     connections = [connection for group in wanted.values() for connection in group]
@@ -239,7 +238,8 @@ def _read(bag: OpenBag, wanted: dict[TopicRole, list[RecordedTopic]]) -> dict[To
             if role in _LAST_COUNTS:
                 record.messages.clear()
             record.messages.append(message)
-    promised, got = sum(connection.msgcount for connection in connections), sum(len(record.stamps) for record in recorded.values())
+    promised = sum(connection.msgcount for connection in connections) + sum(bag.lacking.get(topic, 0) for topic in role_by_topic)
+    got = sum(len(record.stamps) for record in recorded.values())
     if got < promised:
         raise BagError(f"{bag.path}: its index lists {promised} messages of the contract, {got} could be read; the file is truncated.")
     return dict(recorded)

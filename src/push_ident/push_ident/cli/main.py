@@ -9,6 +9,7 @@ import typer
 
 from push_ident import __version__
 from push_ident.cli.lazy import LazyCommand, LazyGroup
+from push_ident.cli.memory import limit_memory
 from push_ident.cli.output import console, warn
 from push_ident.errors import PushIdentError
 from push_ident.extras import how_to_get
@@ -39,6 +40,8 @@ LazyGroup.lazy_subcommands = {
         ("salvage", "salvage:salvage_command", "Copy the readable messages of a damaged bag"),
     )
 }
+_READ_FILES = frozenset({"look", "identify", "predict", "diagnose", "import", "salvage"})
+"""Commands that read what others recorded, in this process."""
 app = typer.Typer(
     name="push-ident",
     cls=LazyGroup,
@@ -58,9 +61,12 @@ def _show_version(asked: bool) -> None:
 
 @app.callback()
 def _options(
+    context: typer.Context,
     version: Annotated[bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")] = False,
 ) -> None:
     """Identify mass and friction of an unknown object by pushing it."""
+    if context.invoked_subcommand in _READ_FILES:
+        limit_memory()
 
 
 def main() -> None:
