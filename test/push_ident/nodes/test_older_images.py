@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from push_ident.errors import PerceptionError
-from push_ident.nodes.perception.older_images import OlderImages
+from push_ident.nodes.perception.perception_node import OlderImages
 
 
 class Camera:

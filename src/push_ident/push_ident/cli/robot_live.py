@@ -15,7 +15,7 @@ from push_ident.pushing.robot.robot_file import Camera, Robot
 from push_ident.types import DepthFrame
 
 if TYPE_CHECKING:
-    from push_ident.nodes.client.robot_listen import CellNames, Heard
+    from push_ident.nodes.client.listen import CellNames, Heard
 
 __all__ = ["find_live"]
 
@@ -34,7 +34,7 @@ def find_live(robot: Robot, kinematics: ArmKinematics | None, seconds: float) ->
     `kinematics` is None where the file gives none; `seconds` is how long to listen [s].
     """
     try:
-        from push_ident.nodes.client.robot_listen import CellNames, listen_to_arms
+        from push_ident.nodes.client.listen import CellNames, listen_to_arms
     except ImportError as error:
         return [Finding("cell", Level.NOT_CHECKED, f"ROS cannot be imported ({error})", remedy="run `make setup`, or source ROS 2")]
     # A simulated cell has the names of the contract, whatever the driver of the real arm has.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -25,6 +26,7 @@ from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import Float32MultiArray, String
 from visualization_msgs.msg import MarkerArray
 
+from push_ident.bags.contract import Role
 from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.arm_shape import ArmShape
@@ -35,6 +37,7 @@ from push_ident.nodes.base.run import run_node
 from push_ident.nodes.base.settings import NODE
 from push_ident.nodes.base.stamps import StampCheck
 from push_ident.nodes.convert.messages import (
+    camera_accuracy_to_msg,
     cylinder_radius_from_msg,
     joints_from_msg,
     occupancy_to_msg,
@@ -42,23 +45,22 @@ from push_ident.nodes.convert.messages import (
     planar_pose_to_msg,
     position_from_msg,
     shape_to_msgs,
+    transform_to_msg,
 )
 from push_ident.nodes.convert.refusals import refusals_to_msg
 from push_ident.nodes.input.description_file import description_in
-from push_ident.nodes.perception.camera_publisher import CameraPublisher
 from push_ident.nodes.perception.depth_input import EVERY_POSE, DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
-from push_ident.nodes.perception.older_images import OlderImages
 from push_ident.nodes.perception.parameters import IMAGE_TIMES, PARAMETERS, names_of_further_cameras, perception_settings
 from push_ident.perception.frame.robot import RobotHistory, RobotPart
 from push_ident.perception.observation import Observation, ObservedObject
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.refusals import Refusal, Removal
 from push_ident.survey.parameter_file import pose_lines
-from push_ident.types import DepthFrame, Float64Array
+from push_ident.types import CameraAccuracy, DepthFrame, Float64Array
 
-__all__ = ["PARAMETERS", "PerceptionNode", "main"]
+__all__ = ["PARAMETERS", "OlderImages", "PerceptionNode", "main"]
 
 
 @dataclass(slots=True)
@@ -68,6 +70,46 @@ class _Camera:
     extrinsics: Extrinsics
     input: DepthInput
     pose: Float64Array | None = None
+
+
+class _CameraPublisher:
+    """Publishes the pose of the main camera and its accuracy, each when it changes."""
+
+    def __init__(self, node: CellNode) -> None:
+        self._pose = node.create_publisher(PoseStamped, "depth/camera_pose", LATCHED)
+        self._accuracy = node.create_publisher(PoseWithCovarianceStamped, Role.CAMERA_ACCURACY.value.name, LATCHED)
+        self._published: tuple[Float64Array | None, CameraAccuracy | None] = (None, None)
+
+    def publish(self, perception: Perception, stamp: Time) -> None:
+        """Publish what differs from what was published last."""
+        pose, accuracy = self._published
+        if perception.camera_in_table is not pose:
+            self._pose.publish(transform_to_msg(stamp, perception.camera_in_table))
+        if perception.settings.camera_accuracy != accuracy:
+            self._accuracy.publish(camera_accuracy_to_msg(perception.settings.camera_accuracy, stamp))
+        self._published = perception.camera_in_table, perception.settings.camera_accuracy
+
+
+class OlderImages:
+    """Whether an image older than the latest one means that time went back, as when a bag starts again, or a second camera driver.
+
+    Args:
+        publishers: number of nodes that publish the images now.
+        clock: receive time [s].
+    """
+
+    def __init__(self, publishers: Callable[[], int], clock: Callable[[], float] = time.monotonic) -> None:
+        self._publishers, self._clock = publishers, clock
+        self._several_at = -math.inf
+
+    def check(self, age: float) -> None:
+        """Raise PerceptionError for an image `age` [s] older than the latest, where several nodes publish images or have just done so."""
+        n = self._publishers()
+        if n > 1:
+            self._several_at = self._clock()
+            raise PerceptionError(f"{n} nodes publish images, and this one is {age:.3f} s older than the latest; stop all but one")
+        if self._clock() - self._several_at < IMAGE_TIMES.queued:
+            raise PerceptionError(f"this image is {age:.3f} s older than the latest: of a node that has just stopped")
 
 
 class PerceptionNode(CellNode):
@@ -109,7 +151,7 @@ class _Perception(Component):
         self._older = OlderImages(lambda: node.count_publishers(self._main.input.image_topic))
 
         self._object_publishers: dict[str, tuple[Publisher, ...]] = {}
-        self._camera_publisher = CameraPublisher(self._node, LATCHED)
+        self._camera_publisher = _CameraPublisher(self._node)
         self._occupancy_publisher = self._node.create_publisher(OccupancyGrid, "workspace/occupancy", LATCHED)
         self._refused_publisher = self._node.create_publisher(MarkerArray, "workspace/refused", LATCHED)
         self._refused: tuple[Refusal, ...] = ()
