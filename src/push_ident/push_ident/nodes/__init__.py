@@ -10,6 +10,6 @@ from push_ident.nodes.base.network import choose_network
 # Before any node is created, in whatever process it is.
 choose_network(os.environ)
 # Before numpy is loaded. The matrices of an identification are small: several threads of OpenBLAS wait for each other for longer than they
-# calculate, the more so beside other processes, and how they share a sum decides how it is rounded: a restarted node might not go on bit
-# by bit.
+# calculate, the more so while other processes compute, and how they share a sum decides how it is rounded: a restarted node might not go on
+# bit by bit.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

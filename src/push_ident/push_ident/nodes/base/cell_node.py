@@ -30,7 +30,7 @@ from push_ident.nodes.base.settings import NODE
 __all__ = ["AUTOSTART", "LATCHED", "CellNode", "Component", "Health"]
 
 LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Of topics whose latest message counts until the next: who subscribes later gets it as well."""
+"""Of topics whose latest message is valid until the next one: later subscriptions receive it as well."""
 AUTOSTART: Final = Parameter("autostart", True, "Configure and activate at start, without a lifecycle manager", read_only=True)
 """A parameter of every node."""
 _DONE: Final = TransitionCallbackReturn.SUCCESS
@@ -56,7 +56,7 @@ class Component(ABC):
         """Work: the node becomes active. Raises PushIdentError where it cannot."""
 
     def pause(self) -> None:  # noqa: B027
-        """Stop working, within a second: the node becomes inactive. From now on only latched topics and services are heard."""
+        """Stop working, within a second: the node becomes inactive. From now on only latched topics and services are handled."""
 
     def close(self) -> None:  # noqa: B027
         """Stop threads, give back what is held; never called while a callback of the component runs. The component is not used again."""
@@ -92,7 +92,7 @@ class _Gate:
                 self._changed.notify_all()
 
     def close(self, timeout: float) -> bool:
-        """Let nobody in any more and wait for those inside, at most `timeout` [s]; whether all have left."""
+        """Admit no more callbacks and wait for those inside, at most `timeout` [s]; whether all have left."""
         with self._changed:
             self._is_open = False
             return self._changed.wait_for(lambda: self._inside == 0, timeout)
@@ -102,7 +102,7 @@ class CellNode(LifecycleNode, ABC):
     """A lifecycle node that is hard to break.
 
     - A component is made on configure and closed on cleanup, shutdown or error; between them it is resumed and paused. An inactive node
-      hears latched topics and services only. With `autostart` all happens in the constructor.
+      handles latched topics and services only. With `autostart` all happens in the constructor.
     - Every transition by service is answered, also one that does not exist or is not possible now. After `shutdown` the node answers, and
       reports itself as finalized, until its process is ended.
     - Every callback goes through `guard`, because the functions that make entities wrap it.

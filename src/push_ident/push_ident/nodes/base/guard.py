@@ -25,8 +25,8 @@ T = TypeVar("T")
 class Guard:
     """Refuses, counts and names.
 
-    A `PushIdentError` is a refusal with its own text. Any other exception is one as well, with the name of its type: a message that
-    nobody thought of must not end a node that watches an arm. Its traceback is logged at debug level.
+    A `PushIdentError` is a refusal with its own text. Any other exception is one as well, with the name of its type: an unforeseen
+    message must not end a node that watches an arm. Its traceback is logged at debug level.
 
     Args:
         logger: gives the logger of the node.
@@ -66,7 +66,7 @@ class Guard:
             self._logger().warning(f"refused: {text}" + (f" ({count} so far)" if count > 1 else ""))
 
     def explain(self, error: Exception) -> str:
-        """What is said of an exception: its text, and its type where this package did not raise it deliberately."""
+        """Description of an exception: its text, and its type where this package did not raise it deliberately."""
         if isinstance(error, PushIdentError):
             return str(error)
         self._logger().debug("".join(traceback.format_exception(error)))
@@ -128,7 +128,7 @@ def is_guarded(callback: Callable[..., Any]) -> bool:
 
 
 def refusal(request: Any, response: Any, why: str) -> Any:
-    """The response of a service that says no: `success` and `message` where it has them; one result a parameter where it sets those."""
+    """The response of a service that refuses: `success` and `message` where it has them; one result a parameter where it sets those."""
     why = plain_text(why)
     if hasattr(response, "success"):
         response.success = False

@@ -48,7 +48,7 @@ class KeepAliveTimes:
     """Set by what is promised: an arm whose client is gone stands after about a second, and a client hears of its server within seconds."""
 
     period: float = 0.1
-    """Between two signs of life of a client, and between two looks of whoever waits for signs [s]."""
+    """Between two signs of life of a client, and between two checks for them [s]."""
     absence: float = 0.7
     """Without the server in the ROS graph until it counts as gone [s]: with a look before and after it less than a second."""
     question_period: float = 0.5
@@ -65,7 +65,7 @@ def _topic(action: str) -> str:
 
 
 def cancellation(goal: UUID | None = None) -> CancelGoal.Request:
-    """To cancel a goal; None: one that nobody has."""
+    """To cancel a goal; None: one that does not exist."""
     request = CancelGoal.Request()
     request.goal_info.goal_id = goal or UUID(uuid=list(os.urandom(16)))
     return request
@@ -83,7 +83,7 @@ class KeepAlive:
         node.create_timer(KEEP_ALIVE.period, self._say, callback_group=callback_group, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def begin(self) -> UUID:
-        """Number of a new goal, which is said until `end`."""
+        """Number of a new goal, whose signs of life are sent until `end`."""
         number = _MARK + os.urandom(16 - len(_MARK))
         goal = self._goals[number] = UUID(uuid=list(number))
         return goal

@@ -49,7 +49,7 @@ class ExitCode(IntEnum):
 class Lifetime:
     """When this process has to end. There is one for each process, `LIFETIME`.
 
-    A thread of its own waits for a signal or for the end of the lifeline: signals are handled even while the main thread is in a
+    A separate thread waits for a signal or for the end of the lifeline: signals are handled even while the main thread is in a
     library that does not return, and nothing happens within a signal handler, which could interrupt anything.
     """
 
@@ -125,7 +125,7 @@ class Lifetime:
         for child in multiprocessing.active_children():
             child.kill()
         if self._abandoned and os.getpgrp() == os.getpid():
-            os.killpg(0, signal.SIGKILL)  # whatever this process has started, and itself: nobody waits for its exit code
+            os.killpg(0, signal.SIGKILL)  # whatever this process has started, and itself: its exit code is not awaited
         os._exit(code)
 
 

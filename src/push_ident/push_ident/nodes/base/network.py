@@ -31,7 +31,7 @@ _HELD: Final[dict[int, socket.socket]] = {}
 
 
 def choose_network(environ: MutableMapping[str, str]) -> None:
-    """Complete the variables that the middleware reads when a node is created. A profile of the user's own is kept.
+    """Complete the variables that the middleware reads when a node is created. A profile that the user has set is kept.
 
     Without ROS_AUTOMATIC_DISCOVERY_RANGE, or with LOCALHOST, everything listens on 127.0.0.1 only; with SUBNET on every interface.
     """

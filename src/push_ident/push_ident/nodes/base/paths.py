@@ -1,4 +1,4 @@
-"""Paths that a service is given: refused for what can be seen before anything is written or read."""
+"""Paths that a service is given: checked before anything is written or read."""
 
 from __future__ import annotations
 

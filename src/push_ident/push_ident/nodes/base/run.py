@@ -64,7 +64,8 @@ def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = No
 
 def _give_way() -> None:
     os.nice(max(0, NODE.niceness - os.nice(0)))
-    # Linux schedules sessions against each other first: niceness alone counts only within one. Only a session of its own is changed.
+    # Linux schedules sessions against each other first: niceness alone counts only within one. Only a session that this process leads is
+    # changed.
     if os.getsid(0) == os.getpid():
         with suppress(OSError):
             Path("/proc/self/autogroup").write_text(str(NODE.niceness), encoding="ascii")

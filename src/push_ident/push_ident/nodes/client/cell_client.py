@@ -106,7 +106,7 @@ class _ClientNode(Node):  # type: ignore[misc]
 
 
 class CellClient:
-    """A client of the nodes of one cell. Use it as a context manager; its callbacks run in a thread of its own, which no message ends.
+    """A client of the nodes of one cell. Use it as a context manager; its callbacks run in a separate thread, which no message ends.
 
     In the main thread, SIGTERM and SIGHUP end the context as Ctrl-C does, by `SystemExit`: what is under way is cancelled.
 
@@ -136,7 +136,7 @@ class CellClient:
         self._diagnose = ActionClient(self.node, DiagnoseGap, "diagnose_gap")
         self._push_to = ActionClient(self.node, PushToGoal, "push_to_goal")
         self._keep_alive = {name: KeepAlive(self.node, name) for name in ("execute_push", "push_to_goal")}
-        # Last: whoever answers these has discovered the ends of the actions as well.
+        # Last: a server that answers these has discovered the ends of the actions as well.
         self._probes = {
             name: self.node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
             for name in ("execute_push", "diagnose_gap", "push_to_goal")
@@ -256,7 +256,7 @@ class CellClient:
     def wait_until_settled(self, quiet: float, patience: float) -> None:
         """Wait until all that was sent has been learned or refused, and no map has come for `quiet` [s] of wall time.
 
-        Identification says so in its diagnostics: its streams are at rest, and neither a push nor a better outline is waiting.
+        Identification reports it in its diagnostics: its streams are at rest, and neither a push nor a better outline is waiting.
 
         Raises:
             CellTimeout: Identification reported nothing new for `patience` [s] of wall time.

@@ -1,4 +1,4 @@
-"""Depth frames of a camera that runs now, for a command: an image topic, and the camera info beside it."""
+"""Depth frames of a camera that runs now, for a command: an image topic and its camera info."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ __all__ = ["DepthCapture"]
 
 _IMAGE: Final = "sensor_msgs/msg/Image"
 _INFO, _POSE = "camera_info", "camera_pose"
-"""Last parts of the topics beside the image."""
+"""Last parts of the topics in the namespace of the image."""
 
 
 class DepthCapture:
     """Listens to one camera, with the QoS of sensors. Use it as a context manager.
 
-    The camera info is on the topic `camera_info` beside the image, as image_transport has it. A pose of the camera in the table frame that
-    a running perception_node publishes on `camera_pose` beside the image is kept.
+    The camera info is on the topic `camera_info` in the namespace of the image, as image_transport has it. A pose of the camera in the
+    table frame that a running perception_node publishes on `camera_pose` there is kept.
     """
 
     def __init__(self, topic: str, *, seconds: float, on_progress: Callable[[str], None] = lambda line: None) -> None:
@@ -103,7 +103,7 @@ class DepthCapture:
         self._node.create_subscription(Image, self.topic, self._on_image, qos_profile_sensor_data)
 
     def frames(self) -> Iterator[DepthFrame]:
-        """Frames as they come, until the time is over; whoever has enough stops asking.
+        """Frames as they come, until the time is over; the caller stops when it has enough.
 
         Raises:
             InputError: Nobody publishes such images, several do, or no usable image with its info came in time.
@@ -193,7 +193,7 @@ class DepthCapture:
         return f"None of {self._n_images} images on {topic} is usable {within}: {why}"
 
     def _other_topics(self) -> str:
-        """The image topics that somebody publishes."""
+        """The image topics that have a publisher."""
         topics = sorted(
             name for name, kinds in self._node.get_topic_names_and_types() if _IMAGE in kinds and self._node.count_publishers(name)
         )

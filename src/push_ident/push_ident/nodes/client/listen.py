@@ -1,4 +1,4 @@
-"""What is published in a cell that runs now, for commands: topics of the bag contract with their rates, and what an arm says."""
+"""What is published in a cell that runs now, for commands: topics of the bag contract with their rates, and the state of an arm."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class CellNames:
 
 @dataclass(slots=True)
 class Heard:
-    """What was heard under some names."""
+    """What was received under some names."""
 
     names: CellNames
     n_arms: int = 0

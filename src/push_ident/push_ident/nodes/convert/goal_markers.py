@@ -127,7 +127,7 @@ def _straight(push: PushPlan2D) -> Float64Array:
 
 
 def goal_markers_to_msg(drawing: GoalDrawing | None, stamp: Time) -> MarkerArray:
-    """Markers in place of those that were shown before; None: no goal is pursued."""
+    """Markers that replace the earlier ones; None: no goal is pursued."""
     cleared = Marker(action=Marker.DELETEALL)
     cleared.header.frame_id, cleared.header.stamp = TABLE_FRAME, stamp
     if drawing is None:

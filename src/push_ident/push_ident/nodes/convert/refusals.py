@@ -24,7 +24,7 @@ _COLOUR: Final = ColorRGBA(r=0.84, g=0.37, b=0.0, a=1.0)
 
 
 def refusals_to_msg(refusals: Iterable[Refusal], stamp: Time) -> MarkerArray:
-    """Outline and reason of each, in place of all that were shown before."""
+    """Outline and reason of each; they replace the earlier ones."""
     markers = [marker(stamp, "refused", Marker.LINE_STRIP, _COLOUR)]
     markers[0].action = Marker.DELETEALL
     for number, refusal in enumerate(refusals):

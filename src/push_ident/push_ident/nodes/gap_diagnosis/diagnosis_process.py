@@ -1,4 +1,4 @@
-"""Diagnoses in a process of its own: one takes seconds, and a node that computes receives nothing meanwhile."""
+"""Diagnoses in a separate process: one takes seconds, and a node that computes receives nothing meanwhile."""
 
 from __future__ import annotations
 
@@ -121,5 +121,5 @@ def diagnose_requests(connection: Connection) -> None:
         except PushIdentError as error:
             connection.send((_FAILED, str(error)))
         except Exception as error:
-            traceback.print_exc()  # nobody expected it: the log of the node says where it happened
+            traceback.print_exc()  # unexpected: the log of the node has its traceback
             connection.send((_FAILED, f"{type(error).__name__}: {error}"))

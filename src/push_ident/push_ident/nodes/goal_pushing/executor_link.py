@@ -82,7 +82,7 @@ class ExecutorLink:
         return self._starts.get(push_id, -np.inf)
 
     def pushed_at(self, object_id: str) -> float:
-        """When the latest push of an object that succeeded began [s], whoever asked for it, clock of the poses; -inf: none was reported."""
+        """When the latest push of an object that succeeded began [s], whichever client requested it, clock of the poses; -inf: none."""
         return self._latest.get(object_id, -np.inf)
 
     def watched(self, work: Callable[[Any], None]) -> Callable[[Any], None]:
@@ -116,8 +116,8 @@ def _remember(kept: dict[K, float], key: K, value: float, largest: int) -> None:
 class RequestedPush:
     """`planning.goal_ports.PushUnderWay` at the executor.
 
-    A server that has not found the client yet drops its answers, and a goal must not be sent twice. So the goal is sent after the executor
-    has answered a question that changes nothing.
+    A server that has not discovered the client yet drops its answers, and a goal must not be sent twice. So the goal is sent after the
+    executor has answered a question that changes nothing.
     """
 
     def __init__(self, link: ExecutorLink, goal: ExecutePush.Goal, timeout: float) -> None:
@@ -215,7 +215,7 @@ class RequestedPush:
         try:
             code = PushCode(int(result.error_code))
         except ValueError:
-            # An executor of another version: what it says still counts as a failure.
+            # An executor of another version: an unknown code still counts as a failure.
             code = PushCode.TRACKING
         self._end(PushReport(code, plain_text(result.error_text), n_made))
 

@@ -52,7 +52,7 @@ __all__ = ["PARAMETERS", "GoalPushingNode", "main"]
 class GoalPushingNode(CellNode):
     """Serves `push_to_goal`; moves the arm through `execute_push` only.
 
-    A newer goal takes the place of the one before, unless it is refused. When the node is deactivated, cleaned up or shut down, the arm
+    A newer goal preempts the previous one, unless it is refused. When the node is deactivated, cleaned up or shut down, the arm
     holds.
     """
 
@@ -60,7 +60,7 @@ class GoalPushingNode(CellNode):
         super().__init__("goal_pushing_node", PARAMETERS, check=check_values, **kwargs)
 
     def make_component(self) -> Component:
-        """What is heard of the cell, the client of the executor, and the action."""
+        """Inputs from the cell, the client of the executor, and the action."""
         return _GoalPushing(self)
 
 
@@ -136,7 +136,7 @@ class _GoalPushing(Component):
             request = request_from_msg(goal.request, self._settings.as_dict())
             session = self._session(goal, request, wish)
             session.check()
-            self._say_edge(request)
+            self._publish_edge(request)
         except PushIdentError as error:
             # The goal before goes on.
             code = error.code if isinstance(error, GoalRefusedError) else GoalCode.INVALID_GOAL
@@ -164,8 +164,8 @@ class _GoalPushing(Component):
                 outcome = replace(outcome, text="the node was deactivated; the arm holds. Activate it and send the goal again.")
         return self._answer(goal, outcome)
 
-    def _say_edge(self, request: GoalRequest) -> None:
-        """Publish the edge that a goal gives: who learns from its pushes must know which of them overhung."""
+    def _publish_edge(self, request: GoalRequest) -> None:
+        """Publish the edge that a goal gives: identification must know which of its pushes overhung."""
         if isinstance(request.goal, EdgeGoal) and request.goal.edge is not None:
             self._edge.publish(edge_to_msg(request.goal.edge, self._node.get_clock().now().to_msg()))
 
@@ -191,7 +191,7 @@ class _GoalPushing(Component):
             if wish() is Wish.HOLD and (before := self._pushing) is not None:
                 before.hold()
             if wish() is not Wish.GO_ON:
-                # The session says so itself, without a step.
+                # The session reports that itself, without a step.
                 return session.run()
         self._pushing = wish
         try:

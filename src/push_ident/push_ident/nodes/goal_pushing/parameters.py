@@ -65,7 +65,7 @@ def check_values(values: dict[str, Any]) -> None:
 
 
 def push_settings(values: dict[str, Any], pusher_radius: float) -> PushSettings:
-    """Limits of the pushes; `pusher_radius` [m] is what the executor says. Raises InputError where they contradict each other."""
+    """Limits of the pushes; `pusher_radius` [m] is that of the executor. Raises InputError where they contradict each other."""
     x_min, x_max, y_min, y_max = values["workspace"]
     speed = float(values["push_speed"])
     return PushSettings(

@@ -1,4 +1,4 @@
-"""Plans in threads of their own: callbacks, and above all a cancellation, must not wait for one."""
+"""Plans in separate threads: callbacks, and above all a cancellation, must not wait for one."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ T = TypeVar("T")
 
 
 class WorkUnderWay(Generic[T]):
-    """`planning.goal_ports.UnderWay` in a thread. What nobody waits for any more is finished and dropped."""
+    """`planning.goal_ports.UnderWay` in a thread. A result that is not awaited any more is dropped."""
 
     def __init__(self, work: Callable[[], T]) -> None:
         self._work = work

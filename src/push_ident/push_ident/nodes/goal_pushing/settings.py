@@ -13,7 +13,7 @@ class GoalPushingSettings:
     """Times are wall time."""
 
     executor_discovery: float = 5.0
-    """For the executor to be there, and to have found this node [s]; one that runs answers within milliseconds."""
+    """For the executor to be there and to discover this node [s]; one that runs answers within milliseconds."""
     executor_answer: float = 10.0
     """For the executor to accept a push that was sent [s]."""
     n_records: int = 16

@@ -311,7 +311,7 @@ class _Identification(Component):
                 self._collector.refuse("pushes", "identify", f"{record.object_id}, {record.source}: {self._node.guard.explain(error)}")
                 continue
             finally:
-                # Also where nothing was learned: who pushed waits for it.
+                # Also where nothing was learned: the client that pushed waits for it.
                 self._publish_model(session, stamp)
             self._solve_time = time.perf_counter() - started
             self._say_left_out(session, record)

@@ -63,12 +63,12 @@ class ObjectOutput:
             self._markers.publish(markers_to_msg(msg, pose))
 
     def publish_model(self, posterior: ModelPosterior, stamp: float, n_pushes: int, is_known: bool) -> None:
-        """The whole posterior, for who plans with it; `stamp` [s] is that of the latest push that was learned or refused."""
+        """The whole posterior, for planning; `stamp` [s] is that of the latest push that was learned or refused."""
         self._model.publish(posterior_to_msg(posterior, self._id, stamp_to_msg(stamp), n_pushes=n_pushes, is_known=is_known))
 
     @property
     def prediction_is_wanted(self) -> bool:
-        """Whether anybody subscribes to the prediction of the push under way."""
+        """Whether the prediction of the current push has a subscription."""
         return bool(self._prediction.get_subscription_count() or self._prediction_path.get_subscription_count())
 
     def publish_prediction(self, prediction: Prediction, status: SolveStatus | None, push_id: int) -> PushPrediction:

@@ -1,1 +1,1 @@
-"""What a node hears of objects, tables, depth images and pushes."""
+"""Inputs of nodes: objects, the table, depth images and pushes."""

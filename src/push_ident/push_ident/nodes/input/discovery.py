@@ -33,7 +33,7 @@ class ObjectTopics:
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """Every object found so far, sorted."""
+        """Every object discovered so far, sorted."""
         return tuple(sorted(self._ids))
 
     def poll(self) -> None:

@@ -32,7 +32,7 @@ _UNKNOWN: Final = [0.0]
 
 
 def table_of_corners(values: Sequence[float]) -> Table | None:
-    """The table of the parameter; None where it says nothing. Raises InputError for corners that are no table."""
+    """The table of the parameter; None where it is not set. Raises InputError for corners that are no table."""
     if list(values) == _UNKNOWN:
         return None
     if len(values) % 2:
@@ -58,12 +58,12 @@ class TableInput:
             node.create_subscription(PolygonStamped, topic, callback, LATCHED, callback_group=callback_group)
 
     def get(self) -> Table | None:
-        """The table; None where nobody has said where it ends."""
+        """The table; None where its edges are unknown."""
         return table_of_corners(self._node.settings[CORNERS.name]) or self._published
 
     def beyond(self, record: PushRecord) -> float:
         """How far an object reached beyond the table during a push [m], or beyond the edge that the latest goal gave, between its ends;
-        negative on the table, and where nobody has said where it ends."""
+        negative on the table, and where its edges are unknown."""
         points = transform_points(record.poses.pose, record.shape.outline).reshape(-1, 2)
         table, edge = self.get(), self._edge
         over = -np.inf if table is None else table.beyond(points)

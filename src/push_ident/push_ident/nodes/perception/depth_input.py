@@ -22,7 +22,7 @@ EVERY_IMAGE: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=Reli
 EVERY_POSE: Final = QoSProfile(
     history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-"""Of the poses in these images: who discovers an object late gets its poses from the first one on."""
+"""Of the poses in these images: a node that discovers an object late gets its poses from the first one on."""
 
 
 class DepthInput:

@@ -124,7 +124,7 @@ def perception_settings(values: dict[str, Any]) -> PerceptionSettings:
 
 
 def names_of_further_cameras(values: dict[str, Any]) -> list[str]:
-    """Names of the cameras beside the main one.
+    """Names of the further cameras.
 
     Raises:
         InputError: One is no ROS name, or given twice.

@@ -322,7 +322,7 @@ class _Perception(Component):
         self._node.guard.refuse(f"camera {name}", why)
 
     def _report_calibration(self, name: str, camera: _Camera) -> None:
-        """Report extrinsics that were found from the mark, and write those of all cameras so far to a parameter file."""
+        """Report extrinsics that were calibrated from the mark, and write those of all cameras so far to a parameter file."""
         calibration = camera.extrinsics.calibration if isinstance(camera.extrinsics, FromMark) else None
         if calibration is None:
             return

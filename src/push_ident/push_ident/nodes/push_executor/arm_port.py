@@ -185,7 +185,7 @@ class ArmPort:
 
     def _use_offered(self) -> None:
         """Use the latest description, unless the arm moves or may be moved with the one before; refuse one that does not fit the arm."""
-        is_waiting = self._planner is None  # a push may have been asked for before anything was heard: it needs the first description
+        is_waiting = self._planner is None  # a push may be requested before the first description, which it needs
         is_free = is_waiting or (self._is_standing and not self._n_users)
         if not self._offered or self.description_fault or not is_free:
             return

@@ -34,7 +34,7 @@ class ForcePort:
 
     @property
     def is_there(self) -> bool:
-        """As `pushing.ports.ForceSensor`: from the first message on, and where somebody publishes the topic."""
+        """As `pushing.ports.ForceSensor`: from the first message on, and while the topic has a publisher."""
         return self._is_there or self._node.count_publishers(self._node.resolve_topic_name("pusher/wrench")) > 0
 
     @property

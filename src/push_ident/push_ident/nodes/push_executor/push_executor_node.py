@@ -294,5 +294,5 @@ def _point(push: PushPlan2D) -> Point:
 
 def main() -> int:
     """Run the node until a signal ends it; the exit code."""
-    # The watch over a moving arm keeps one thread; its cancellation, the joint states and a transition need their own.
+    # The watch over a moving arm keeps one thread; its cancellation, the joint states and a transition need one each.
     return run_node(PushExecutorNode, n_threads=5, yields=False)

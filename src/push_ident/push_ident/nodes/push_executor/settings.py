@@ -19,7 +19,7 @@ class ExecutorSettings:
     rest_silence: float = 1.5
     """How long an arm at rest may stay silent before a push is refused [s]: one that was moved is believed after 1 s."""
     discovery: float = 5.0
-    """How long one may that was never heard [s]: on a busy machine DDS needs seconds to find a publisher."""
+    """The same for an arm without any state yet [s]: on a busy machine DDS needs seconds to find a publisher."""
     standing_speed: float = 0.02
     """An arm whose joints are all slower stands [rad/s]."""
     n_joint_names: int = 256

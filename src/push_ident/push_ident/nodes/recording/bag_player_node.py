@@ -217,7 +217,7 @@ class _BagPlayer(Component):
 
 
 class _Pace:
-    """Keeps few depth images ahead of the node that processes them, so that none is lost and the other topics stay beside them.
+    """Keeps few depth images ahead of the node that processes them, so that none is lost and the other topics stay in step with them.
 
     Args:
         node: that plays.
@@ -238,7 +238,7 @@ class _Pace:
             self._wake.notify_all()
 
     def wait(self, stop: threading.Event, n_listeners: Callable[[], int]) -> None:
-        """After an image: wait until at most `n_ahead` images are not done; one to which nobody listens is not waited for."""
+        """After an image: wait until at most `n_ahead` images are not done; one without a subscription is not waited for."""
         if n_listeners() == 0:
             return
         self._n_sent += 1

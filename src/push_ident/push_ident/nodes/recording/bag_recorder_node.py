@@ -41,10 +41,10 @@ PARAMETERS: Final = (
 class BagRecorderNode(CellNode):
     """Subscribes to every topic of the contract that appears and writes its messages unchanged.
 
-    It publishes its status on the latched topic `recording`, twice a second: an executor that heard it stops pushing when it falls silent.
-    When it cannot write any more, it closes the bag at once, which stays readable, and says so. A node that is deactivated keeps its bag
-    open; cleaned up, it closes the bag, and configured again it begins the next one: `bag`, `bag_2`, `bag_3`. So does a node that is
-    started again after its death, if it is `numbered`.
+    It publishes its status on the latched topic `recording`, twice a second: an executor that received it stops pushing when it falls
+    silent. When it cannot write any more, it closes the bag at once, which stays readable, and reports it. A node that is deactivated keeps
+    its bag open; cleaned up, it closes the bag, and configured again it begins the next one: `bag`, `bag_2`, `bag_3`. So does a node that
+    is started again after its death, if it is `numbered`.
     """
 
     def __init__(self, **kwargs: Any) -> None:

@@ -16,7 +16,7 @@ __all__ = ["RECORDING_TOPIC", "REPEATED", "RecordingPort"]
 
 RECORDING_TOPIC: Final = "recording"
 """diagnostic_msgs/DiagnosticStatus, latched: OK or WARN again and again while a bag is written, ERROR with the reason after a failure,
-STALE where nobody wants it any more."""
+STALE when no recording is requested any more."""
 REPEATED: Final = "repeated every [s]"
 """Key of the value in a status that promises the next one."""
 _SILENT: Final = "the recorder fell silent: it was stopped or killed; start it again, or restart this node to push without one"
@@ -34,9 +34,10 @@ class RecordingPort:
 
     @property
     def fault(self) -> str:
-        """Why what was asked for is not recorded; empty while it is, or where nobody asked for it.
+        """Why a requested recording is not written; empty while it is, or where none is requested.
 
-        A recorder that has left is not asked for any more. One that fell silent before is, until it writes again: it was stopped or killed.
+        After a recorder has left, no recording is requested. One that fell silent before is still requested until it writes again: it was
+        stopped or killed.
         """
         silence = time.monotonic() - self._heard
         if not self._is_left and silence > RECORDING.status_period:

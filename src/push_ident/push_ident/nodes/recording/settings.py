@@ -10,7 +10,7 @@ __all__ = ["RECORDING", "RecordingSettings"]
 
 @dataclass(frozen=True, slots=True)
 class RecordingSettings:
-    """Times are wall time where nothing else is said."""
+    """Times are wall time unless stated otherwise."""
 
     status_period: float = 0.5
     """Between two statuses of a recorder that writes [s]."""

@@ -57,7 +57,7 @@ class CellMap:
 
 
 class RerunScene:
-    """One recording; every method puts one thing into it, at the time set last."""
+    """One recording; every method adds one entity, at the time set last."""
 
     def __init__(self, application: str = "push_ident") -> None:
         import rerun
@@ -206,7 +206,7 @@ class RerunScene:
         self._log(f"table/objects/{object_id}/next_push/end", self._lines([outline], top + 3 * VIEWER.lift, _NEXT))
 
     def goal(self, drawing: GoalDrawing | None, top: float) -> None:
-        """The goal or path that is pursued and the push under way, in place of the push to make next; None removes them."""
+        """The goal or path that is pursued and the current push, instead of the suggested next push; None removes them."""
         rr, name = self._rr, "table/objects/goal"
         self._log(name, rr.Clear(recursive=True))
         if drawing is None:

@@ -1,4 +1,4 @@
-"""The server of a Rerun recording, as a process of its own: only its command line can be told which address to bind to."""
+"""The server of a Rerun recording, as a separate process: the address to bind to is an option of its command line only."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _check_free(bind: str, version: int, port: int) -> None:
 
 
 def _free_port(bind: str, version: int) -> int:
-    """A port that nobody listens on now."""
+    """A port that is free now."""
     with socket.socket(socket.AF_INET if version == 4 else socket.AF_INET6) as probe:
         probe.bind((bind, 0))
         return int(probe.getsockname()[1])
@@ -127,7 +127,7 @@ def _start(command: list[str]) -> subprocess.Popen[bytes]:
             os._exit(0)
 
     nowhere = subprocess.DEVNULL
-    # A session of its own: Ctrl-C ends the node, which still sends what it holds back, and then ends the server.
+    # A separate session: Ctrl-C ends the node, which still sends what it holds back, and then ends the server.
     return subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere, preexec_fn=end_with_parent, start_new_session=True)
 
 

@@ -13,9 +13,9 @@ class ViewerSettings:
     """Ports, times and sizes on the screen."""
 
     web_port: int = 9090
-    """Of the page for browsers, where the parameter says nothing else."""
+    """Default of the page for browsers."""
     grpc_port: int = 9876
-    """Of the data, likewise."""
+    """Default of the data."""
     max_age: float = 5.0
     """An object without a pose for this time is not drawn [s]."""
     jump_back: float = 1.0
