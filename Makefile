@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo docs bench experiments blind recordings endurance states faults fuzz test test-long lint format dist dist-check changelog release clean
+.PHONY: help setup demo docs bench experiments blind recordings states faults fuzz test test-long lint format dist dist-check changelog release clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */  make \1\t/' | expand -t 16
@@ -27,41 +27,35 @@ docs: setup  ## the documentation site, in out/site; open out/site/index.html
 	NO_MKDOCS_2_WARNING=1 $(VENV)/mkdocs build
 	@echo "written: out/site/index.html"
 
-bench: setup  ## time and error of engine, rivals and identification (ten minutes), then docs/results/benchmarks.md
+bench: setup  ## time and error of engine, identification and perception (ten minutes), then docs/results/benchmarks.md
 	$(VENV)/push-ident bench --page docs/results/benchmarks.md
 
-experiments: setup  ## the paper's experiments on simulated ground truth (hours; goes on where it stopped), then their page
-	@for name in $$($(VENV)/push-ident experiment list | cut -d: -f1 | grep -vxE 'blind|recorded|endurance|supports|loads|perception|sensors|edge|paths|knocks|chain|effects|pusht|demo|goals-live'); do \
-	  $(VENV)/push-ident experiment $$name --json docs/results/experiments/$$name.json || exit 1; done
-	$(VENV)/push-ident experiment supports --seed 1000 --models 50 --json docs/results/experiments/supports.json
-	$(VENV)/push-ident experiment loads --seed 3000 --models 8 --json docs/results/experiments/loads.json
-	$(VENV)/push-ident experiment perception --seed 5000 --models 1 --json docs/results/experiments/perception.json
-	$(VENV)/push-ident experiment sensors --seed 5000 --models 1 --json docs/results/experiments/sensors.json
-	$(VENV)/push-ident experiment edge --seed 6000 --models 3 --json docs/results/experiments/edge.json
-	$(VENV)/push-ident experiment paths --seed 52000 --models 4 --variants identified,straight,truth --json docs/results/experiments/paths.json
-	$(VENV)/push-ident experiment knocks --seed 52000 --models 5 --variants identified,truth --json docs/results/experiments/knocks.json
-	$(VENV)/push-ident experiment chain --seed 6200 --models 2 --json docs/results/experiments/chain.json
-	$(VENV)/push-ident experiment effects --seed 54000 --models 10 --goals 2 --json docs/results/experiments/effects.json
-	$(VENV)/push-ident experiment demo --seed 8745 --models 5 --json docs/results/experiments/demo.json
-	$(VENV)/push-ident experiment goals-live --seed 55100 --models 1 --json docs/results/experiments/goals-live.json
+# The published seeds.
+experiment = $(VENV)/push-ident experiment $(1) --json docs/results/$(firstword $(1)).json
+experiments: setup  ## the paper's experiments and those of pushing to goals (hours; goes on where it stopped), then their pages
+	$(call experiment,convergence --models 1)
+	$(call experiment,maps --models 2)
+	$(call experiment,coverage --models 2)
+	$(call experiment,real-protocol --models 2)
+	$(call experiment,goals --seed 41000 --models 8)
+	$(call experiment,edge --seed 44000 --models 25)
+	$(call experiment,paths --seed 52000 --models 4)
+	$(call experiment,pusht --models 20 --goals 25)
+	$(call experiment,sensors --seed 5000 --models 1)
+	$(call experiment,demo --seed 8745 --models 5)
 	$(VENV)/push-ident experiment report
 
 MINUTES ?= 60
 fuzz: setup  ## mutated messages, bags and depth frames for nodes, commands and perception, MINUTES=60; then docs/results/fuzzing.md
 	$(VENV)/push-ident fuzz --minutes $(MINUTES) --cases test/push_ident_sim/fuzz/cases --page docs/results/fuzzing.md
 
-blind: setup  ## the diagnosis on sealed cases of two other engines (an hour and a half; the seeds of the published pages), then the page
-	$(VENV)/push-ident experiment blind --seed 31000 --models 20 --variants 14-pushes,6-chosen,camera,engines --json docs/results/experiments/blind.json
-	$(VENV)/push-ident experiment blind-camera --seed 37000 --models 12 --json docs/results/experiments/blind-camera.json
+blind: setup  ## the diagnosis on sealed cases of two other engines (an hour and a half; the published seeds), then the page
+	$(call experiment,blind --seed 31000 --models 20)
 	$(VENV)/push-ident experiment report
 
 DATA ?= ../shared/data
 recordings: setup  ## recordings of others, set by set, DATA=FOLDER of them (goes on where it stopped)
 	$(VENV)/push-ident experiment recorded --recordings "$(DATA)" --models 2 --json out/recordings.json
-
-endurance: setup  ## the live cell for an hour while its nodes are killed at random (an hour and a half in all), then the page
-	$(VENV)/push-ident experiment endurance --minutes 60 --seed 1 --models 1 --json docs/results/experiments/endurance.json
-	$(VENV)/push-ident experiment report
 
 STREAMS ?= 10000
 states: setup  ## pushes under STREAMS=10000 random streams of joint states that lie: no command may break a limit (an hour)

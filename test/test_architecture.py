@@ -56,7 +56,6 @@ ROOMS = {
         "predicting solvers",
         "identify report",
         "online",
-        "push_study",
     ],
     "nodes": [
         "base convert",

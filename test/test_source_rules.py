@@ -30,12 +30,7 @@ EFFECT_NAMES_OUTSIDE: dict[str, str] = {
     "push_ident/physics/effect.py": "restitution is also a quantity of the contact",
     "push_ident/physics/reference_step.py": "restitution is a quantity of the paper's engine",
     "push_ident_sim/studies/blind/cases.py": "what each engine of the check can inject, and what a camera can film",
-    "push_ident_sim/studies/blind/scoring.py": "the baseline that guesses an effect from where residuals are largest",
     "push_ident_sim/studies/blind/summary.py": "the effects whose figures are shown one by one",
-    "push_ident_sim/studies/effects/study.py": "the effects that the study shows",
-    "push_ident_sim/studies/recorded/rehearsal.py": "the laws that a rehearsed recording can have",
-    "push_ident_sim/studies/recorded/study.py": "the laws that the page looks for in each recording",
-    "push_ident_sim/studies/settle/study.py": "the effects that the study shows",
 }
 
 

@@ -1,7 +1,7 @@
 """An animated picture of a bag: each push is predicted from those before it, made, and learned from.
 
 push-ident simulate --object hammer --pushes 7 --seed 3 --out out/pushes --truth out/pushes.json
-.venv/bin/python tools/draw_pushes.py out/pushes out/pushes.json docs/images/pushes.gif
+.venv/bin/python tools/draw_pushes.py out/pushes out/pushes.json docs/images/pushes.gif --json docs/results/pushes.json
 """
 
 from __future__ import annotations
@@ -146,6 +146,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in ("bag", "truth", "out"):
         parser.add_argument(name, type=Path)
+    parser.add_argument("--json", type=Path, help="file for the errors, from which the list of results is made")
     options = parser.parse_args()
     shots = shots_of(list(load_pushes([options.bag]).records))
     true = json.loads(options.truth.read_text(encoding="utf-8"))
@@ -156,8 +157,10 @@ def main() -> None:
     frames = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
     durations = [int(1e3 * (REST if frame == FRAMES - 1 else SECONDS)) for _ in shots for frame in range(FRAMES)]
     frames[0].save(options.out, save_all=True, append_images=frames[1:], duration=durations, loop=0, optimize=True)
-    errors = "; ".join(f"{1e3 * shot.error:.1f} ({1e3 * shot.equal_error:.1f})" for shot in shots)
-    print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB; errors, and of equal cells [mm]: {errors}")
+    errors = {"errors_m": [shot.error for shot in shots], "equal_errors_m": [shot.equal_error for shot in shots]}
+    if options.json is not None:
+        options.json.write_text(json.dumps({key: [round(value, 6) for value in row] for key, row in errors.items()}) + "\n")
+    print(f"{options.out}: {options.out.stat().st_size / 1e6:.2f} MB")
 
 
 if __name__ == "__main__":

@@ -133,7 +133,7 @@ WRITERS = {
     "push_ident/nodes/base/run.py": "/proc: how urgent the process is",
     "push_ident/physics/kernel.py": "the stamp of numba's cache, beside the sources",
     "push_ident_sim/cell/world.py": "a description for Bullet, in a folder of its own with a random name",
-    "push_ident_sim/studies/engine/study.py": "/proc",
+    "push_ident_sim/studies/bench/engine.py": "/proc",
 }
 FORBIDDEN = ("pickle", "cPickle", "cloudpickle", "dill", "joblib", "shelve", "marshal", "jsonpickle")
 

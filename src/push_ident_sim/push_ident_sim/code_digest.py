@@ -27,7 +27,7 @@ def files_behind(start: Path, without: Collection[str] = ()) -> set[Path]:
 
     Args:
         start: File of the module.
-        without: Names of modules that are not followed, such as `push_ident_sim.studies.common.drawing`.
+        without: Names of modules that are not followed, such as `push_ident_sim.studies.common.tables`.
     """
     found, waiting = {start}, [start]
     while waiting:

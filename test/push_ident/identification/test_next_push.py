@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.objects import hammer, hammer_shape, random_records
+from helpers.objects import hammer, hammer_shape, random_records, record_of
 from push_ident.errors import InputError
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.identify import identify
@@ -23,8 +23,6 @@ from push_ident.identification.predicting.next_push import (
     rank_pushes,
     reference_pushes,
 )
-from push_ident.identification.predicting.prediction import held_out_errors
-from push_ident.identification.push_study import CurveOptions, SimulatedObject, choose_at_random, choose_by, learning_curve, random_pushes
 from push_ident.identification.results.posterior import ModelPosterior, prior_posterior
 from push_ident.identification.unknowns.mechanics import mechanics_at, uniform_model
 from push_ident.physics.scenario import PushScenario
@@ -50,7 +48,7 @@ def _rank(posterior: ModelPosterior, candidates: list[PlannedPush], n_draws: int
 @pytest.mark.parametrize("seed", range(4))
 def test_repeated_push_gives_less_information_than_others(seed: int) -> None:
     first, *others = _candidates(12, seed)
-    seen = SimulatedObject(hammer(seed), np.random.default_rng(seed)).execute(first)
+    seen = record_of(hammer(seed), first.pusher, np.zeros(3), np.random.default_rng(seed))
     before = _rank(prior_posterior(SHAPE), [first], n_draws=0).values[0]
     values = {id(v.push): v for v in _rank(identify([seen]).posterior, [first, *others], n_draws=0).values}
     again, new = values[id(first)], [values[id(push)] for push in others]
@@ -159,26 +157,6 @@ def test_nothing_to_choose_from_or_to_predict_is_refused() -> None:
         _rank(prior_posterior(SHAPE), [])
     with pytest.raises(InputError, match="reference"):
         rank_pushes(prior_posterior(SHAPE), _candidates(1, 7), reference=[], rng=np.random.default_rng(0))
-
-
-def test_policies_start_from_the_same_push_and_learn() -> None:
-    truth = hammer(1)
-    held_out = random_pushes(SimulatedObject(truth, np.random.default_rng(0)), 5, SETTINGS, np.random.default_rng(1))
-    at_random, chosen = (
-        learning_curve(
-            SimulatedObject(truth, np.random.default_rng(2)),
-            policy,
-            held_out,
-            np.random.default_rng(3),
-            push_settings=SETTINGS,
-            options=CurveOptions(n_pushes=3, n_candidates=20),
-        )
-        for policy in (choose_at_random, choose_by(Criterion.ERROR, SETTINGS, n_reference=12))
-    )
-    untouched = held_out_errors(uniform_model(SHAPE), held_out).mean()
-    assert at_random[0] == chosen[0]
-    assert at_random[1] != chosen[1]
-    assert chosen[-1] < 0.3 * untouched
 
 
 def test_ranking_stops_as_soon_as_it_is_unwanted() -> None:

@@ -44,9 +44,9 @@ from push_ident.types import CameraIntrinsics, DepthFrame, PusherPath
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.msg import PushScore as PushScoreMsg
 from push_ident_sim.cell.camera import DepthCamera
+from push_ident_sim.cell.sensors import PLAIN, suitable_pose
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import true_model
-from push_ident_sim.studies.common.seeing import CAMERA_POSE
 
 CORNERS = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])
 EDGE = np.array([[0.1, -0.3], [0.1, 0.3]])
@@ -70,7 +70,7 @@ class Cell(Talker):
         self.domain = own_domain()
         super().__init__(self.domain)
         thing = make_object("hammer", 0)
-        camera = DepthCamera(thing, CAMERA_POSE)
+        camera = DepthCamera(thing, suitable_pose(PLAIN))
         frame = DepthFrame(0.0, camera.render((0.0, 0.0, 0.3), {}), camera.intrinsics)
         self.shape = true_model(thing).shape
         self.posterior = prior_posterior(self.shape)
@@ -86,7 +86,7 @@ class Cell(Talker):
         self._sent = [
             (self.node.create_publisher(kind, topic, qos), msg)
             for kind, topic, qos, msg in (
-                (PoseStamped, "depth/camera_pose", LATCHED, transform_to_msg(stamp, CAMERA_POSE)),
+                (PoseStamped, "depth/camera_pose", LATCHED, transform_to_msg(stamp, suitable_pose(PLAIN))),
                 (CameraInfo, "depth/camera_info", qos_profile_sensor_data, info),
                 (PoseWithCovarianceStamped, "objects/o1/pose", 10, planar_pose_to_msg(stamp, [0.0, 0.0, 0.3], 1e-6 * np.eye(3))),
                 (OccupancyGrid, "objects/o1/cells", LATCHED, cells),

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 
-from push_ident.cli.checks import writable_file, writable_folder
+from push_ident.cli.checks import writable_file
 from push_ident.cli.experiment import sim_module
 from push_ident.cli.output import Description, console
 from push_ident.errors import InputError
@@ -16,7 +16,6 @@ from push_ident.errors import InputError
 __all__ = ["bench_command"]
 
 _PAGE = Path("out/benchmarks.md")
-_TRUTH = Path("out/experiments/truth")
 
 
 def bench_command(
@@ -32,14 +31,11 @@ def bench_command(
             metavar="FILE", callback=writable_file, help="Page of the results; JSON files and pictures go into the folder of the same name."
         ),
     ] = _PAGE,
-    truth: Annotated[
-        Path, typer.Option(metavar="DIR", callback=writable_folder, help="Folder of the ground-truth pushes, shared with the experiments.")
-    ] = _TRUTH,
 ) -> None:
-    """Measure time and error of the engine, of other engines and of identification; about ten minutes."""
+    """Measure time and error of engine, planning, identification and perception; about ten minutes."""
     known = sim_module("push_ident_sim.studies.registry").BENCHMARKS
     runner, pages = sim_module("push_ident_sim.studies.common.runner"), sim_module("push_ident_sim.studies.common.pages")
-    settings = sim_module("push_ident_sim.studies.common.benchmark").Settings(truth, quick, seed)
+    settings = sim_module("push_ident_sim.studies.common.study").Settings(quick, seed)
     if unknown := [name for name in names or () if name not in known]:
         raise InputError(f"There is no benchmark `{unknown[0]}`; choose some of {', '.join(known)}.")
     with Progress(Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console) as progress:

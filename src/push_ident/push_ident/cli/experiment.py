@@ -1,4 +1,4 @@
-"""`push-ident experiment`: experiments on simulated ground truth, those of the paper included, and the page of their results."""
+"""`push-ident experiment`: experiments on simulated ground truth, those of the paper included, and the pages of their results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
-from push_ident.cli.checks import above_zero, writable_file, writable_folder
+from push_ident.cli.checks import above_zero, writable_folder
 from push_ident.cli.output import Description, JsonOption, console, warn
 from push_ident.errors import InputError
 
@@ -19,10 +19,10 @@ __all__ = ["experiment_command", "sim_module"]
 
 _LIST, _REPORT = "list", "report"
 _FOLDER = Path("out/experiments")
-_PAGE = Path("docs/results/experiments.md")
+_RESULTS = Path("docs/results")
 _NameArgument = Annotated[
     str,
-    typer.Argument(help="Experiment; `list` lists all, `report` writes the page of their results.", show_default=False),
+    typer.Argument(help="Experiment; `list` lists all, `report` writes the pages of their results.", show_default=False),
 ]
 _ObjectsOption = Annotated[
     str, typer.Option(metavar="A,B|N", help="Objects, or a number of random ones for `goals`. Default: all.", show_default=False)
@@ -37,11 +37,9 @@ _TruthOption = Annotated[
         metavar="DIR", callback=writable_folder, help="Folder of the ground-truth pushes. Default: truth/ in --out.", show_default=False
     ),
 ]
-_PageOption = Annotated[
+_ResultsOption = Annotated[
     Path,
-    typer.Option(
-        metavar="FILE", callback=writable_file, help="Page that `report` writes from the JSON files in the folder of the same name."
-    ),
+    typer.Option(metavar="DIR", callback=writable_folder, help="Folder in which `report` writes a page for each JSON file of a result."),
 ]
 
 
@@ -55,11 +53,8 @@ def experiment_command(
     jobs: Annotated[int, typer.Option(min=1, help="Number of processes, each with one thread.")] = 2,
     out: _OutOption = _FOLDER,
     truth: _TruthOption = None,
-    recordings: Annotated[
-        Path, typer.Option(metavar="DIR", help="Recorded scenes for `perception`, recorded pushes for `recorded`.")
-    ] = Path("../shared/data"),
-    minutes: Annotated[float, typer.Option(min=0.5, callback=above_zero, help="Duration, for `endurance` [min].")] = 60.0,
-    goals: Annotated[int, typer.Option(min=1, help="Goals of each object, for `goals`.")] = 4,
+    recordings: Annotated[Path, typer.Option(metavar="DIR", help="Recorded pushes, for `recorded`.")] = Path("../shared/data"),
+    goals: Annotated[int, typer.Option(min=1, help="Goals or starts of each object, for `goals`, `edge` and `pusht`.")] = 4,
     stop_after: Annotated[
         float | None,
         typer.Option(
@@ -67,16 +62,16 @@ def experiment_command(
         ),
     ] = None,
     json: JsonOption = None,
-    page: _PageOption = _PAGE,
+    results: _ResultsOption = _RESULTS,
 ) -> None:
-    """Run one of the experiments on simulated ground truth, or write the page of all results."""
+    """Run one of the experiments on simulated ground truth, or write the pages of all results."""
     known = sim_module("push_ident_sim.studies.registry").EXPERIMENTS
     if name == _LIST:
         console.print("\n".join(f"{study.name}: {study.title}" for study in known.values()), highlight=False, markup=False, soft_wrap=True)
         return
     if name == _REPORT:
         pages = sim_module("push_ident_sim.studies.common.pages")
-        written = pages.write_experiments(known.values(), page, "push-ident experiment report")
+        written = pages.write_experiments(known.values(), results, "push-ident experiment report")
         console.print("written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
         return
     if name not in known:
@@ -85,14 +80,13 @@ def experiment_command(
     options = runner.RunOptions(
         folder=out,
         truth_folder=truth or out / "truth",
-        **({"objects": _words(objects)} if objects and not objects.isdigit() else {}),
+        objects=() if objects.isdigit() else _words(objects),
         n_models=int(objects) if objects.isdigit() else models,
         seed=seed,
         variants=_words(variants),
         jobs=jobs,
         max_seconds=seconds,
         recordings=recordings,
-        minutes=minutes,
         goals=goals,
         stop_after=math.inf if stop_after is None else stop_after,
     )

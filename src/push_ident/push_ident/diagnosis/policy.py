@@ -4,8 +4,7 @@ Each stage has a section. A field states its unit, its meaning and the evidence 
 decision records (docs/decisions, 32 to 42). Four sources recur:
 
 - *tuning cases*: cases of the blind check with seeds below 1000 and of earlier report sets, in Bullet and in the planar engine
-  (docs/results/experiments.md, "Blind check of the diagnosis"). The published report set, seeds 9000 to 9049, was scored once under
-  these numbers.
+  (docs/results/blind.md). The published report set, seeds 31000 to 31019, was scored once under these numbers.
 - *prototype*: bags of another engine with 14 random pushes of 1 mm noise, 13 effects in 52 cases and 14 effect-free ones.
 - *camera nulls*: 20 effect-free objects, pushed in the simulated cell and perceived through rendered depth images.
 - *judgement*: no measurement chose this value over its neighbours.

@@ -34,6 +34,7 @@ from push_ident.types import PoseTrack, PusherPath, PushRecord
 from push_ident_msgs.msg import GapReport, HandCommand, HandStatus
 from push_ident_msgs.srv import LoadModel, PredictPush
 from push_ident_sim.cell.robot import HOME, JOINT_NAMES, robot_description
+from push_ident_sim.cell.sensors import PLAIN, suitable_pose
 from push_ident_sim.fuzz.bench import Bench, NodeFailure, granted
 from push_ident_sim.fuzz.traffic import (
     KINDS,
@@ -48,7 +49,6 @@ from push_ident_sim.fuzz.traffic import (
 )
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import true_model
-from push_ident_sim.studies.common.seeing import CAMERA_POSE
 
 __all__ = ["SCENES", "Scene"]
 
@@ -274,7 +274,7 @@ class Viewer(Recorder):
         corridor = Corridor(line, 0.03).outline()
         goal = GoalDrawing(OBJECT, shape.outline, "path", line, shape.outline, "push 1", line[:2], line, corridor)
         self.keep("/push_to_goal/markers", goal_markers_to_msg(goal, stamp))
-        self.keep("/depth/camera_pose", transform_to_msg(stamp, CAMERA_POSE))
+        self.keep("/depth/camera_pose", transform_to_msg(stamp, suitable_pose(PLAIN)))
         self.keep(f"{prefix}/mass_friction_map", map_to_msg(posterior, OBJECT, stamp, None, 0))
         self.keep(f"{prefix}/prediction", moved)
         self.keep(f"{prefix}/next_push_prediction", moved)

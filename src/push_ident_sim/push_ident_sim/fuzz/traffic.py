@@ -130,13 +130,13 @@ def depth_messages(*, shrink: int = 1, seed: int = 0) -> Iterator[tuple[Image, C
     `shrink` divides the number of pixels along each edge.
     """
     from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise
-    from push_ident_sim.studies.common.seeing import CAMERA_POSE
+    from push_ident_sim.cell.sensors import PLAIN, suitable_pose
 
     full = INTRINSICS
     camera = CameraIntrinsics(
         full.width // shrink, full.height // shrink, full.fx / shrink, full.fy / shrink, full.cx / shrink, full.cy / shrink
     )
-    view, rng, noise = DepthCamera(make_object("hammer", 0), CAMERA_POSE, camera), np.random.default_rng(seed), DepthNoise()
+    view, rng, noise = DepthCamera(make_object("hammer", 0), suitable_pose(PLAIN), camera), np.random.default_rng(seed), DepthNoise()
     perfect = view.render((0.02, -0.03, 0.4), {})
     images = [noise.apply(perfect.copy(), rng) for _ in range(4)]
     while True:

@@ -1,29 +1,20 @@
-"""All studies, found in the folders beside this file."""
+"""All studies, in the order of their list."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from importlib import import_module
-from importlib.util import find_spec
-from pkgutil import iter_modules
-
-from push_ident_sim import studies
-from push_ident_sim.studies.common.base import Study
-from push_ident_sim.studies.common.benchmark import Benchmark
-from push_ident_sim.studies.common.experiment import Experiment
+from push_ident_sim.studies import convergence, coverage, demo, edge, goals, maps, real_protocol
+from push_ident_sim.studies.bench import batches, engine, frames, identification
+from push_ident_sim.studies.blind import study as blind
+from push_ident_sim.studies.common.study import Benchmark, Experiment
+from push_ident_sim.studies.paths import study as paths
+from push_ident_sim.studies.pusht import study as pusht
+from push_ident_sim.studies.recorded import study as recorded
+from push_ident_sim.studies.sensors import study as sensors
 
 __all__ = ["BENCHMARKS", "EXPERIMENTS"]
 
-
-def _discover() -> Iterator[Study]:
-    for folder in iter_modules(studies.__path__, f"{studies.__name__}."):
-        if folder.ispkg and find_spec(f"{folder.name}.study"):
-            yield import_module(f"{folder.name}.study").STUDY
-
-
-_ALL = sorted(_discover(), key=lambda study: study.place)
-
-EXPERIMENTS: dict[str, Experiment] = {study.name: study for study in _ALL if isinstance(study, Experiment)}
-"""By name, in the order of the report."""
-BENCHMARKS: dict[str, Benchmark] = {study.name: study for study in _ALL if isinstance(study, Benchmark)}
-"""By name, in the order of the report."""
+EXPERIMENTS: dict[str, Experiment] = {
+    module.STUDY.name: module.STUDY
+    for module in (convergence, maps, coverage, real_protocol, blind, recorded, demo, goals, edge, paths, pusht, sensors)
+}
+BENCHMARKS: dict[str, Benchmark] = {module.STUDY.name: module.STUDY for module in (engine, batches, identification, frames)}

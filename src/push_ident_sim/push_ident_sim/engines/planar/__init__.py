@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from push_ident_sim.engines.planar.laws import OUTSIDE
-from push_ident_sim.engines.planar.loaded_body import LoadedBody
 from push_ident_sim.engines.planar.world import PlanarWorld
 
-__all__ = ["OUTSIDE", "LoadedBody", "PlanarWorld"]
+__all__ = ["OUTSIDE", "PlanarWorld"]

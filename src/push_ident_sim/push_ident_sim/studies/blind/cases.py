@@ -14,7 +14,6 @@ from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.effects import CAUSES
 from push_ident.types import PushRecord
-from push_ident_sim.cell.sensors import PLAIN, SENSORS
 from push_ident_sim.engines.planar import OUTSIDE, PlanarWorld
 from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
 from push_ident_sim.injected.table import mean_friction
@@ -30,14 +29,12 @@ from push_ident_sim.recordings.truth import (
     path_of_plan,
     true_model,
 )  # fmt: skip
-from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.study import Json
 
-__all__ = ["CAMERAS", "FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_requested_record", "make_records", "phase_of"]
+__all__ = ["FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_records", "make_requested_record", "phase_of"]
 
 FIRST_REPORT_MODEL = 1000
 """Ground truths from this seed on are scored once; those below are there to set thresholds."""
-CAMERAS = {"camera": PLAIN, **{f"camera-{name}": name for name in SENSORS}}
-"""Variants through rendered depth images and perception, each with the model of its sensor."""
 _SIZES = (0.15, 0.5, 1.2, 3.0)
 """Times the typical size."""
 _JITTER = 0.2
@@ -74,8 +71,6 @@ class Truth:
     """Of the catalogue of injected effects, with what merely disturbs (correlated noise, dropped frames)."""
     outside: tuple[tuple[str, float], ...]
     """Effects that only the planar engine has."""
-    sensor: str = PLAIN
-    """Model of the sensor, where the engine is `camera`."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,7 +86,6 @@ class Truth:
             "size": self.scenario.size,
             "effects": {name: list(values) for name, values in self.effects.values},
             "outside": dict(self.outside),
-            **({} if self.sensor == PLAIN else {"sensor": self.sensor}),
         }
 
 
@@ -117,17 +111,14 @@ def _plan() -> tuple[Scenario, ...]:
     return tuple(plan[i] for i in rng.permutation(len(plan)))
 
 
-def draw_truth(object_name: str, model: int, *, sensor: str | None = None) -> Truth:
-    """The truth of a case: the plan gives the scenario, the seed the rest.
-
-    With the model of a `sensor`, the pushes are filmed; a scenario that no camera can film becomes a null there. All sensors film the same.
-    """
+def draw_truth(object_name: str, model: int, *, filmed: bool = False) -> Truth:
+    """The truth of a case: the plan gives the scenario, the seed the rest. Where it is `filmed`, what no camera can film becomes a null."""
     # A report begins at the other end of the plan than tuning did.
     first, plan = (FIRST_REPORT_MODEL, _plan()[::-1]) if phase_of(model) == "report" else (0, _plan())
     scenario = plan[((model - first) * len(OBJECT_NAMES) + OBJECT_NAMES.index(object_name)) % len(plan)]
-    if sensor:
-        filmed = all(name in INJECTED and name != "tether" and INJECTED[name].acts_on != "poses" for name in scenario.names)
-        scenario = replace(scenario, engine="camera") if filmed else Scenario("camera", "null")
+    if filmed:
+        can_be = all(name in INJECTED and name != "tether" and INJECTED[name].acts_on != "poses" for name in scenario.names)
+        scenario = replace(scenario, engine="camera") if can_be else Scenario("camera", "null")
     rng = np.random.default_rng([model, OBJECT_NAMES.index(object_name), 77])
     values: dict[str, tuple[float, ...]] = {}
     outside: list[tuple[str, float]] = []
@@ -140,14 +131,14 @@ def draw_truth(object_name: str, model: int, *, sensor: str | None = None) -> Tr
             values[name] = _drawn(INJECTED[name], size, make_object(object_name, model), rng)
     # What every camera may do to anyone.
     disturbance = rng.random(2)
-    if scenario.kind == "null" and disturbance[0] < 0.4 and not sensor:
+    if scenario.kind == "null" and disturbance[0] < 0.4 and not filmed:
         values["noise_correlation"] = (float(rng.uniform(0.3, 0.6)),)
     if scenario.kind == "null" and disturbance[1] < 0.25:
         values["dropped_frames"] = (float(rng.uniform(0.05, 0.2)),)
-    return Truth(scenario, InjectedEffects.of(values), tuple(outside), sensor or PLAIN)
+    return Truth(scenario, InjectedEffects.of(values), tuple(outside))
 
 
-def _drawn(effect: InjectedEffect, size: float, thing: SimObject, rng: np.random.Generator) -> tuple[float, ...]:
+def _drawn(effect: InjectedEffect, size: float, sim_object: SimObject, rng: np.random.Generator) -> tuple[float, ...]:
     """Parameters of an effect at `size` times its typical size, in any direction or of either sign, within its range."""
     acting = effect.acting
     length = size * acting[0].typical
@@ -158,7 +149,7 @@ def _drawn(effect: InjectedEffect, size: float, thing: SimObject, rng: np.random
         drawn = [length * (rng.choice([-1.0, 1.0]) if acting[0].lowest < 0 else 1.0)]
     kept = [float(np.clip(v, max(p.lowest, -0.9 * p.highest), 0.9 * p.highest)) for v, p in zip(drawn, acting, strict=True)]
     kept = [float(np.sign(v) * max(abs(v), p.smallest)) for v, p in zip(kept, acting, strict=True)]
-    scaled = [v * mean_friction(thing) if p.times_friction else v for v, p in zip(kept, acting, strict=True)]
+    scaled = [v * mean_friction(sim_object) if p.times_friction else v for v, p in zip(kept, acting, strict=True)]
     return (*scaled, *effect.defaults[len(acting) :])
 
 
@@ -177,12 +168,12 @@ def make_records(truth: Truth, object_name: str, model: int, n_pushes: int, nois
     """
     if truth.scenario.engine == "camera":
         return _filmed(truth, object_name, model, n_pushes)
-    thing = make_object(object_name, model)
+    sim_object = make_object(object_name, model)
     settings = replace(TruthSettings(n_train=n_pushes, n_test=0), effects=truth.effects)
-    own = [model, OBJECT_NAMES.index(object_name), 5]
-    engine = _planar(truth, thing, settings) if truth.scenario.engine == "planar" else None
-    motions = make_pushes(thing, own, settings, engine=engine)
-    return [_observed(truth, thing, motion, [*own, i, 1], i, noise) for i, motion in enumerate(motions)]
+    seed = [model, OBJECT_NAMES.index(object_name), 5]
+    engine = _planar(truth, sim_object, settings) if truth.scenario.engine == "planar" else None
+    motions = make_pushes(sim_object, seed, settings, engine=engine)
+    return [_observed(truth, sim_object, motion, [*seed, i, 1], i, noise) for i, motion in enumerate(motions)]
 
 
 def make_requested_record(
@@ -202,34 +193,34 @@ def make_requested_record(
     # Imported here, so that drawing results does not need Bullet.
     from push_ident_sim.engines.bullet.push_world import PushWorld
 
-    thing = make_object(object_name, model)
+    sim_object = make_object(object_name, model)
     settings = replace(TruthSettings(), effects=truth.effects)
     path = path_of_plan(requested.plan, settings)
     with ExitStack() as stack:
         engine: Engine
         if truth.scenario.engine == "planar":
-            engine = _planar(truth, thing, settings)
+            engine = _planar(truth, sim_object, settings)
         else:
-            world = PushWorld(thing, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
+            world = PushWorld(sim_object, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
             stack.callback(world.close)
             engine = world
         motion = engine.push(requested.pose_object_in_table, path, pushes_done=number)
-    return _observed(truth, thing, motion, [model, OBJECT_NAMES.index(object_name), 5, number, 1], number, noise)
+    return _observed(truth, sim_object, motion, [model, OBJECT_NAMES.index(object_name), 5, number, 1], number, noise)
 
 
-def _planar(truth: Truth, thing: SimObject, settings: TruthSettings) -> PlanarWorld:
+def _planar(truth: Truth, sim_object: SimObject, settings: TruthSettings) -> PlanarWorld:
     radius = settings.pushes.pusher_radius
-    return PlanarWorld(thing, radius, time_step=settings.time_step, effects=truth.effects, outside=dict(truth.outside))
+    return PlanarWorld(sim_object, radius, time_step=settings.time_step, effects=truth.effects, outside=dict(truth.outside))
 
 
-def _observed(truth: Truth, thing: SimObject, motion: TrueMotion, seed: list[int], number: int, noise: CameraNoise) -> PushRecord:
+def _observed(truth: Truth, sim_object: SimObject, motion: TrueMotion, seed: list[int], number: int, noise: CameraNoise) -> PushRecord:
     observed = observe_motion(motion, TruthSettings().pushes.pusher_radius, noise, np.random.default_rng(seed), truth.effects)
-    return PushRecord(thing.name, true_model(thing).shape, *observed, f"push {number + 1}", number)
+    return PushRecord(sim_object.name, true_model(sim_object).shape, *observed, f"push {number + 1}", number)
 
 
 def _filmed(truth: Truth, object_name: str, model: int, n_pushes: int) -> list[PushRecord]:
     """Depth images of Bullet's world, in which object and poses are then perceived."""
-    settings = RecordingSettings(object_name, model, n_pushes, model, truth.effects, camera=True, sensor=truth.sensor)
+    settings = RecordingSettings(object_name, model, n_pushes, model, truth.effects, camera=True)
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "pushes"
         record_pushes(bag, settings)

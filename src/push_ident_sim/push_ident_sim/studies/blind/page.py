@@ -1,171 +1,84 @@
-"""Tables and the confusion matrix of the blind check, made from its summary."""
+"""Tables of the blind check, made from its summary."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Final
 
-import numpy as np
+from push_ident_sim.studies.blind.summary import MOST_PUSHES
+from push_ident_sim.studies.common.study import Json
+from push_ident_sim.studies.common.tables import markdown_table, number
 
-from push_ident.physics.effects import EFFECTS
-from push_ident_sim.studies.common.base import Json
-from push_ident_sim.studies.common.drawing import markdown_table, new_figure, save
+__all__ = ["answer", "tables"]
 
-__all__ = ["draw", "tables"]
-
-_SEALED = {"truth_sha256": "truth", "policy_sha256": "policy", "code_sha256": "code", "thresholds_sha256": "thresholds"}
-"""Hashes of a seal; checks of an earlier version sealed the thresholds of the policy only."""
-_ROWS = (
-    ("false_alarms", "false alarms on nulls", "<= 5 %"),
-    ("nulls_not_trusted", "nulls not trusted", ""),
-    ("top1_detectable", "first name right, detectable sizes", ">= 90 %"),
-    ("top1_surely", "first name right, sizes detectable nine times in ten", ">= 90 %"),
-    ("top1_plain", "first name right, noncentrality >= 25", ">= 95 %"),
-    ("wrong_names", "named with confidence and wrong, all sizes", "<= 3 %"),
-    ("wrong_names_detectable", "the same, detectable sizes", ""),
-    ("in_set", "truth in the confusion set", ">= 95 %"),
-    ("set_size", "size of the confusion set", "<= 1.3"),
-    ("ties_settled", "ties resolved rightly by <= 2 requested pushes", ">= 90 %"),
-    ("ties_settled_as_expected", "the same, where one push was predicted to be enough", ">= 90 %"),
-    ("ties_beyond_pushes", "ties that no push within its limits resolves", ""),
-    ("ties_asked", "requested pushes", "<= 2"),
-    ("silent_undetectable", "undetectable sizes: no gap", ""),
-    ("wrong_undetectable", "undetectable sizes: wrongly named", ""),
-    ("pairs_both", "two effects: both named", ">= 75 %"),
-    ("pairs_one", "two effects: one named", ">= 95 %"),
-    ("unknown_flagged", "outside the catalogue, visible: reported as unknown", ">= 80 %"),
-    ("unknown_misnamed", "outside the catalogue: named with confidence", "<= 10 %"),
-    ("said_surely", "causes said with a probability of at least 90 %: right", ""),
-    ("said_surely_mean", "mean of these probabilities", "the same"),
-    ("outside_invisible", "outside the catalogue: not visible", ""),
-    ("shrink", "shrink S, median", ">= 0.85"),
-    ("shrink_oracle", "S of the true effect, median", ""),
-    ("shrink_of_oracle", "S of S of the true effect, median", ">= 0.95"),
-    ("shrink_tuned", "S of tuning existing parameters only", ""),
-    ("size_error", "error of the size, median (where engines and model share the law)", ""),
-    ("sizes_within_tenth", "sizes within 10 %", ""),
-    ("size_intervals", "90 % intervals of sizes that contain the truth", "85-95 %"),
-    ("baseline_evidence", "baseline: largest log evidence", ""),
-    ("baseline_training_fit", "baseline: best training fit", ""),
-    ("baseline_largest_residual", "baseline: largest residual", ""),
-    ("baseline_random", "baseline: random", ""),
-    ("seconds", "seconds a case, one core, median", ""),
-)
-
-
-_SENSOR_COLUMNS = {
-    "false_alarms": "false alarms on nulls",
-    "nulls_not_trusted": "nulls not trusted",
-    "top1_detectable": "first name right, detectable sizes",
-    "wrong_names": "named with confidence and wrong",
-    "in_set": "truth in the confusion set",
-    "silent_undetectable": "undetectable sizes: no gap",
-    "pairs_one": "two effects: one named",
-    "unknown_misnamed": "outside the catalogue: named with confidence",
-    "of_the_unit": "calibration named",
+_ROWS: Final = {
+    "false_alarms": ("false alarms on nulls", "<= 5 %"),
+    "top1_detectable": ("first name right, detectable sizes", ">= 90 %"),
+    "top1_surely": ("first name right, clearly detectable sizes", ">= 90 %"),
+    "wrong_names": ("named with confidence and wrong, all sizes", "<= 3 %"),
+    "in_set": ("truth in the confusion set", ">= 95 %"),
+    "set_size": ("size of the confusion set", "<= 1.3"),
+    "ties_resolved": ("ties resolved rightly by <= 2 requested pushes", ">= 90 %"),
+    "ties_beyond_pushes": ("ties that no push resolves", ""),
+    "silent_undetectable": ("undetectable sizes: no gap", ""),
+    "pairs_both": ("two effects: both named", ">= 75 %"),
+    "pairs_one": ("two effects: one named", ">= 95 %"),
+    "unknown_flagged": ("outside the catalogue, visible: reported as unknown", ">= 80 %"),
+    "unknown_misnamed": ("outside the catalogue: named with confidence", "<= 10 %"),
+    "stated_surely": ("causes stated with a probability of at least 90 %: right", ""),
+    "shrink": ("S, median", ">= 0.85"),
+    "size_intervals": ("90 % intervals of sizes that contain the truth", "85-95 %"),
+    "seconds": ("processor seconds a case, median", ""),
 }
-"""Calibration: an error of the pose or scale of the camera, or of the tool, its exact twin; each unit has some, and nobody injected it."""
+"""Figure: its words and its target."""
 
 
-def _number(figure: Json) -> str:
-    value, as_share = figure.get("share"), "share" in figure
-    value = value if as_share else figure["value"]
-    if value is None:
-        return "–"
-    scale, unit = (100.0, " %") if as_share else (1.0, "")
-    form = "{:.0f}" if as_share else "{:.2f}"
-    between = "" if figure["low"] is None else f" ({form.format(scale * figure['low'])}-{form.format(scale * figure['high'])})"
-    return f"{form.format(scale * value)}{unit}{between}, n {figure['n']}"
+def _figure(figure: Json) -> str:
+    if "share" in figure and figure["share"] is not None:
+        return f"{round(figure['share'] * figure['n'])} of {figure['n']} ({100 * figure['low']:.0f}-{100 * figure['high']:.0f} %)"
+    return number(figure.get("value"), "{:.2f}")
 
 
 def tables(summary: Json) -> str:
     """Markdown of a summary."""
     parts = []
     if sealed := summary.get("sealed"):
-        hashes = ", ".join(f"of the {what} `{sealed[key]}`" for key, what in _SEALED.items() if key in sealed)
-        parts.append(f"Set: {sealed['phase']}, {sealed['n_cases']} cases. SHA-256 {hashes}. Intervals hold at 90 %.")
-    if found := summary.get("figures"):
-        groups = list(found)
-        # Summaries of an earlier version lack some figures.
-        known = [row for row in _ROWS if all(row[0] in found[group] for group in groups)]
-        rows = [[text, target, *(_number(found[group][key]) for group in groups)] for key, text, target in known]
-        parts.append(markdown_table(["figure", "target", *groups], rows))
-        bins = [
-            [f">= {row['from']:g}", *(_number(row[key]) for key in ("top1", "in_set", "wrong", "silent"))]
-            for row in summary["by_noncentrality"]
-        ]
-        parts.append(markdown_table(["noncentrality", "first name right", "truth in the set", "wrong", "silent"], bins))
-        if said := summary.get("by_probability"):
-            rows = [
-                [
-                    f"{row['from']:.2f} to {min(row['to'], 1.0):.2f}",
-                    "–" if row["said"] is None else f"{row['said']:.2f}",
-                    _number(row["right"]),
-                ]
-                for row in said
-            ]
-            parts.append(markdown_table(["probability of a cause", "mean", "right"], rows))
-        parts += _same_cases(summary.get("same_cases", {}))
-        smallest = summary["smallest"]
+        hashes = ", ".join(f"{what} `{sealed[f'{what}_sha256'][:12]}`" for what in ("truth", "policy", "code"))
+        parts.append(f"Set: {sealed['phase']}, {sealed['n_cases']} cases; SHA-256 {hashes}. Intervals hold at 90 %.")
+    if by_variant := summary.get("figures"):
+        rows = [[text, aim, *(_figure(group[key]) for group in by_variant.values())] for key, (text, aim) in _ROWS.items()]
+        parts.append(markdown_table(["figure", "target", *by_variant], rows))
         rows = [
-            [
-                name,
-                EFFECTS[name].parameters[0].unit or "1",
-                *("–" if smallest[p][name] is None else f"{smallest[p][name]:.2g}" for p in smallest),
-            ]
-            for name in next(iter(smallest.values()), {})
+            [f"{row['from']:.2f} to {min(row['to'], 1.0):.2f}", number(row["stated"], "{:.2f}"), _figure(row["right"])]
+            for row in summary["by_probability"]
         ]
-        parts.append("Smallest detectable size in nulls, median:\n\n" + markdown_table(["effect", "unit", *smallest], rows))
-    if sensors := summary.get("sensors"):
-        rows = [[name, str(own["n"]), *(_number(own[key]) for key in _SENSOR_COLUMNS)] for name, own in sensors.items()]
-        parts.append(markdown_table(["sensor", "cases", *_SENSOR_COLUMNS.values()], rows))
+        parts.append(markdown_table(["stated probability of a cause", "mean", "right"], rows))
+        parts.append(f"Not named rightly (truth: answer): {_confusions(summary['confusion'])}.")
+    if same := summary.get("same_cases"):
+        rights = " and ".join(f"{_figure(row['top1'])} ({name})" for name, row in same.items())
+        parts.append(f"First name right in the same cases, sizes that 14 pushes detect: {rights}.")
     if engines := summary.get("engines"):
-        rows = [
-            [name.replace("_", " "), str(own["n"]), *(f"{1e3 * own[key]:.2f}" for key in ("median_m", "q90_m", "largest_m"))]
-            for name, own in engines.items()
-        ]
-        parts.append(
-            "Distance between the engines, cell error at the end of a push without effects:\n\n"
-            + markdown_table(["engines", "pushes", "median [mm]", "90 % [mm]", "largest [mm]"], rows)
-        )
+        errors = "; ".join(f"{name} {1e3 * row['median_m']:.2f} ({1e3 * row['q90_m']:.2f})" for name, row in engines.items())
+        parts.append(f"Cell error between engines without effects, median (90 %) [mm]: {errors}.")
     return "\n\n".join(parts)
 
 
-def _same_cases(compared: Json) -> list[str]:
-    """A table for each number of pushes that was compared with the largest, of the same cases."""
-    columns = {
-        "top1": "first name right, sizes that 14 pushes detect",
-        "one_of_pair": "two effects: one named",
-        "false_alarms": "alarms on nulls",
-        "wrong": "named with confidence and wrong",
+def _confusions(confusion: Json) -> str:
+    """What was answered instead of the truth, such as `pose_latency: pusher_lag 3`."""
+    right = {"nothing": ("nothing", "not_trustworthy"), "outside": ("unknown", "not_trustworthy")}
+    wrong = {
+        truth: ", ".join(f"{answer} {n}" for answer, n in answers.items() if answer not in right.get(truth, (truth,)))
+        for truth, answers in confusion.items()
     }
-    return [
-        markdown_table(
-            ["the same cases", *columns.values()], [[name, *(_number(own[key]) for key in columns)] for name, own in rows.items()]
-        )
-        for rows in compared.values()
-    ]
+    return "; ".join(f"{truth}: {answers}" for truth, answers in wrong.items() if answers) or "none"
 
 
-def draw(summary: Json, folder: Path, name: str = "blind") -> dict[str, str]:
-    """Write the confusion matrix into a folder, under the name of the study."""
-    confusion: dict[str, dict[str, int]] = summary.get("confusion", {})
-    if not confusion:
-        return {}
-    rows = list(confusion)
-    answers = {name for own in confusion.values() for name in own}
-    columns = [name for name in rows if name in answers] + sorted(answers - set(rows))
-    counts = np.array([[confusion[row].get(column, 0) for column in columns] for row in rows])
-    figure, (ax,) = new_figure(1, width=0.42 * len(columns) + 3.2, height=0.34 * len(rows) + 2.4)
-    ax.imshow(counts / counts.sum(axis=1, keepdims=True), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
-    for i, j in zip(*np.nonzero(counts), strict=True):
-        share = counts[i, j] / counts[i].sum()
-        ax.text(j, i, str(counts[i, j]), ha="center", va="center", fontsize=8, color="white" if share > 0.5 else "black")
-    ax.set_xticks(range(len(columns)), columns, rotation=60, ha="right", fontsize=8)
-    ax.set_yticks(range(len(rows)), rows, fontsize=8)
-    ax.set_xlabel("first name given")
-    ax.set_ylabel("truth")
-    save(figure, folder / f"{name}.png")
-    return {
-        f"{name}.png": "Cases by truth and by the first name given; colours are shares of a row. "
-        "Single effects of detectable size, nulls, and effects outside the catalogue."
-    }
+def answer(summary: Json) -> str:
+    """The answer in a sentence."""
+    by_variant = summary["figures"]
+    figures = by_variant.get(MOST_PUSHES) or next(iter(by_variant.values()))
+    first, alarms, wrong = (figures[key] for key in ("top1_detectable", "false_alarms", "wrong_names"))
+    hits = {key: round((row["share"] or 0.0) * row["n"]) for key, row in (("first", first), ("alarms", alarms), ("wrong", wrong))}
+    return (
+        f"Of detectable single effects {hits['first']} of {first['n']} are named first; {hits['alarms']} false alarms in {alarms['n']} "
+        f"null cases; {hits['wrong']} of {wrong['n']} named wrongly with confidence."
+    )

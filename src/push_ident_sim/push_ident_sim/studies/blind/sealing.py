@@ -15,11 +15,13 @@ from push_ident.errors import InputError
 from push_ident.files import write_whole
 from push_ident_sim.code_digest import code_digest
 from push_ident_sim.recordings.recording import seal
-from push_ident_sim.studies.blind.cases import CAMERAS, draw_truth, phase_of
-from push_ident_sim.studies.common.experiment import Case, Json
+from push_ident_sim.studies.blind.cases import draw_truth, phase_of
+from push_ident_sim.studies.common.study import Case, Json
 
-__all__ = ["DECIDING_PACKAGES", "ENGINES", "decision_hashes", "seal_cases"]
+__all__ = ["CAMERA", "DECIDING_PACKAGES", "ENGINES", "decision_hashes", "seal_cases"]
 
+CAMERA: Final = "camera"
+"""Variant through rendered depth images and perception."""
 ENGINES: Final = "engines"
 """Variant that compares the engines; it has no truth to be sealed."""
 DECIDING_PACKAGES: Final = ("geometry", "physics", "pushing", "identification", "diagnosis", "perception")
@@ -69,5 +71,5 @@ def seal_cases(cases: Sequence[Case], folder: Path) -> Json:
 
 
 def _truth_of(case: Case) -> Json:
-    truth = draw_truth(case.object_name, case.model, sensor=CAMERAS.get(case.variant))
+    truth = draw_truth(case.object_name, case.model, filmed=case.variant == CAMERA)
     return {"case": case.key, "object": case.object_name, "model": case.model, **truth.as_json()}

@@ -1,1 +1,1 @@
-"""What studies share: the runners, tables and figures, the report, measures, and live processes."""
+"""What studies share: the runner, tables, figures and pages, measures, objects that are pushed."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from push_ident.errors import InputError
 from push_ident.files import write_whole
-from push_ident_sim.studies.common.base import Json
+from push_ident_sim.studies.common.study import Json
 
 __all__ = ["read_json", "write_json"]
 

@@ -1,33 +1,33 @@
-"""Measures that experiments share: errors on held-out pushes, learning curves, means with their uncertainty."""
+"""Measures that studies share: errors on held-out pushes, means and shares with their uncertainty."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.special import betaincinv
 
 from push_ident.identification.identify import identify
 from push_ident.identification.predicting.prediction import held_out_errors
-from push_ident.identification.results.result import Checkpoint, Identification
-from push_ident.types import ObjectModel, PushRecord
+from push_ident.identification.results.result import Identification
+from push_ident.types import PoseTrack, PushRecord
 from push_ident_sim.objects import SimObject
 from push_ident_sim.recordings.truth import true_model
-from push_ident_sim.studies.common.base import Json
-from push_ident_sim.studies.common.experiment import CaseResult, CaseSettings
+from push_ident_sim.studies.common.study import CaseResult, CaseSettings, Json
 
 __all__ = [
-    "MODELS", "curve_on_grid", "error_row", "fit_errors", "grouped", "history_with_end", "learning_curve", "micrometres", "pooled",
-    "solve_row", "solve_values",
+    "MODELS", "ends_of", "error_row", "failures", "fit_errors", "grouped", "mean_of", "micrometres", "pooled", "root_mean_square", "share",
+    "solve_values",
 ]  # fmt: skip
 
-FloatArray = NDArray[np.float64]
-
-MODELS = ("identified", "scalar", "uniform", "truth")
+MODELS: Final = ("identified", "scalar", "uniform", "truth")
 """Whose predictions are compared: the identified maps, equal cells with fitted scalars, equal cells with nominal values, the true maps."""
-_MAX_CHECKPOINTS = 30
+_OUTSIDE: Final = 0.05
+"""Probability that the true share lies outside its interval [1]."""
 
 
 def micrometres(values: ArrayLike) -> list[float | None]:
@@ -35,60 +35,26 @@ def micrometres(values: ArrayLike) -> list[float | None]:
     return [round(float(v), 6) if np.isfinite(v) else None for v in np.ravel(values)]
 
 
+def ends_of(record: PushRecord) -> PushRecord:
+    """The same push with one frame before and one after it."""
+    poses, ends = record.poses, [0, -1]
+    return replace(record, poses=PoseTrack(poses.time[ends], poses.pose[ends], poses.covariance[ends]))
+
+
 def fit_errors(
-    train: Sequence[PushRecord], test: Sequence[PushRecord], thing: SimObject, method: str, settings: CaseSettings
+    train: Sequence[PushRecord], test: Sequence[PushRecord], sim_object: SimObject, method: str, settings: CaseSettings
 ) -> tuple[Identification, Json]:
     """Identify from `train`; the cell errors of `MODELS` on each push of `test` [m], and time and simulations of the solve."""
     result = identify(train, method=method, budget=settings.budget)
-    models = dict(zip(MODELS, (result.model, result.scalar, result.uniform, true_model(thing)), strict=True))
+    models = dict(zip(MODELS, (result.model, result.scalar, result.uniform, true_model(sim_object)), strict=True))
     return result, solve_values(result) | {
         "errors_m": {name: micrometres(held_out_errors(model, test)) for name, model in models.items()},
     }
 
 
 def solve_values(result: Identification) -> Json:
-    """How a solve ended, its simulations and its time, and the priors that it compared with their probabilities."""
-    return {
-        "status": result.status.name.lower(),
-        "n_simulations": result.n_simulations,
-        "time_s": round(result.time_s, 4),
-        "candidates": {candidate.name: round(candidate.probability, 4) for candidate in result.candidates},
-    }
-
-
-def solve_row(results: Sequence[CaseResult]) -> Json:
-    """Of `solve_values` of many solves: times [s], how many ended in which way, and how many preferred which prior."""
-    times = [r.values["time_s"] for r in results]
-    preferred = [max(own, key=own.__getitem__) for r in results if (own := r.values["candidates"])]
-    return {
-        "median_time_s": round(float(np.median(times)), 3),
-        "max_time_s": round(float(np.max(times)), 3),
-        "statuses": dict(Counter(r.values["status"] for r in results).most_common()),
-        "priors": dict(Counter(preferred).most_common()),
-    }
-
-
-def history_with_end(result: Identification) -> tuple[Checkpoint, ...]:
-    """The history of a solve and its result, which may be more than the last model: `gauss_newton` averages over several fits."""
-    return (*result.history, Checkpoint(result.n_simulations, result.time_s, result.cost, result.model))
-
-
-def learning_curve(history: Sequence[Checkpoint], uniform: ObjectModel, test: Sequence[PushRecord]) -> Json:
-    """Mean error on `test` of the best model so far against simulations and seconds; it begins with equal cells of nominal values."""
-    n = len(history)
-    chosen = np.unique(np.geomspace(1, max(n, 1), _MAX_CHECKPOINTS).round().astype(int)) - 1
-    points = [history[i] for i in chosen if i < n]
-    return {
-        "n_simulations": [0, *(p.n_simulations for p in points)],
-        "time_s": [0.0, *(round(p.time_s, 5) for p in points)],
-        "error_m": micrometres([np.nanmean(held_out_errors(model, test)) for model in (uniform, *(p.model for p in points))]),
-    }
-
-
-def curve_on_grid(curve: Json, axis: str, grid: FloatArray) -> FloatArray:
-    """Error of the last point of a learning curve at or before each value of `grid` of `axis`."""
-    last = np.searchsorted(np.asarray(curve[axis]), grid, side="right") - 1
-    return np.asarray(curve["error_m"], dtype=np.float64)[last]
+    """How a solve ended, its simulations and its time."""
+    return {"status": result.status.name.lower(), "n_simulations": result.n_simulations, "time_s": round(result.time_s, 4)}
 
 
 def grouped(results: Sequence[CaseResult], key: str) -> dict[Any, list[CaseResult]]:
@@ -110,8 +76,34 @@ def error_row(results: Sequence[CaseResult], model: str = "identified") -> Json:
     The standard error is over ground truths, which are independent; pushes of one are not.
     """
     errors = pooled(results, model)
-    means = [np.mean(own) for group in grouped(results, "truth").values() if (own := pooled(group, model))]
+    means = [np.mean(of_truth) for group in grouped(results, "truth").values() if (of_truth := pooled(group, model))]
     standard_error = np.std(means, ddof=1) / np.sqrt(len(means)) if len(means) > 1 else np.nan
     values = [np.mean(means), standard_error, np.median(errors), np.quantile(errors, 0.9), np.max(errors)]
     row: Json = dict(zip(("mean_m", "standard_error_m", "median_m", "q90_m", "max_m"), micrometres(values), strict=True))
     return row | {"pushes": len(errors), "not_simulated": sum(len(r.values["errors_m"][model]) for r in results) - len(errors)}
+
+
+def share(successes: Iterable[bool]) -> Json:
+    """`n`, `successes`, and the interval of Clopper and Pearson in which the true share lies at 95 % (`low`, `high`)."""
+    outcomes = [bool(success) for success in successes]
+    n, k = len(outcomes), sum(outcomes)
+    low = float(betaincinv(k, n - k + 1, _OUTSIDE / 2)) if k else 0.0
+    high = float(betaincinv(k + 1, n - k, 1 - _OUTSIDE / 2)) if k < n else 1.0
+    return {"n": n, "successes": k, "share": round(k / n, 4) if n else None, "low": round(low, 4), "high": round(high, 4)}
+
+
+def failures(ends: Iterable[str], good: str) -> dict[str, int]:
+    """How often each other end occurred, the most frequent first."""
+    return dict(Counter(end for end in ends if end != good).most_common())
+
+
+def mean_of(values: Iterable[float | None], digits: int = 3) -> float | None:
+    """Of those that were measured; None where none was."""
+    known = [value for value in values if value is not None and np.isfinite(value)]
+    return round(float(np.mean(known)), digits) if known else None
+
+
+def root_mean_square(values: Iterable[float | None], digits: int = 6) -> float | None:
+    """Of those that were measured; None where none was."""
+    mean = mean_of([None if value is None else value**2 for value in values], 15)
+    return None if mean is None else round(float(np.sqrt(mean)), digits)

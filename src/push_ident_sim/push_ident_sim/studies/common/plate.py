@@ -8,12 +8,10 @@ from push_ident.geometry.outline import outline_of_cells
 from push_ident.physics.simulation import PoseLoss
 from push_ident.pushing.push import PushSettings
 from push_ident.pushing.sampling import sample_push
-from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord
-from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath
 from push_ident_sim.objects import SimObject
-from push_ident_sim.recordings.truth import CameraNoise
 
-__all__ = ["FRAMES", "distance_to", "plate", "plate_in_bullet", "plate_pushes", "record_of"]
+__all__ = ["FRAMES", "distance_to", "plate", "plate_in_bullet", "plate_pushes"]
 
 _SIDE = 0.12
 _LEVER = 0.05
@@ -74,13 +72,3 @@ def plate_in_bullet(model: ObjectModel) -> SimObject:
     """The plate as an object of the simulated cell."""
     cells = model.shape.cells
     return SimObject("plate", cells.size, cells.centres, np.full(len(cells), 0.03), model.mass, model.friction, model.pusher_friction)
-
-
-def record_of(motion: TrueMotion, model: ObjectModel, radius: float, noise: CameraNoise, rng: np.random.Generator) -> PushRecord:
-    """A camera's record of a motion; before and after it everything is at rest."""
-    frames = np.arange(-noise.rest, motion.time[-1] + noise.rest, 1.0 / noise.rate)
-    std = np.array([noise.position_std, noise.position_std, noise.yaw_std])
-    observed = np.column_stack([np.interp(frames, motion.time, column) for column in motion.pose.T])
-    observed += std * rng.normal(size=observed.shape)
-    poses = PoseTrack(frames, observed, np.broadcast_to(np.diag(std**2), (len(frames), 3, 3)))
-    return PushRecord("plate", model.shape, poses, PusherPath(motion.time, motion.pusher, radius))

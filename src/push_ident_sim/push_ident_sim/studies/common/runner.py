@@ -20,10 +20,8 @@ from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.fitting.budget import Budget
 from push_ident_sim.code_digest import code_digest, files_behind
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, truth_file
-from push_ident_sim.studies.common.base import Json
-from push_ident_sim.studies.common.benchmark import Benchmark, Settings
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
 from push_ident_sim.studies.common.files import read_json, write_json
+from push_ident_sim.studies.common.study import Benchmark, Case, CaseResult, CaseSettings, Experiment, Json, Settings
 from push_ident_sim.workers import describe_machine, single_threads
 
 __all__ = ["RunOptions", "cases_of", "run_benchmark", "run_calls", "run_experiment"]
@@ -32,7 +30,7 @@ Progress = Callable[[str, int, int], None]
 """Called with the part in progress, the number of finished parts and the number of all."""
 
 _CORE = Path(push_ident.__file__).parent
-_PRESENTATION = ("push_ident_sim.studies.common.drawing",)
+_PRESENTATION = ("push_ident_sim.studies.common.tables", "push_ident_sim.studies.common.figures")
 """Modules that only present results."""
 _Calls = Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]
 
@@ -60,9 +58,7 @@ class RunOptions:
     truth: TruthSettings = field(default_factory=TruthSettings)
     noise: CameraNoise = field(default_factory=CameraNoise)
     recordings: Path = Path("../shared/data")
-    """Of recorded scenes, for the experiments that use them."""
-    minutes: float = 60.0
-    """Of cases that run for a given time [min]."""
+    """Of recorded pushes, for the experiment `recorded`."""
     goals: int = 4
     """Of each object, for experiments that push to goals."""
     stop_after: float = math.inf
@@ -78,8 +74,8 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
     """Run every case that has no result yet, and summarise all of them.
 
     Returns:
-        What the run was (`experiment, objects, models, variants, seed, max_seconds, machine`), the cases that failed (`failed`: case and
-        error), and the experiment's `summary`. Times are of the processor of the machine that ran the case.
+        What the run was (`experiment, objects, models, variants, seed, max_seconds, date, machine`), the cases that failed (`failed`: case
+        and error), and the experiment's `summary`. Times are of the processor of the machine that ran the case.
 
     Raises:
         InputError: no case gave a result, or a variant that the experiment does not have.
@@ -92,7 +88,6 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         options.truth,
         options.noise,
         options.recordings,
-        options.minutes,
         options.goals,
     )
     folder = options.folder / experiment.name
@@ -120,6 +115,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         **({"goals": options.goals} if experiment.counts_goals else {}),
         "max_seconds": options.max_seconds,
         **({"planned": len(cases), "finished": len(outcomes)} if len(outcomes) < len(cases) else {}),
+        "date": time.strftime("%Y-%m-%d"),
         "machine": describe_machine(jobs),
         "failed": [{"case": case.key, "error": outcome["error"]} for case, outcome in outcomes.items() if "error" in outcome],
         "summary": summary,
@@ -148,20 +144,21 @@ def run_benchmark(benchmark: Benchmark, settings: Settings, on_progress: Progres
     """Measure every piece of a benchmark in a fresh process.
 
     Returns:
-        What the run was (`benchmark, seed, quick, machine`), and the benchmark's `summary`.
+        What the run was (`benchmark, seed, quick, date, machine`), and the benchmark's `summary`.
 
     Raises:
         PushIdentError: a piece could not be measured.
     """
     report = on_progress or (lambda what, done, total: None)
-    machine, pieces = describe_machine(benchmark.jobs), benchmark.pieces(settings)
+    machine, pieces = describe_machine(1), benchmark.pieces(settings)
     labels = [*(f"{benchmark.name}: {piece.label}" for piece in pieces), benchmark.name]
     calls = [(piece.measure, piece.arguments) for piece in pieces]
-    with single_threads(benchmark.jobs, fresh=True) as pool:
+    with single_threads(fresh=True) as pool:
         results = run_calls(pool, calls, lambda done, first: report(labels[first], done, len(pieces)))
-    machine["load_after"] = describe_machine(benchmark.jobs)["load"]
+    machine["load_after"] = describe_machine(1)["load"]
     summary = benchmark.summarise(results)
-    return {"benchmark": benchmark.name, "seed": settings.seed, "quick": settings.quick, "machine": machine, "summary": summary}
+    what = {"benchmark": benchmark.name, "seed": settings.seed, "quick": settings.quick, "date": time.strftime("%Y-%m-%d")}
+    return {**what, "machine": machine, "summary": summary}
 
 
 def run_calls(pool: ProcessPoolExecutor, calls: _Calls, report: Callable[[int, int], None], *, until: float = math.inf) -> list[Any]:
@@ -194,7 +191,7 @@ def _models(experiment: Experiment, options: RunOptions) -> list[tuple[str, int]
 
 def _objects(experiment: Experiment, options: RunOptions) -> tuple[str, ...]:
     """Those that are asked for, or all. Raises InputError for unknown ones."""
-    known = experiment.find(options.recordings) if experiment.find else experiment.objects
+    known = experiment.find_objects(options.recordings) if experiment.find_objects else experiment.objects
     if unknown := [name for name in options.objects if name not in known]:
         raise InputError(f"Object {unknown[0]!r} is not known, expected some of {', '.join(known)}.")
     return options.objects or known
@@ -209,8 +206,7 @@ def cases_of(experiment: Experiment, options: RunOptions) -> list[Case]:
         Case(name, model, variant)
         for name, model in models
         for variant in options.variants or experiment.variants
-        if (variant not in experiment.once or (name, model) == models[0])
-        and model - options.seed < experiment.fewer.get(variant, options.n_models)
+        if model - options.seed < experiment.most_models.get(variant, options.n_models)
         and (model - options.seed) % experiment.every.get(variant, 1) == 0
     ]
 
@@ -230,12 +226,10 @@ def _digest(experiment: Experiment, settings: CaseSettings) -> str:
     The stages of the core count as a whole, since some of their modules are found by name.
     """
     values = [asdict(part) for part in (settings.budget, settings.truth, settings.noise)]
-    if experiment.once or experiment.find:
+    if experiment.find_objects:
         values.append({"recordings": str(settings.recordings.resolve())})
     if experiment.counts_goals:
         values.append({"goals": settings.goals})
-    if experiment.timed:
-        values.append({"minutes": settings.minutes})
     files = files_behind(Path(experiment.run.__code__.co_filename), _PRESENTATION)
     files |= {path for stage in experiment.stages for path in (_CORE / stage).rglob("*.py")}
     return hashlib.sha256(f"{json.dumps(values, sort_keys=True)} {code_digest(files)}".encode()).hexdigest()[:10]

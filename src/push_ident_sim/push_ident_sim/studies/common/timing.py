@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["growth_exponent", "interleaved", "milliseconds", "statistics"]
+__all__ = ["growth_exponent", "interleaved", "late_quantiles", "milliseconds", "statistics"]
 
 Name = TypeVar("Name", bound=Hashable)
 Result = TypeVar("Result")
 
 
-def interleaved(
-    calls: Mapping[Name, Callable[[], Result]], rounds: int, repeats: Mapping[Name, int] | None = None
-) -> tuple[dict[Name, dict[str, Any]], dict[Name, Result]]:
+def interleaved(calls: Mapping[Name, Callable[[], Result]], rounds: int) -> tuple[dict[Name, dict[str, Any]], dict[Name, Result]]:
     """Time calls in turn, so that a slow period of the machine affects all of them.
 
     The clock is the processor time of this process, on which other processes weigh less than on the wall clock.
@@ -25,7 +23,6 @@ def interleaved(
     Args:
         calls: each is run once before the clock starts.
         rounds: how often each has its turn.
-        repeats: how often a call is timed in its turn; once where it is not named.
 
     Returns:
         `statistics` of each call [s], and what it gave.
@@ -34,10 +31,9 @@ def interleaved(
     seconds: dict[Name, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):
         for name, call in calls.items():
-            for _ in range((repeats or {}).get(name, 1)):
-                started = time.process_time()
-                call()
-                seconds[name].append(time.process_time() - started)
+            started = time.process_time()
+            call()
+            seconds[name].append(time.process_time() - started)
     return {name: statistics(values) for name, values in seconds.items()}, results
 
 
@@ -46,6 +42,12 @@ def statistics(seconds: ArrayLike) -> dict[str, Any]:
     values = np.asarray(seconds, dtype=np.float64)
     low, middle, high = (float(f"{v:.4g}") for v in np.quantile(values, [0.25, 0.5, 0.75]))
     return {"median_s": middle, "q25_s": low, "q75_s": high, "n": len(values)}
+
+
+def late_quantiles(seconds: Sequence[float]) -> dict[str, float]:
+    """Median, 99 % quantile and maximum: `median_s`, `p99_s`, `worst_s`."""
+    median, late, worst = (float(v) for v in np.quantile(seconds, [0.5, 0.99, 1.0])) if seconds else (0.0, 0.0, 0.0)
+    return {"median_s": median, "p99_s": late, "worst_s": worst}
 
 
 def growth_exponent(sizes: ArrayLike, seconds: ArrayLike) -> float:

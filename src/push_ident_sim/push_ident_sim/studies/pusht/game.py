@@ -83,7 +83,7 @@ class Game:
         """Begin a start of the game."""
         observation, _ = self._environment.reset(seed=seed)
         self.ticks, self.coverage, self.is_won = 0, 0.0, False
-        self._see(observation)
+        self._read(observation)
 
     @property
     def is_over(self) -> bool:
@@ -97,12 +97,11 @@ class Game:
         observation, _, _, _, info = self._environment.step((target / _PIXEL).astype(np.float32))
         self.ticks += 1
         self.coverage, self.is_won = max(self.coverage, float(info["coverage"])), bool(info["is_success"])
-        self._see(observation)
+        self._read(observation)
 
-    def _see(self, observation: Float64Array) -> None:
+    def _read(self, observation: Float64Array) -> None:
         self.disc = _PIXEL * np.array(observation[:2])
-        seen = np.append(_PIXEL * np.array(observation[2:4]), observation[4])
-        pose = compose(seen, _FRAME)
+        pose = compose(np.append(_PIXEL * np.array(observation[2:4]), observation[4]), _FRAME)
         # The game gives the angle within one turn; poses of a push go on beyond it.
         self.pose = np.append(pose[:2], self.pose[2] + wrap_angle(pose[2] - self.pose[2]))
 

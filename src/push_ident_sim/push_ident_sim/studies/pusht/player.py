@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Final
 
 import numpy as np
@@ -23,6 +23,7 @@ from push_ident.planning.planner import GoalPlanner, PlanStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import recentring_pushes, sample_push
 from push_ident.types import Float64Array, PoseTrack, PusherPath, PushRecord
+from push_ident_sim.studies.common.study import Json
 from push_ident_sim.studies.pusht.disc import actions, way_around
 from push_ident_sim.studies.pusht.game import BLOCK, GOAL, RADIUS, TICK, WORKSPACE, Game
 
@@ -74,24 +75,26 @@ class Knowledge:
 class Played:
     """What became of a start."""
 
-    is_won: bool = False
+    won: bool = False
     coverage: float = 0.0
     """At best [1]."""
     ticks: int = 0
     pushes: int = 0
     end: str = "TIME"
     """WON; TIME where the actions were used up; else how planning ended."""
-    poses: list[list[float]] = field(default_factory=list)
-    """At the start and after each push."""
+
+    def values(self) -> Json:
+        """For JSON."""
+        return asdict(self) | {"coverage": round(self.coverage, 4)}
 
 
 def drive(game: Game, targets: Float64Array) -> list[tuple[Float64Array, Float64Array]]:
     """Act, and give the place of the disc and the pose of the block after each tick."""
-    seen = []
+    states = []
     for target in targets:
         game.act(target)
-        seen.append((game.disc, game.pose))
-    return seen
+        states.append((game.disc, game.pose))
+    return states
 
 
 def push(game: Game, plan: PushPlan2D) -> PushRecord | None:
@@ -106,9 +109,9 @@ def push(game: Game, plan: PushPlan2D) -> PushRecord | None:
     return record_of(before + drive(game, actions(game.disc, plan.tool_end, plan.speed)))
 
 
-def record_of(seen: Sequence[tuple[Float64Array, Float64Array]]) -> PushRecord:
+def record_of(states: Sequence[tuple[Float64Array, Float64Array]]) -> PushRecord:
     """Places of the disc and poses of the block, tick by tick, as a push; both are at rest at the start and at the end."""
-    at_rest = [seen[0], *seen, seen[-1]]
+    at_rest = [states[0], *states, states[-1]]
     time = np.linspace(0.0, TICK * (len(at_rest) - 1), len(at_rest))
     poses = np.array([pose for _, pose in at_rest])
     track = PoseTrack(time, poses, np.broadcast_to(np.diag(_EXACT**2), (len(time), 3, 3)))
@@ -152,11 +155,11 @@ def _begin(game: Game, seed: int) -> None:
 def play(game: Game, seed: int, known: Knowledge, planner: GoalPlanner) -> Played:
     """One start, until it is won or over."""
     _begin(game, seed)
-    played, level, failed = Played(poses=[game.pose.round(5).tolist()]), 0, list[PushPlan2D]()
+    played, level, failed = Played(), 0, list[PushPlan2D]()
     while not game.is_over:
-        found = planner.plan(known.belief, game.pose, np.diag(_EXACT**2) * 0.1, Goal(GOAL, *_TOLERANCES[level]), failed=failed)
-        plan = found.plan
-        if found.status is PlanStatus.ARRIVED and level + 1 < len(_TOLERANCES):
+        goal_push = planner.plan(known.belief, game.pose, np.diag(_EXACT**2) * 0.1, Goal(GOAL, *_TOLERANCES[level]), failed=failed)
+        plan = goal_push.plan
+        if goal_push.status is PlanStatus.ARRIVED and level + 1 < len(_TOLERANCES):
             level += 1
             continue
         if plan is None:
@@ -164,15 +167,14 @@ def play(game: Game, seed: int, known: Knowledge, planner: GoalPlanner) -> Playe
             plan = _to_the_middle(game, failed)
         if plan is None:
             # The disc has no way to any contact that is left.
-            played.end = "NO_WAY" if failed else found.status.name
+            played.end = "NO_WAY" if failed else goal_push.status.name
             break
         if push(game, plan) is None:
             failed.append(plan)
             continue
         failed.clear()
         played.pushes += 1
-        played.poses.append(game.pose.round(5).tolist())
-    played.is_won, played.coverage, played.ticks = game.is_won, game.coverage, game.ticks
+    played.won, played.coverage, played.ticks = game.is_won, game.coverage, game.ticks
     if game.is_won:
         played.end = "WON"
     return played

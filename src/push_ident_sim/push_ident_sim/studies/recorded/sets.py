@@ -15,11 +15,12 @@ import numpy as np
 from push_ident.bags.importers import ImportReport, import_cmu_icra16, import_cmu_mocap, import_mit, mit_sets
 from push_ident.errors import InputError
 from push_ident.offline.loading import load_pushes
-from push_ident.types import PoseTrack, PushRecord
+from push_ident.types import PushRecord
+from push_ident_sim.studies.common.measuring import ends_of
 
 __all__ = ["Drawn", "RecordedSet", "draw_pushes", "find_sets", "known_of"]
 
-KNOWN: Final = "known.json"
+_KNOWN: Final = "known.json"
 """Beside the recordings: what their authors measured."""
 _BAG_FILES: Final = (".mcap", ".db3")
 
@@ -32,7 +33,7 @@ class RecordedSet:
     """Its place in the folder, such as `plywood-rect1`."""
     paths: tuple[Path, ...]
     """A bag, or files in order of their names."""
-    read: Callable[[tuple[Path, ...], Path], ImportReport | None]
+    read: Callable[[tuple[Path, ...], Path], ImportReport] | None = None
     """Makes a bag of such paths; None where they are a bag."""
 
 
@@ -45,8 +46,6 @@ class Drawn:
     """Pushes, or files, of the set."""
     mass: float | None
     """Of the object, where it was published [kg]."""
-    notes: tuple[str, ...]
-    """Of the import and of the bag."""
 
 
 def find_sets(folder: Path) -> dict[str, RecordedSet]:
@@ -59,22 +58,21 @@ def find_sets(folder: Path) -> dict[str, RecordedSet]:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give --recordings DIR, the folder of the recordings.")
-    found: list[RecordedSet] = []
     bags = sorted({path.parent for path in folder.rglob("*") if path.suffix in _BAG_FILES})
-    found += [RecordedSet(_name(bag, folder), (bag,), _no_import) for bag in bags]
-    found += [RecordedSet(_name(path, folder), (path,), _read_icra16) for path in sorted(folder.rglob("*.txt"))]
-    found += [RecordedSet(_name(path, folder), (path,), _read_mocap) for path in sorted(folder.rglob("*.bag"))]
-    found += [RecordedSet(f"{surface}-{shape}", paths, _read_mit) for (surface, shape), paths in mit_sets(folder).items()]
-    if not found:
+    sets = [RecordedSet(_name(bag, folder), (bag,)) for bag in bags]
+    for suffix, read in ((".txt", import_cmu_icra16), (".bag", import_cmu_mocap)):
+        sets += [RecordedSet(_name(path, folder), (path,), _of_one_file(read)) for path in sorted(folder.rglob(f"*{suffix}"))]
+    sets += [RecordedSet(f"{surface}-{shape}", paths, import_mit) for (surface, shape), paths in mit_sets(folder).items()]
+    if not sets:
         raise InputError(f"{folder}: no recording in it; expected bags, files *.txt or *.bag of CMU, or files of the MIT pushing dataset.")
-    return {one.name: one for one in found}
+    return {one.name: one for one in sets}
 
 
-def draw_pushes(found: RecordedSet, n: int, rng: np.random.Generator, *, ends_only: bool, with_forces: bool) -> Drawn:
+def draw_pushes(recorded: RecordedSet, n: int, rng: np.random.Generator, *, ends_only: bool = False, with_forces: bool = True) -> Drawn:
     """Random pushes of a set.
 
     Args:
-        found: the set.
+        recorded: the set.
         n: how many; all where it has fewer.
         rng: draws them.
         ends_only: whether only the poses at rest before and after a push are kept.
@@ -83,28 +81,27 @@ def draw_pushes(found: RecordedSet, n: int, rng: np.random.Generator, *, ends_on
     Raises:
         PushIdentError: the set cannot be read.
     """
-    paths = found.paths if len(found.paths) == 1 else _some(found.paths, n, rng)
+    is_one_file = len(recorded.paths) == 1
+    paths = recorded.paths if is_one_file else _some(recorded.paths, n, rng)
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"
-        report = found.read(paths, bag)
-        loaded = load_pushes([bag if report is not None else paths[0]])
-    records = list(_some(tuple(loaded.records), n, rng)) if len(found.paths) == 1 else loaded.records
+        report = None if recorded.read is None else recorded.read(paths, bag)
+        loaded = load_pushes([paths[0] if report is None else bag]).records
+    records = list(_some(tuple(loaded), n, rng)) if is_one_file else loaded
     if ends_only:
-        records = [_ends_of(record) for record in records]
+        records = [ends_of(record) for record in records]
     if not with_forces:
         records = [replace(record, wrench=None) for record in records]
-    n_all = len(loaded.records) if len(found.paths) == 1 else len(found.paths)
-    notes = (() if report is None else report.notes) + tuple(loaded.notes)
-    return Drawn(records, n_all, None if report is None else report.mass, notes)
+    return Drawn(records, len(loaded) if is_one_file else len(recorded.paths), None if report is None else report.mass)
 
 
 def known_of(folder: Path, name: str) -> dict[str, Any]:
     """What the authors of a recording measured, by `known.json` in its folder: an object that has patterns of names as keys, and for each
-    `friction`, `effects` (names, with words) and `source`, as far as they are known. Empty where it says nothing of a set.
+    `friction` and `source`, as far as they are known. Empty where it says nothing of a set.
 
     Raises InputError for a file of another form.
     """
-    file = folder / KNOWN
+    file = folder / _KNOWN
     if not file.is_file():
         return {}
     try:
@@ -126,23 +123,5 @@ def _some(items: tuple[Any, ...], n: int, rng: np.random.Generator) -> tuple[Any
     return tuple(items[i] for i in np.sort(rng.permutation(len(items))[:n]))
 
 
-def _ends_of(record: PushRecord) -> PushRecord:
-    """The same push with one frame before and one after it."""
-    poses, ends = record.poses, [0, -1]
-    return replace(record, poses=PoseTrack(poses.time[ends], poses.pose[ends], poses.covariance[ends]))
-
-
-def _no_import(paths: tuple[Path, ...], bag: Path) -> None:
-    return None
-
-
-def _read_icra16(paths: tuple[Path, ...], bag: Path) -> ImportReport:
-    return import_cmu_icra16(paths[0], bag)
-
-
-def _read_mocap(paths: tuple[Path, ...], bag: Path) -> ImportReport:
-    return import_cmu_mocap(paths[0], bag)
-
-
-def _read_mit(paths: tuple[Path, ...], bag: Path) -> ImportReport:
-    return import_mit(paths, bag)
+def _of_one_file(read: Callable[[Path, Path], ImportReport]) -> Callable[[tuple[Path, ...], Path], ImportReport]:
+    return lambda paths, bag: read(paths[0], bag)

@@ -1,12 +1,11 @@
-"""Recorded pushes of others: diagnosed set by set, and held against what their authors measured of the friction."""
+"""Recorded pushes of others: predicted and diagnosed set by set, and compared with the friction that their authors measured."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -14,186 +13,183 @@ from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.files import finite
+from push_ident.identification.identify import identify
+from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.identification.unknowns.prior import Prior
-from push_ident.types import PusherPath
-from push_ident_sim.studies.common.base import Json
-from push_ident_sim.studies.common.experiment import Case, CaseResult, CaseSettings, Experiment
-from push_ident_sim.studies.common.measuring import grouped
-from push_ident_sim.studies.recorded.page import draw, tables
+from push_ident.physics.effects import EFFECTS
+from push_ident_sim.studies.common.measuring import grouped, mean_of
+from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.tables import causes_text, markdown_table, millimetres, number
 from push_ident_sim.studies.recorded.sets import Drawn, draw_pushes, find_sets, known_of
 
-__all__ = ["LAWS", "STUDY"]
+__all__ = ["STUDY"]
 
-LAWS: Final = ("speed_dependent_friction", "position_dependent_friction", "table_anisotropy", "wear")
-"""Effects of the catalogue for friction that depends on speed, place, direction and use."""
-_VARIANTS: Final[dict[str, tuple[int, bool, bool]]] = {
+_DIAGNOSED: Final[dict[str, tuple[int, bool, bool]]] = {
     "14-pushes": (14, False, True),
     "14-poses": (14, False, False),
     "30-ends": (30, True, False),
 }
-"""Number of pushes, whether only their ends are known, and whether measured forces are used."""
+"""Variants of a diagnosis: number of pushes, whether only their ends are known, and whether measured forces are used."""
+_PREDICTED: Final[dict[str, int]] = {"predict-2": 2, "predict-5": 5, "predict-10": 10}
+"""Variants in which all other pushes are predicted from some: how many."""
+_MOST_PUSHES: Final = 100
+"""Of a set that is predicted; some have thousands."""
+_MODELS: Final = ("identified", "scalar", "uniform")
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
-    n, ends_only, with_forces = _VARIANTS[case.variant]
-    found = find_sets(settings.recordings)[case.object_name]
+    rng = np.random.default_rng([case.model])
+    recorded = find_sets(settings.recordings)[case.object_name]
+    if case.variant in _PREDICTED:
+        return _predict(draw_pushes(recorded, _MOST_PUSHES, rng), _PREDICTED[case.variant], rng)
+    n, ends_only, with_forces = _DIAGNOSED[case.variant]
     # All variants draw the same pushes, as far as they take as many.
-    drawn = draw_pushes(found, n, np.random.default_rng([case.model]), ends_only=ends_only, with_forces=with_forces)
-    prior = Prior() if drawn.mass is None else Prior(total_mass=drawn.mass, total_mass_std=0.0)
+    drawn = draw_pushes(recorded, n, rng, ends_only=ends_only, with_forces=with_forces)
     start = time.process_time()
-    diagnosis = diagnose(drawn.records, DiagnosisSettings(prior=prior))
+    diagnosis = diagnose(drawn.records, DiagnosisSettings(prior=_prior(drawn)))
     seconds = time.process_time() - start
-    return finite(
-        {**_of_pushes(drawn), **_outcome(diagnosis), "seconds": seconds, "known": known_of(settings.recordings, case.object_name)}
-    )
+    known = known_of(settings.recordings, case.object_name)
+    return finite({"n": len(drawn.records), "n_all": drawn.n_all, **_outcome(diagnosis), "seconds": seconds, "known": known})
 
 
-def _of_pushes(drawn: Drawn) -> Json:
-    speeds = [_speed(record.pusher) for record in drawn.records]
-    travel = [float(np.linalg.norm(r.poses.pose[-1, :2] - r.poses.pose[0, :2])) for r in drawn.records]
+def _prior(drawn: Drawn) -> Prior:
+    return Prior() if drawn.mass is None else Prior(total_mass=drawn.mass, total_mass_std=0.0)
+
+
+def _predict(drawn: Drawn, n_train: int, rng: np.random.Generator) -> Json:
+    """Mean cell errors [m] on the pushes that were not trained on."""
+    order = rng.permutation(len(drawn.records))
+    train, test = ([drawn.records[i] for i in part] for part in (order[:n_train], order[n_train:]))
+    if not test:
+        return {}
+    result = identify(train, _prior(drawn))
+    models = zip(_MODELS, (result.model, result.scalar, result.uniform), strict=True)
+    return finite({f"{name}_m": float(np.mean(held_out_errors(model, test))) for name, model in models})
+
+
+def _outcome(diagnosis: Diagnosis) -> Json:
+    probabilities, gap, fit = diagnosis.probabilities, diagnosis.gap, diagnosis.fit
+    model = None if fit is None else fit.posterior.model
     return {
-        "n_pushes": len(drawn.records),
-        "n_all": drawn.n_all,
-        "forces": any(record.wrench is not None for record in drawn.records),
-        "mass_kg": drawn.mass,
-        "speed_mps": [min(speeds), max(speeds)],
-        "travel_m": float(np.median(travel)),
-        "notes": list(drawn.notes),
+        "verdict": diagnosis.verdict.value,
+        "refused": [gate.found for gate in diagnosis.gates if not gate.passed],
+        "effects": [{"name": e.name, "parameters": e.parameters} for e in diagnosis.effects],
+        "something_else": None if probabilities is None else probabilities.something_else,
+        "gap": None if gap is None else {f"{key}_m": float(np.mean(getattr(gap, key))) for key in ("before", "after", "noise")},
+        # Mean over the cells, by their loads.
+        "friction": None if model is None else float(model.mass @ model.friction / model.mass.sum()),
     }
-
-
-def _speed(path: PusherPath) -> float:
-    """Of the pusher while it drives [m/s]: the speed in the middle of its way."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.position, axis=0), axis=1))])
-    first, last = (float(path.time[np.searchsorted(way, share * way[-1])]) for share in (0.25, 0.75))
-    return float(0.5 * way[-1] / max(last - first, np.finfo(float).eps))
-
-
-def _outcome(found: Diagnosis) -> Json:
-    return {
-        "verdict": found.verdict.value,
-        "sentence": found.sentence,
-        "failed_gates": [{"found": gate.found, "remedy": gate.remedy} for gate in found.gates if not gate.passed],
-        "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.log_bayes_factor} for e in found.effects],
-        "confusable": list(found.confusion_set),
-        "probabilities": {} if found.probabilities is None else {
-            **found.probabilities.effects, "something_else": found.probabilities.something_else, "nothing": found.probabilities.nothing
-        },
-        "gap": None if found.gap is None else {
-            "before_m": float(np.mean(found.gap.before)),
-            "after_m": float(np.mean(found.gap.after)),
-            "noise_m": float(np.mean(found.gap.noise)),
-        },
-        "friction": _friction(found),
-        "laws": {name: _law(found, name) for name in LAWS},
-    }  # fmt: skip
-
-
-def _friction(found: Diagnosis) -> float | None:
-    """Mean support friction coefficient of the fitted model, by the loads of the cells; None where the diagnosis abstains."""
-    if found.fit is None:
-        return None
-    model = found.fit.posterior.model
-    return float(model.mass @ model.friction / model.mass.sum())
-
-
-def _law(found: Diagnosis, name: str) -> Json:
-    """What these pushes say of one law: its evidence in the first step, and the smallest size that they would have shown."""
-    if found.selection is None or not found.selection.steps:
-        return {}
-    first = found.selection.steps[0]
-    refitted = {c.name: c.log_bayes_factor for c in first.candidates}
-    score = next((s for s in first.scores if s.name == name), None)
-    if score is None:
-        return {}
-    return {"evidence": refitted.get(name, score.expected_log_bayes_factor), "smallest": score.smallest_detectable}
 
 
 # --- all cases
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
-    sets = {name: grouped(own, "variant") for name, own in grouped(results, "object_name").items()}
-    return {
-        "laws": list(LAWS),
-        "sets": {name: {variant: _row(own) for variant, own in variants.items()} for name, variants in sets.items()},
-        "known": {name: next(iter(variants.values()))[0].values["known"] for name, variants in sets.items()},
-    }
+    by_set = {name: grouped(cases, "variant") for name, cases in grouped(results, "object_name").items()}
+    summary: Json = {"diagnosed": {}, "predicted": {}}
+    for name, variants in by_set.items():
+        for variant, cases in variants.items():
+            values = [case.values for case in cases if case.values]
+            if variant in _DIAGNOSED:
+                summary["diagnosed"][f"{name}, {variant}"] = _row(values)
+            elif values:
+                summary["predicted"][f"{name}, {_PREDICTED[variant]}"] = {"draws": len(values)} | {
+                    model: mean_of((v[f"{model}_m"] for v in values), 6) for model in _MODELS
+                }
+    return summary
 
 
-def _row(results: Sequence[CaseResult]) -> Json:
-    values = [result.values for result in results]
+def _row(values: Sequence[Json]) -> Json:
+    named: dict[str, list[Json]] = {}
+    for effect in (effect for v in values for effect in v["effects"]):
+        named.setdefault(effect["name"], []).append(effect["parameters"])
     gaps = [v["gap"] for v in values if v["gap"] is not None]
-    named = Counter(effect["name"] for v in values for effect in v["effects"])
-    frictions = [v["friction"] for v in values if v["friction"] is not None]
     return {
         "draws": len(values),
-        "pushes": [min(v["n_pushes"] for v in values), max(v["n_pushes"] for v in values), max(v["n_all"] for v in values)],
-        "forces": any(v["forces"] for v in values),
-        "speed_mps": [min(v["speed_mps"][0] for v in values), max(v["speed_mps"][1] for v in values)],
-        "travel_m": float(np.median([v["travel_m"] for v in values])),
+        "pushes": [max(v[key] for v in values) for key in ("n", "n_all")],
         "verdicts": dict(Counter(v["verdict"] for v in values)),
-        "named": dict(named),
-        "open": dict(Counter(name for v in values for name in v["confusable"])),
-        "failed_gates": [gate["found"] for v in values for gate in v["failed_gates"]],
-        "sentences": [v["sentence"] for v in values],
-        "gap": {key: float(np.mean([gap[key] for gap in gaps])) for key in ("before_m", "after_m", "noise_m")} if gaps else None,
-        "friction": [float(np.mean(frictions)), float(np.min(frictions)), float(np.max(frictions))] if frictions else None,
-        "laws": {name: _law_row(values, name) for name in LAWS},
-        "sizes": {name: _sizes(values, name) for name in named},
-        "probabilities": _mean_probabilities(values),
+        "named": {name: {"n": len(sizes), "mean": _mean_sizes(name, sizes)} for name, sizes in named.items()},
+        "something_else": mean_of(v["something_else"] for v in values),
+        "refused": sorted({reason for v in values for reason in v["refused"]}),
+        "gap": {key: mean_of((gap[key] for gap in gaps), 6) for key in ("before_m", "after_m", "noise_m")},
+        "friction": mean_of(v["friction"] for v in values),
+        "known": values[0]["known"],
         "seconds": float(np.median([v["seconds"] for v in values])),
     }
 
 
-def _law_row(values: Sequence[Json], name: str) -> Json:
-    own = [v["laws"].get(name) or {} for v in values]
-    evidence = [law["evidence"] for law in own if law.get("evidence") is not None]
-    smallest = [np.inf if law["smallest"] is None else law["smallest"] for law in own if law]
-    middle = float(np.median(smallest)) if smallest else np.inf
-    return {
-        "named": sum(any(effect["name"] == name for effect in v["effects"]) for v in values),
-        "open": sum(name in v["confusable"] for v in values),
-        "evidence": float(np.median(evidence)) if evidence else None,
-        "smallest": middle if np.isfinite(middle) else None,
-        "probability": _mean_probabilities(values).get(name),
-    }
+def _mean_sizes(name: str, sizes: Sequence[Json]) -> Json:
+    """Mean of each parameter that has a size, over the draws in which the effect was named."""
+    return {p.name: mean_of((size[p.name] for size in sizes), 6) for p in EFFECTS[name].parameters if not p.shape}
 
 
-def _mean_probabilities(values: Sequence[Json]) -> dict[str, float]:
-    stated = [v["probabilities"] for v in values if v["probabilities"]]
-    names = dict.fromkeys(name for own in stated for name in own)
-    return {name: float(np.mean([own.get(name, 0.0) for own in stated])) for name in names}
+def _tables(summary: Json) -> str:
+    parts = []
+    if summary["diagnosed"]:
+        head = [
+            "set",
+            "draws × pushes",
+            "verdict",
+            "named",
+            "something else",
+            "held-out error, after it, noise [mm]",
+            "friction",
+            "measured",
+        ]
+        rows = [
+            [
+                name,
+                f"{row['draws']} × {row['pushes'][0]} of {row['pushes'][1]}",
+                causes_text(row["verdicts"]),
+                "; ".join(_named_text(effect, found) for effect, found in row["named"].items()) or "–",
+                number(row["something_else"], "{:.2f}"),
+                ", ".join(millimetres(value, 1) for value in row["gap"].values()),
+                number(row["friction"], "{:.3f}"),
+                number(row["known"].get("friction"), "{:.3f}"),
+                f"{row['seconds']:.0f}",
+            ]
+            for name, row in summary["diagnosed"].items()
+        ]
+        parts.append(markdown_table([*head, "processor [s]"], rows))
+        parts += [f"{name} was refused: {reason}" for name, row in summary["diagnosed"].items() for reason in row["refused"]]
+    if summary["predicted"]:
+        rows = [[name, str(row["draws"]), *(millimetres(row[m]) for m in _MODELS)] for name, row in summary["predicted"].items()]
+        parts.append(markdown_table(["mean cell error [mm], trained on", "draws", *_MODELS], rows))
+    return "\n\n".join(parts)
 
 
-def _sizes(values: Sequence[Json], name: str) -> list[dict[str, Any]]:
-    """Sizes of an effect in the draws in which it was named."""
-    return [{"parameters": e["parameters"], "std": e["std"]} for v in values for e in v["effects"] if e["name"] == name]
+def _named_text(name: str, found: Json) -> str:
+    """Such as `wear 1×, -0.02`."""
+    units = {p.name: p.unit for p in EFFECTS[name].parameters}
+    sizes = ", ".join(f"{value:.2g} {units[parameter]}".strip() for parameter, value in found["mean"].items())
+    return f"{name} {found['n']}×, {sizes}"
 
 
-def _find(folder: Path) -> tuple[str, ...]:
-    return tuple(find_sets(folder))
+def _answer(summary: Json) -> str:
+    verdicts: Counter[str] = Counter()
+    for row in summary["diagnosed"].values():
+        verdicts.update(row["verdicts"])
+    return f"Verdicts on {sum(verdicts.values())} draws of recorded pushes: {causes_text(dict(verdicts.most_common()))}."
 
 
 STUDY = Experiment(
     name="recorded",
-    place=132,
-    title="Recordings of others",
+    title="What does it find in recordings of others?",
     question=(
-        "What does a diagnosis find in pushes that others recorded, on surfaces whose friction they measured? The recordings are those "
-        "of `--recordings DIR`, set by set: one object on one surface. Each seed is a random draw of the pushes of a set, in the order "
-        "in which they were made; `14-pushes` with measured forces, where there are any, `14-poses` the same pushes without them, "
-        "`30-ends` 30 pushes known by their poses before and after only. A published mass counts as given. What the authors measured "
-        "stands in `known.json` beside their recordings. The smallest size is that of the first parameter of a law from which these "
-        "pushes would have shown it on average; a dash: no sensible size. Nothing of the decisions was set on these recordings."
+        "Recordings of `--recordings DIR`, set by set: one object on one surface. The folder may hold unpacked archives of the "
+        "[MIT pushing dataset](../how-to/import-recordings.md#mit-pushing-dataset), text files of CMU's ICRA 2016 set, bags of "
+        "CMU's motion capture, and bags of the contract. Each seed is a random draw of the pushes of a set. `14-pushes`: "
+        "diagnosed with measured forces; `14-poses`: without them; `30-ends`: 30 pushes known by their poses before and after "
+        "only; `predict-N`: the other pushes predicted from N. Friction that the authors measured is read from `known.json` "
+        'beside the recordings: `{"plywood-*": {"friction": 0.28}}`. No decision was set on these recordings. scalar: equal '
+        "cells with fitted values; uniform: with nominal ones."
     ),
     objects=(),
-    find=_find,
-    variants=tuple(_VARIANTS),
-    needs_truth=False,
+    find_objects=lambda folder: tuple(find_sets(folder)),
+    variants=(*_DIAGNOSED, *_PREDICTED),
     stages=("geometry", "physics", "identification", "diagnosis", "bags", "offline", "pushing"),
     run=_run,
     summarise=_summarise,
-    tables=tables,
-    draw=draw,
+    tables=_tables,
+    answer=_answer,
 )

@@ -1,1 +1,0 @@
-"""Many pushes of many models in one call."""

@@ -1,1 +1,0 @@
-"""Experiment: the diagnosis on sealed cases through the camera."""

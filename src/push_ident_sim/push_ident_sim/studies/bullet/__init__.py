@@ -1,1 +1,0 @@
-"""Benchmark: the compiled engine against PyBullet."""

@@ -1,1 +1,0 @@
-"""Experiment: checks of the simulated cell."""

@@ -1,1 +1,0 @@
-"""Experiment: objects pushed to many goals in a row."""

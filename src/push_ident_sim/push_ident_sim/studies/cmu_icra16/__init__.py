@@ -1,1 +1,0 @@
-"""Real pushes of which only the end poses are known."""

@@ -1,1 +1,0 @@
-"""Times of the commands that people wait for."""

@@ -1,1 +1,0 @@
-"""Experiment: error against budget for every solver."""

@@ -1,1 +1,0 @@
-"""Experiment: calibration of the stated uncertainty."""

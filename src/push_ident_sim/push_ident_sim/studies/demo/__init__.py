@@ -1,1 +1,0 @@
-"""Experiment: the demo over objects and seeds."""

@@ -1,1 +1,0 @@
-"""Experiment: objects pushed out over the edge of the table."""

@@ -1,1 +1,0 @@
-"""Experiment: what a diagnosis is worth when objects are pushed to goals."""

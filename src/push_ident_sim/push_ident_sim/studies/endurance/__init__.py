@@ -1,1 +1,0 @@
-"""Experiment: the whole live cell for an hour, while its nodes are killed at random."""

@@ -1,1 +1,0 @@
-"""Benchmark: time and memory of the compiled engine."""

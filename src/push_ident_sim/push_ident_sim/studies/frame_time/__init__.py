@@ -1,1 +1,0 @@
-"""Benchmark: time of a frame in perception."""

@@ -1,1 +1,0 @@
-"""Objects that are pushed to goals."""

@@ -1,1 +1,0 @@
-"""Experiment: an object is pushed to goals in the live cell."""

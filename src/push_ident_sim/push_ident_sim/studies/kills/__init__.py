@@ -1,1 +1,0 @@
-"""Experiment: nodes of the live cell killed in the middle of pushes."""

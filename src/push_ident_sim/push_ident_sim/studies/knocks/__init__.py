@@ -1,1 +1,0 @@
-"""Experiment: objects that are displaced on their path."""

@@ -1,1 +1,0 @@
-"""Experiment: live identification against the library."""

@@ -1,1 +1,0 @@
-"""Experiment: objects whose loads differ from the weight of their cells."""

@@ -1,1 +1,0 @@
-"""Experiment: learned maps beside the truth."""

@@ -1,1 +1,0 @@
-"""Benchmark: all solvers with the same budget."""

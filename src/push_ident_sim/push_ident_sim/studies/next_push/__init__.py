@@ -1,1 +1,0 @@
-"""Experiment: choosing the next push against random pushes."""

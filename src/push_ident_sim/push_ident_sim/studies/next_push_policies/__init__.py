@@ -1,1 +1,0 @@
-"""Random pushes against pushes ranked first, on simulated objects."""

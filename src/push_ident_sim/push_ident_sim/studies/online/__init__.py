@@ -1,1 +1,0 @@
-"""Experiment: learning an object online from depth images."""

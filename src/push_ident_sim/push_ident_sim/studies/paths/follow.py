@@ -1,0 +1,243 @@
+"""One object that is pushed along paths in Bullet as a goal of the cell would be: with the tool steered, or by straight pushes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from push_ident.geometry.outline import signed_distance
+from push_ident.geometry.se2 import transform_points
+from push_ident.planning.curved_planner import CurvedPush
+from push_ident.planning.path_follower import FollowStatus, PathFollower
+from push_ident.planning.path_goal import PathGoal
+from push_ident.planning.path_planner import PathPlanner, PathPush
+from push_ident.planning.path_steps import PathSteps, may_steer_after
+from push_ident.types import Float64Array
+from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.studies.common.pushed import REST, PushedObject
+from push_ident_sim.studies.common.study import Json
+
+__all__ = ["HALF_WIDTH", "PATHS", "SPEED", "Displacement", "PathOutcome", "follow_by_straight_pushes", "follow_steered", "named_path"]
+
+SPEED: Final = 0.05
+"""Of the tool [m/s]."""
+PATHS: Final = ("line", "ahead", "circle", "eight")
+HALF_WIDTH: Final = 0.06
+"""Of the corridor along a path [m]: the default of `goal_pushing_node`."""
+_LINE, _RADIUS = 0.25, 0.08
+"""Length of the lines, and radius of the circle and of both loops of the eight [m]."""
+_MOST_CONTACTS: Final = 60
+_ANGLES: Final = np.linspace(0.0, 2 * np.pi, 200)
+_AHEAD: Final = 0.02
+"""How far along the path the object may come between two poses of the engine [m]: many times what it does."""
+_PERIOD: Final = 1.0 / 30.0
+"""Of the camera [s]."""
+_TOLERANCE: Final = 0.003, float(np.radians(2.0))
+"""Errors that are aimed at [m], [rad]."""
+_SLOWEST: Final = 4.0
+"""A contact may take so many times as long as the path at its speed [1]."""
+_HALF: Final = 0.5
+"""Share of the path after which the object is displaced [1]."""
+_EVERY: Final = 4
+"""Only every so many poses of the engine are measured."""
+_ASIDE, _TURN = 0.040, 0.117
+"""Of a displacement [m], [rad]."""
+_BACK: Final = np.array([0.005, np.radians(4.0)])
+"""Nearer to the path than this the object is back [m, rad]."""
+
+
+def named_path(name: str, speed: float = SPEED) -> PathGoal:
+    """One of `PATHS`, at a speed [m/s]: the line with one heading beside it, all others with the heading along the path."""
+    if name in ("line", "ahead"):
+        yaw = 0.5 if name == "line" else 0.0
+        return PathGoal(np.array([[-_LINE / 2, 0.0, yaw], [_LINE / 2, 0.0, yaw]]), speed)
+    circle = np.column_stack([_RADIUS * np.sin(_ANGLES), _RADIUS * (1.0 - np.cos(_ANGLES)), _ANGLES])
+    if name == "circle":
+        return PathGoal(circle - [0.0, _RADIUS, 0.0], speed)
+    # To the left around one loop, then to the right around the other: the heading is the same at the crossing.
+    return PathGoal(np.vstack([circle, (circle * [1.0, -1.0, -1.0])[1:]]), speed)
+
+
+@dataclass(slots=True)
+class Displacement:
+    """Someone displaces the object half-way, in a steered push or before a straight one."""
+
+    at: float = np.inf
+    """When, since the beginning, rests included [s]."""
+    back: float = np.inf
+    """When it was back on the path for the first time [s]."""
+    pending: bool = True
+
+
+@dataclass(slots=True)
+class PathOutcome:
+    """What became of one path."""
+
+    name: str
+    speed: float = SPEED
+    """Along the path [m/s]."""
+    end: str = ""
+    """The status of planning, or MAX_CONTACTS."""
+    contacts: int = 0
+    time_s: float = 0.0
+    """Of the pushes with their rests."""
+    rms_m: float | None = None
+    """Root mean square of the true distance from the path, over the length that was followed."""
+    rms_rad: float | None = None
+    followed: float = 0.0
+    """Share of the path [1]."""
+    corrections_s: list[float] = field(default_factory=list)
+    """Median and 99 % quantile of the time of a correction by the wall clock; empty where none was made."""
+    back_s: float | None = None
+    """Time from a displacement until the object was back."""
+
+    def values(self) -> Json:
+        """For JSON."""
+        return {key: round(value, 5) if isinstance(value, float) else value for key, value in asdict(self).items()}
+
+
+@dataclass(slots=True)
+class _Run:
+    """What is under way."""
+
+    pushed: PushedObject
+    path: PathGoal
+    outcome: PathOutcome
+    displacement: Displacement | None = None
+    done: float = 0.0
+    """Length of the path that is behind the object [m]."""
+    poses: list[Float64Array] = field(default_factory=list)
+    """True ones, push by push."""
+    corrections: list[float] = field(default_factory=list)
+    """Time of each correction [s]."""
+
+
+def follow_by_straight_pushes(pushed: PushedObject, planner: PathPlanner, name: str) -> PathOutcome:
+    """Push an object, put at the start of a path, along it without corrections."""
+    run = _Run(pushed, named_path(name), PathOutcome(name))
+    pushed.pose = run.path.poses[0].copy()
+    while True:
+        plan = planner.plan(pushed.belief, pushed.observe()[0], run.path, run.done)
+        run.done = plan.done
+        if plan.plan is None or run.outcome.contacts >= _MOST_CONTACTS:
+            break
+        _end_contact(run, pushed.push(plan.plan))
+    return _measured(run, plan.status.name if plan.plan is None else "MAX_CONTACTS")
+
+
+def follow_steered(
+    pushed: PushedObject, planner: PathSteps, name: str, speed: float, displacement: Displacement | None = None
+) -> PathOutcome:
+    """Push an object, put at the start of a path, along it as a goal of the cell is pursued."""
+    path = replace(named_path(name, speed), position=_TOLERANCE[0], yaw=_TOLERANCE[1])
+    run, steers = _Run(pushed, path, PathOutcome(name, speed), displacement), True
+    pushed.pose = path.poses[0].copy()
+    while True:
+        plan = planner.plan(pushed.belief, pushed.observe()[0], path, run.done, steers=steers)
+        run.done = plan.done
+        if plan.contact is None or run.outcome.contacts >= _MOST_CONTACTS:
+            break
+        if plan.straight is not None:
+            _push_straight(run, plan.straight)
+        else:
+            assert plan.steered is not None and plan.follower is not None
+            _push_steered(run, plan.steered, plan.follower(_PERIOD))
+        steers = may_steer_after(plan, plan.done, run.done)
+    return _measured(run, plan.status.name if plan.contact is None else "MAX_CONTACTS")
+
+
+def _push_steered(run: _Run, plan: CurvedPush, follower: PathFollower) -> None:
+    pushed, path, displacement = run.pushed, run.path, run.displacement
+    assert plan.time is not None and plan.tool is not None
+    pose, covariance = pushed.observe()
+    follower.begin(plan.time, plan.tool, pose, covariance, run.done, plan.expected_error)
+    pushed.touch(plan.tool[0])
+    now = np.ceil(plan.time[1] / _PERIOD) * _PERIOD
+    pushed.lead(plan.time, plan.tool, now)
+    last = now + _SLOWEST * path.length / path.speed
+    while now < last:
+        frame = pushed.frame()
+        begun = time.perf_counter()
+        correction = follower.correct(now, *frame)
+        run.corrections.append(time.perf_counter() - begun)
+        run.done = correction.done
+        if correction.status is not FollowStatus.GOING:
+            break
+        now += _PERIOD
+        pushed.lead(correction.time, correction.tool, now)
+        is_due = displacement is not None and displacement.pending and run.done > _HALF * path.length
+        beside = _pose_beside(run, correction.tool[1]) if is_due else None
+        if displacement is not None and beside is not None:
+            displacement.pending, displacement.at = False, run.outcome.time_s + REST + now
+            pushed.displace(beside)
+        else:
+            _note_return(run, now, pushed.pose)
+    _end_contact(run, pushed.let_go())
+
+
+def _push_straight(run: _Run, plan: PathPush) -> None:
+    pushed, displacement = run.pushed, run.displacement
+    assert plan.plan is not None
+    if displacement is not None and displacement.pending and run.done > _HALF * run.path.length:
+        # Between two contacts: the tool is away.
+        beside = _pose_beside(run, None)
+        assert beside is not None, "no tool is in the way"
+        displacement.pending, displacement.at = False, run.outcome.time_s
+        pushed.pose = beside
+        return
+    motion = pushed.push(plan.plan)
+    for now, pose in zip(motion.time[::_EVERY], motion.pose[::_EVERY], strict=True):
+        _note_return(run, float(now), pose)
+    _end_contact(run, motion)
+
+
+def _end_contact(run: _Run, motion: TrueMotion) -> None:
+    run.poses.append(motion.pose[::_EVERY])
+    run.outcome.contacts += 1
+    run.outcome.time_s += run.pushed.duration(motion)
+
+
+def _note_return(run: _Run, now: float, pose: Float64Array) -> None:
+    """Whether a displaced object is back."""
+    displacement = run.displacement
+    if displacement is None or displacement.pending or np.isfinite(displacement.back):
+        return
+    _, error = run.path.error(pose, run.done, 0.1)
+    if np.all(error < _BACK):
+        displacement.back = run.outcome.time_s + REST + now
+
+
+def _pose_beside(run: _Run, tool: Float64Array | None) -> Float64Array | None:
+    """To the side of the path; None while the tool, if it is down, is in the way on both sides."""
+    pushed, direction = run.pushed, float(run.path.direction(run.done))
+    for side in (1.0, -1.0):
+        along = direction + side * np.pi / 2
+        pose = pushed.pose + np.array([_ASIDE * np.cos(along), _ASIDE * np.sin(along), side * _TURN])
+        if tool is None:
+            return pose
+        gap = signed_distance(tool[None], transform_points(pose, pushed.truth.shape.outline))[0] - pushed.settings.pusher_radius
+        if gap > 1e-3:
+            return pose
+    return None
+
+
+def _measured(run: _Run, end: str) -> PathOutcome:
+    """The outcome, with errors weighted by the length of path that they last."""
+    outcome, places, errors = run.outcome, [0.0], []
+    outcome.end = end
+    if run.corrections:
+        outcome.corrections_s = [float(v) for v in np.quantile(run.corrections, [0.5, 0.99])]
+    if run.displacement is not None and np.isfinite(run.displacement.back):
+        outcome.back_s = run.displacement.back - run.displacement.at
+    for pose in np.concatenate(run.poses) if run.poses else ():
+        place, error = run.path.error(pose, places[-1], _AHEAD)
+        places.append(max(places[-1], float(place)))
+        errors.append(error)
+    moved = np.diff(places)
+    if moved.sum() > 0:
+        outcome.rms_m, outcome.rms_rad = (float(v) for v in np.sqrt(moved @ np.array(errors) ** 2 / moved.sum()))
+    outcome.followed = places[-1] / run.path.length
+    return outcome

@@ -1,1 +1,0 @@
-"""Experiment: errors and times of perception."""

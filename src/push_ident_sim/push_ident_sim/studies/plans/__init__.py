@@ -1,1 +1,0 @@
-"""Time of a plan of a push to a goal."""

@@ -1,1 +1,0 @@
-"""Experiment: the real executor on the simulated cell."""

@@ -1,1 +1,0 @@
-"""Experiment: the protocol of the paper's robot experiment."""

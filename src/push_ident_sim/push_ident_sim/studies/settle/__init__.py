@@ -1,1 +1,0 @@
-"""Experiment: the live cell settles a diagnosis by itself."""

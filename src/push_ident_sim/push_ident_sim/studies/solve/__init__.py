@@ -1,1 +1,0 @@
-"""Benchmark: the default solver to convergence."""

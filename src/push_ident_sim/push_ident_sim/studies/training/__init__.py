@@ -1,1 +1,0 @@
-"""Experiment: error against the number of training pushes."""

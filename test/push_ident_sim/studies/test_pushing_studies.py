@@ -1,0 +1,189 @@
+"""Studies that push objects to goals, over an edge, along paths and in Push-T, each on its smallest size; and the demo."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from push_ident.cli.main import app
+from push_ident.errors import InputError
+from push_ident.geometry.outline import polygon_area, signed_distance
+from push_ident.geometry.se2 import transform_points
+from push_ident.planning.path_planner import PathPlanner
+from push_ident.planning.path_steps import PathSteps
+from push_ident_sim.studies.common.plate import plate_in_bullet
+from push_ident_sim.studies.common.pushed import PushedObject
+from push_ident_sim.studies.common.random_objects import random_object
+from push_ident_sim.studies.common.study import Case, CaseResult
+from push_ident_sim.studies.paths.follow import (
+    HALF_WIDTH,
+    PATHS,
+    SPEED,
+    Displacement,
+    follow_by_straight_pushes,
+    follow_steered,
+    named_path,
+)  # fmt: skip
+from push_ident_sim.studies.pusht.disc import actions, way_around
+from push_ident_sim.studies.pusht.game import BLOCK, GOAL, RADIUS, TICK, Game
+from push_ident_sim.studies.registry import EXPERIMENTS
+
+# --- goals and edge
+
+
+def experiment(tmp_path: Path, *arguments: str) -> dict[str, Any]:
+    """The result of an experiment of one object, whose truth is known."""
+    file = tmp_path / "result.json"
+    call = ["experiment", *arguments, "--models", "1", "--seed", "11", "--jobs", "1", "--variants", "truth"]
+    run = CliRunner().invoke(app, [*call, "--out", str(tmp_path / "out"), "--json", str(file)])
+    assert run.exit_code == 0, run.output
+    result: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return result
+
+
+def test_result_of_goals_has_what_scripts_read(tmp_path: Path) -> None:
+    result = experiment(tmp_path, "goals", "--objects", "1", "--goals", "1")
+    assert result["success"] == {"truth": {"20mm_0.1rad": 1.0, "10mm_5deg": 1.0, "5mm_2deg": 1.0}}
+    assert 0 <= result["pushes_mean"] <= 6 and result["time_mean_s"] >= 0 and result["falls"] == 0
+    assert (result["models"], result["goals"], result["seed"]) == (1, 1, 11)
+    assert "1 of 1" in EXPERIMENTS["goals"].answer(result["summary"])
+
+
+def test_number_of_goals_is_checked(tmp_path: Path) -> None:
+    run = CliRunner().invoke(app, ["experiment", "goals", "--objects", "1", "--goals", "0", "--out", str(tmp_path)])
+    assert run.exit_code != 0 and "goals" in run.output
+
+
+def test_known_object_is_pushed_out_over_the_edge_and_held(tmp_path: Path) -> None:
+    result = experiment(tmp_path, "edge", "--objects", "book", "--goals", "2")
+    row = result["summary"]["kinds"]["truth"]
+    assert result["falls"] == row["falls"] == 0 and row["success"]["share"] == 1.0 and row["causes"] == {}
+    assert row["pushes"] >= 1 and row["least_margin_m"] > 0.0
+    assert "2 of 2" in EXPERIMENTS["edge"].tables(result["summary"])
+
+
+# --- paths
+
+
+@pytest.fixture(scope="module")
+def pushed() -> Iterator[PushedObject]:
+    pushed = PushedObject(plate_in_bullet(random_object(np.random.default_rng(3))), "truth", np.random.default_rng(5))
+    yield pushed
+    pushed.close()
+
+
+def test_known_object_follows_a_line_by_straight_pushes(pushed: PushedObject) -> None:
+    row = follow_by_straight_pushes(pushed, PathPlanner(pushed.truth.shape, pushed.settings, SPEED), "line").values()
+    assert row["end"] == "ARRIVED" and row["contacts"] <= 10 and row["rms_m"] < 0.006 and row["followed"] > 0.97
+
+
+def test_known_object_is_steered_along_a_line_in_one_contact_and_returns_to_it_after_a_displacement(pushed: PushedObject) -> None:
+    planner, displacement = PathSteps(pushed.truth.shape, pushed.settings, HALF_WIDTH), Displacement()
+    steered = follow_steered(pushed, planner, "ahead", 0.2).values()
+    displaced = follow_steered(pushed, planner, "ahead", 0.2, displacement).values()
+    assert steered["end"] == "ARRIVED" and steered["contacts"] == 1 and steered["rms_m"] < 0.003 and steered["rms_rad"] < np.radians(2.0)
+    assert displaced["end"] == "ARRIVED" and displacement.at > 0.5 and displaced["back_s"] < 3.0
+    study, case = EXPERIMENTS["paths"], Case("uneven", 1, "truth")
+    results = [
+        CaseResult(case, {"paths": [steered | {"name": name} for name in PATHS]}),
+        CaseResult(replace(case, variant="displaced"), {"paths": [displaced, displaced | {"back_s": None}]}),
+    ]
+    text = study.tables(study.summarise(results))
+    assert "1 of 1" in text and f"{1e3 * steered['rms_m']:.1f} mm" in text and "1 of 2" in text
+
+
+def test_paths_have_the_heading_along_them_and_no_jumps() -> None:
+    for name in ("circle", "eight"):
+        path = named_path(name)
+        step = np.diff(path.poses, axis=0)
+        heading = np.arctan2(step[:, 1], step[:, 0])
+        assert np.max(np.abs(np.angle(np.exp(1j * (heading - path.poses[:-1, 2]))))) < 0.1
+    assert named_path("eight").length == pytest.approx(2 * named_path("circle").length, rel=1e-3)
+
+
+# --- Push-T
+
+
+def test_block_is_the_t_of_the_game() -> None:
+    assert polygon_area(BLOCK.outline) == pytest.approx(0.12 * 0.03 + 0.03 * 0.09)
+    # Ends of bar and stem in the frame of the game, which lies at (256, 256) pixels, turned by 45 degrees, at the goal.
+    corners = np.array([[-0.06, 0.0], [0.06, 0.03], [-0.015, 0.12]])
+    expected = transform_points(np.array([0.256, 0.256, np.pi / 4]), corners)
+    gaps = np.linalg.norm(transform_points(GOAL, BLOCK.outline)[:, None] - expected, axis=2)
+    np.testing.assert_allclose(gaps.min(axis=0), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("length", [0.002, 0.05, 0.3])
+def test_disc_is_led_along_a_line_to_rest(length: float) -> None:
+    start, heading = np.array([0.2, 0.3]), np.array([0.6, -0.8])
+    place, velocity, along = start.copy(), np.zeros(2), []
+    targets = actions(start, start + length * heading, 0.15)
+    for target in targets:
+        for _ in range(10):
+            velocity = velocity + 0.01 * (100.0 * (target - place) - 20.0 * velocity)
+            place = place + 0.01 * velocity
+            along.append(float((place - start) @ heading))
+    np.testing.assert_allclose(place, start + length * heading, atol=1e-9)
+    np.testing.assert_allclose(velocity, 0.0, atol=1e-8)
+    # Never back, and never beyond the end.
+    assert np.min(np.diff(along)) > -1e-3 * length and max(along) < 1.001 * length
+    assert len(targets) * TICK <= length / 0.15 + 0.3
+
+
+def test_disc_goes_around_the_block() -> None:
+    outline = transform_points(GOAL, BLOCK.outline)
+    for start, end in (((0.1, 0.25), (0.4, 0.25)), ((0.25, 0.1), (0.25, 0.45)), ((0.05, 0.05), (0.06, 0.4))):
+        way = way_around(outline, np.array(start), np.array(end))
+        assert way is not None
+        np.testing.assert_array_equal(way[-1], end)
+        places = np.vstack([np.linspace(a, b, 50) for a, b in zip([np.array(start), *way], way, strict=False)])
+        assert float(signed_distance(places, outline).min()) > RADIUS
+    touching = outline[0] + 1e-4
+    leaving = way_around(outline, touching, np.array([0.45, 0.45]))
+    assert leaving is not None and signed_distance(leaving[0][None], outline)[0] > RADIUS
+    assert way_around(outline, np.array([0.1, 0.1]), outline.mean(axis=0)) is None
+
+
+def test_absent_game_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gym_pusht", None)
+    with pytest.raises(InputError, match="gym_pusht is not installed; run `.*pip install"):
+        Game.new()
+
+
+def test_page_of_the_game_counts_starts_and_laws() -> None:
+    def run(seed: int, won: bool) -> dict[str, object]:
+        return {"seed": seed, "won": won, "coverage": 0.96, "ticks": 100, "pushes": 1, "end": "WON" if won else "TIME"}
+
+    values = {"law": "viscous", "errors_m": {"dry": 3e-3, "viscous": 5e-4}, "starts": [run(1, True), run(2, True), run(3, False)]}
+    study = EXPERIMENTS["pusht"]
+    summary = study.summarise([CaseResult(Case("T", 0, "identified"), values)])
+    assert summary["kinds"]["identified"]["success"]["successes"] == 2
+    table = study.tables(summary)
+    assert "2 of 3" in table and "1 TIME" in table and "0.50 mm" in table
+
+
+# --- demo
+
+
+def test_page_of_the_demo_counts_pushes_and_runs() -> None:
+    def push(predicted: float, expected: float, uniform: float, n_ways: int = 1) -> dict[str, object]:
+        return {"predicted_m": predicted, "expected_m": expected, "uniform_m": uniform, "ways": n_ways * [{"chance": 1.0 / n_ways}]}
+
+    def run(*test: dict[str, object]) -> dict[str, object]:
+        return {"training": [{"moved_m": 0.05}, push(0.001, 0.001, 0.01)], "per_push": list(test), "time_s": 100.0}
+
+    good = run(push(0.001, 0.001, 0.008), push(0.002, 0.001, 0.008, 2))
+    bad = run(push(0.009, 0.001, 0.004), push(0.001, 0.002, 0.002))
+    study = EXPERIMENTS["demo"]
+    summary = study.summarise([CaseResult(Case("hammer", seed, "plain"), values) for seed, values in enumerate((good, bad))])
+    assert (summary["pushes"], summary["far"], summary["within"], summary["two_ways"], summary["worse"]) == (6, 1, 4, 1, 1)
+    text = study.tables(summary)
+    assert "1 of 2" in text and "1 of 6" in text
