@@ -63,7 +63,7 @@ ROOMS = {
         "__main__ client gap_diagnosis goal_pushing identification perception push_executor viewer",
     ],
 }
-"""Rooms of a stage: its folders and single modules, a level a line. A room imports from levels before its own, not from its neighbours."""
+"""Rooms of a stage: its folders and single modules, a level a line. A room imports from levels before its own, not its neighbours."""
 ROS = {"rclpy", "push_ident_msgs", "std_msgs", "geometry_msgs", "sensor_msgs", "nav_msgs", "diagnostic_msgs", "builtin_interfaces"}
 
 

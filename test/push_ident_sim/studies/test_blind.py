@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -30,11 +29,10 @@ from push_ident_sim.studies.blind.cases import (
     make_records,
     make_requested_record,
 )  # fmt: skip
-from push_ident_sim.studies.blind.scoring import score_case, true_values
+from push_ident_sim.studies.blind.scoring import score_case
 from push_ident_sim.studies.blind.summary import figures, interval, judge, summarise_cases
 from push_ident_sim.studies.common.files import write_json
 from push_ident_sim.studies.common.study import Case, CaseResult
-from push_ident_sim.studies.registry import EXPERIMENTS
 
 NOISE = CameraNoise()
 
@@ -93,13 +91,6 @@ def test_truth_is_sealed_before_scoring_and_scored_by_one_policy_and_one_code(tm
         sealing.seal_cases([*cases(0, 1), *chosen], tmp_path)
 
 
-def test_pushes_of_a_case_are_the_first_of_the_longer_one() -> None:
-    few, more = (make_records(draw_truth("book", 4), "book", 4, n, NOISE) for n in (2, 3))
-    assert [r.order for r in more] == [0, 1, 2]
-    for a, b in zip(few, more[:2], strict=True):
-        np.testing.assert_array_equal(a.poses.pose, b.poses.pose)
-
-
 @pytest.mark.parametrize("model", [1, 2])
 def test_proposed_push_starts_at_the_pose_that_the_diagnosis_asked_for(model: int) -> None:
     truth, pose = draw_truth("book", model), np.array([0.1, -0.05, 0.7])
@@ -151,17 +142,6 @@ def outcome(kind: str, truth: list[str], verdict: str, named: list[str], confusa
     return CaseResult(Case("book", 0, "14-pushes"), values)
 
 
-def test_rival_that_was_fitted_has_the_distance_of_its_fit() -> None:
-    case = outcome("single", ["pusher_lag"], "named", ["pusher_lag"], [], 20.0, 50.0)
-    assert judge(case).noncentrality == 50.0
-    case.values["oracle"]["apart"] = 4.0
-    assert judge(case).noncentrality == 4.0
-    # What belongs to the base, as a small error of a camera, is neither detectable nor missed.
-    for key in ("detectability", "oracle"):
-        del case.values[key]
-    assert not judge(case).detectable and judge(case).noncentrality == 0.0
-
-
 def test_figures_count_what_they_say() -> None:
     results = [
         outcome("null", [], "no_gap", [], [], 0, 0),
@@ -198,35 +178,7 @@ def test_figures_count_what_they_say() -> None:
     assert counted["shrink_of_oracle"]["value"] == pytest.approx(0.8 / 0.9)
 
 
-def test_summary_becomes_tables_and_a_confusion_matrix(tmp_path: Path) -> None:
-    results = [outcome("null", [], "no_gap", [], [], 0, 0), outcome("single", ["outline_error"], "named", ["outline_error"], [], 30, 60)]
-    summary = {**summarise_cases(results), "sealed": sealing.seal_cases(cases(0, 1), tmp_path)}
-    write_json(tmp_path / "blind.json", summary)
-    text = EXPERIMENTS["blind"].tables(json.loads((tmp_path / "blind.json").read_text()))
-    assert "false alarms on nulls" in text and summary["sealed"]["truth_sha256"][:12] in text
-    assert EXPERIMENTS["blind"].answer(summary).startswith("Of detectable single effects 1 of 1 are named first; 0 false alarms in 1")
-
-
 # --- one case
-
-
-def test_tether_without_a_place_is_anchored_where_the_object_was_put_down() -> None:
-    effects = InjectedEffects.of({"push_height": 0.006, "tether": 4.0, "tool_offset": (1e-3, -2e-3)})
-    centre = np.array([0.1, -0.05])
-    np.testing.assert_array_equal(true_values(effects, "push_height", centre), [0.006])
-    np.testing.assert_allclose(true_values(effects, "tether", centre), [4.0, 0.4, -0.2])
-    np.testing.assert_array_equal(true_values(effects, "tool_offset", centre), [1e-3, -2e-3])
-    np.testing.assert_array_equal(true_values(InjectedEffects.of({"tether": (4.0, 0.1, 0.2)}), "tether", centre), [4.0, 0.1, 0.2])
-
-
-def test_drawn_lever_is_that_of_a_height_on_the_object_of_the_case() -> None:
-    truths = {(c.object_name, c.model): draw_truth(c.object_name, c.model) for c in cases(0, 50)}
-    levers = [(key, t) for key, t in truths.items() if t.names == ("push_height",)]
-    assert len(levers) >= 8
-    for (name, model), truth in levers:
-        thing = make_object(name, model)
-        height = truth.effects["push_height"][0] / (thing.friction @ thing.mass / thing.mass.sum())
-        assert 0.0 < height <= 0.09 * (1.0 + 1e-12) and 0.3 < height / (0.02 * truth.scenario.size) < 2.0
 
 
 def test_case_is_diagnosed_and_compared_with_what_the_truth_would_have_closed(tmp_path: Path) -> None:

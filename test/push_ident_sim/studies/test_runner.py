@@ -19,7 +19,6 @@ from push_ident.cli.main import app
 from push_ident.errors import InputError
 from push_ident_sim.recordings.truth import TruthSettings
 from push_ident_sim.studies.common import runner
-from push_ident_sim.studies.common.files import write_json
 from push_ident_sim.studies.common.pages import write_benchmarks, write_experiments
 from push_ident_sim.studies.common.runner import RunOptions, run_experiment
 from push_ident_sim.studies.common.study import Settings
@@ -56,21 +55,6 @@ def test_command_runs_resumes_and_reports(tmp_path: Path, capfd: pytest.CaptureF
     study, page = EXPERIMENTS["real-protocol"], (results / "real-protocol.md").read_text()
     assert study.tables(content["summary"]) in page and study.answer(content["summary"]) in (results / "index.md").read_text()
     assert "--models 1 --variants pair-0,pair-1`" in page
-
-
-def test_page_counts_planned_and_failed_cases(tmp_path: Path) -> None:
-    study = EXPERIMENTS["real-protocol"]
-    row = {"mean_m": 1e-3, "standard_error_m": None, "median_m": 1e-3, "q90_m": 1e-3, "max_m": 1e-3, "pushes": 5, "not_simulated": 0}
-    run = {
-        **{"experiment": study.name, "objects": ["hammer"], "models": 1, "variants": list(study.variants), "seed": 0, "max_seconds": 30.0},
-        **{"planned": 9, "finished": 4, "date": "2026-01-01", "machine": {"processor": "any", "jobs": 1}},
-        "failed": [{"case": "hammer-0000-pair-0", "error": "it slipped"}],
-        "summary": {"objects": {"all": dict.fromkeys(("identified", "scalar", "uniform", "truth"), row)}},
-    }
-    write_json(tmp_path / "real-protocol.json", run)
-    write_experiments(EXPERIMENTS.values(), tmp_path, "command")
-    page = (tmp_path / "real-protocol.md").read_text()
-    assert "4 of 9 planned cases" in page and "1 cases failed: hammer-0000-pair-0 (it slipped)" in page and "--variants" not in page
 
 
 def test_cases_of_live_nodes_run_one_at_a_time_whatever_number_of_processes_is_requested(tmp_path: Path) -> None:
