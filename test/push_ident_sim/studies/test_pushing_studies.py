@@ -61,7 +61,7 @@ def test_known_object_is_pushed_out_over_the_edge_and_held(tmp_path: Path) -> No
     row = result["summary"]["kinds"]["truth"]
     assert result["falls"] == row["falls"] == 0 and row["success"]["share"] == 1.0 and row["causes"] == {}
     assert row["pushes"] >= 1 and row["least_margin_m"] > 0.0
-    assert "2 of 2" in EXPERIMENTS["edge"].tables(result["summary"])
+    assert "2/2" in EXPERIMENTS["edge"].tables(result["summary"])
 
 
 # --- paths
@@ -91,7 +91,7 @@ def test_known_object_is_steered_along_a_line_in_one_contact_and_returns_to_it_a
         CaseResult(replace(case, variant="displaced"), {"paths": [displaced, displaced | {"back_s": None}]}),
     ]
     text = study.tables(study.summarise(results))
-    assert "1 of 1" in text and f"{1e3 * steered['rms_m']:.1f} mm" in text and "1 of 2" in text
+    assert "1/1" in text and f"{1e3 * steered['rms_m']:.1f} mm" in text and "1/2" in text
 
 
 # --- Push-T
@@ -138,7 +138,7 @@ def test_page_of_the_game_counts_starts_and_laws() -> None:
     summary = study.summarise([CaseResult(Case("T", 0, "identified"), values)])
     assert summary["kinds"]["identified"]["success"]["successes"] == 2
     table = study.tables(summary)
-    assert "2 of 3" in table and "1 TIME" in table and "0.50 mm" in table
+    assert "2/3" in table and "1 TIME" in table and "0.50 mm" in table
 
 
 # --- demo

@@ -105,7 +105,7 @@ def _tables(summary: Json) -> str:
         [
             kind,
             *(f"{share_text(row['reached'][level])}; {row['pushes'][level]:.2f}; {row['time_s'][level]:.1f} s" for level in _LEVELS),
-            f"{row['sure']['successes']} of {row['sure']['n']}",
+            f"{row['sure']['successes']}/{row['sure']['n']}",
         ]
         for kind, row in summary["kinds"].items()
     ]

@@ -34,7 +34,7 @@ _ROWS: Final = {
 
 def _figure(figure: Json) -> str:
     if "share" in figure and figure["share"] is not None:
-        return f"{round(figure['share'] * figure['n'])} of {figure['n']} ({100 * figure['low']:.0f}-{100 * figure['high']:.0f} %)"
+        return f"{round(figure['share'] * figure['n'])}/{figure['n']} ({100 * figure['low']:.0f}-{100 * figure['high']:.0f}%)"
     return number(figure.get("value"), "{:.2f}")
 
 

@@ -34,12 +34,12 @@ def millimetres(metres: float | None, digits: int = 2) -> str:
 def mean_millimetres(row: Mapping[str, float | None]) -> str:
     """Mean and standard error of `measuring.error_row`."""
     spread = row["standard_error_m"]
-    return millimetres(row["mean_m"]) + ("" if spread is None else f" ± {millimetres(spread)}")
+    return millimetres(row["mean_m"]) + ("" if spread is None else f"±{millimetres(spread)}")
 
 
 def share_text(row: Mapping[str, Any]) -> str:
-    """Of `measuring.share`, such as `39 of 40 (87-100 %)`."""
-    return f"{row['successes']} of {row['n']} ({100 * row['low']:.0f}-{100 * row['high']:.0f} %)"
+    """Of `measuring.share`, such as `39/40 (87-100%)`."""
+    return f"{row['successes']}/{row['n']} ({100 * row['low']:.0f}-{100 * row['high']:.0f}%)"
 
 
 def causes_text(row: Mapping[str, int]) -> str:

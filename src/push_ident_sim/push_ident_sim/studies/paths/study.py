@@ -111,9 +111,9 @@ def _tables(summary: Json) -> str:
 
 
 def _path_text(row: Json) -> str:
-    """Such as `4 of 4; 2.5 mm, 1.6°; 9.8; 18 s`, with the ends of runs that failed."""
+    """Such as `4/4; 2.5 mm, 1.6°; 9.8; 18 s`, with the ends of runs that failed."""
     rms = number(row["rms_m"], "{:.1f} mm", 1e3) + ", " + number(row["rms_rad"], "{:.1f}°", float(np.degrees(1.0)))
-    followed = f"{row['followed']['successes']} of {row['followed']['n']}" + "".join(f", {n} {end}" for end, n in row["causes"].items())
+    followed = f"{row['followed']['successes']}/{row['followed']['n']}" + "".join(f", {n} {end}" for end, n in row["causes"].items())
     return "; ".join([followed, rms, number(row["contacts"], "{:.1f}"), number(row["time_s"], "{:.0f} s")])
 
 
