@@ -81,13 +81,6 @@ def test_a_new_thing_is_seen_within_a_search_period_and_what_a_search_takes(monk
         assert (watched.n - placed) / rate <= SETTINGS.rest_frames * latest + 1 / rate
 
 
-def test_a_slow_camera_searches_a_frame_as_a_whole(monkeypatch):
-    watched = Watched(monkeypatch, 2.0)
-    watched.see_until_known()
-    watched.see()
-    assert watched.calls[watched.n]["cover_hollows"] == watched.calls[watched.n]["find_segments"] == 1
-
-
 def test_a_pose_is_fitted_in_few_steps(monkeypatch):
     watched = Watched(monkeypatch, 30.0)
     watched.see_until_known()

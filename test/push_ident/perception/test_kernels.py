@@ -68,18 +68,6 @@ def test_gradient_is_the_derivative_of_the_sum_of_squares(field, lines):
     assert -gradient == pytest.approx(by_difference, rel=1e-3, abs=1e-2)
 
 
-def test_normal_matrix_and_shares_are_sums_over_the_lines(field, lines):
-    upper, lower, stopped = lines
-    whole = compare_lines(field, *lines, POSE, (0.006, 0.018, 0.003))
-    parts = [compare_lines(field, upper[s], lower[s], stopped[s], POSE, (0.006, 0.018, 0.003)) for s in (slice(0, 150), slice(150, 400))]
-    assert whole[0] == pytest.approx(parts[0][0] + parts[1][0])
-    assert whole[1] == pytest.approx(parts[0][1] + parts[1][1])
-    assert whole[2] == pytest.approx((150 * parts[0][2] + 250 * parts[1][2]) / 400)
-    assert np.array_equal(whole[0], whole[0].T)
-    nothing = compare_lines(field, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), POSE, (0.006, 0.018, 0.003))
-    assert nothing[3:] == (1.0, 1.0)
-
-
 def test_labels_follow_the_height_inside_the_workspace():
     # A camera 1 m above the table that looks straight down; columns from 50 on lie outside the workspace.
     down = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0], [0.0, 0.0, 0.0, 1.0]])

@@ -19,7 +19,6 @@ from push_ident.perception.outline.fusion import fuse_views
 from push_ident.perception.outline.tracing import trace_object
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.recording import observe_offline
-from push_ident.perception.refusals import Reason
 from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking.pose_fit import fit_pose, relocate
@@ -110,14 +109,6 @@ def test_images_that_lie_about_themselves_are_refused(encoding, height, width, s
         depth_from_buffer(encoding, height, width, step, False, bytes(n_bytes))
 
 
-def test_points_lie_where_the_scene_is():
-    frame = render([Prism(rectangle(-0.1, -0.1, 0.1, 0.1), 0.05)])
-    points = points_in_table(frame, CAMERA)
-    assert points[240, 320] == pytest.approx([0.03, 0.0, 0.05], abs=0.005)
-    assert points[240, 320, 2] == pytest.approx(0.05, abs=1e-6)
-    np.testing.assert_allclose(points[2, :, 2], 0.0, atol=1e-6)
-
-
 def test_frame_and_intrinsics_of_different_sizes_are_refused():
     with pytest.raises(FrameError, match=r"\(4, 4\), its camera info \(480, 640\)"):
         points_in_table(DepthFrame(0.0, np.ones((4, 4), np.float32), INTRINSICS), CAMERA)
@@ -169,19 +160,6 @@ def test_top_down_grid_shows_the_object_and_keeps_its_shadow_unknown():
     assert np.mean(cells(-0.08, -0.09, -0.06, 0.09) == UNOBSERVED) > 0.99
     assert np.mean(cells(0.06, -0.2, 0.2, 0.2) == FREE) > 0.99
     assert np.nanmedian(grid.height[grid.occupancy == OCCUPIED]) == pytest.approx(0.06, abs=0.004)
-
-
-def test_an_object_beside_the_robot_is_no_whole_segment():
-    rng = np.random.default_rng(0)
-    touching = compose(FIRST, [-0.03, 0.029, 0.0])[:2]
-    frame = render([*hammer(FIRST), Prism(circle(RADIUS) + touching, 0.11)], rng=rng)
-    segments, counts = find_segments(FrameView(frame, CAMERA, (Cylinder(*touching, RADIUS),)))
-    assert not any(segment.whole for segment in segments)
-    assert counts["segments"] == len(segments) > 0
-    assert {segment.fault for segment in segments} == {Reason.BESIDE_ROBOT}
-    segments, _ = find_segments(FrameView(render(hammer(FIRST), rng=rng), CAMERA))
-    assert len(segments) == 1 and segments[0].whole
-    assert segments[0].area == pytest.approx(abs(polygon_area(HAMMER_OUTLINE)), rel=0.3)
 
 
 # Shape

@@ -217,13 +217,6 @@ def test_a_failure_stays_with_its_object_and_is_said_once(monkeypatch, error):
     assert all(known.status is TrackStatus.TRACKED for frame in frames for known in frame.objects)
 
 
-def test_time_going_back_drops_what_was_under_way():
-    watched = Watched(CAMERA, ragged_hammer(np.random.default_rng(0)))
-    rests_of(watched, 18)
-    watched.frame(PLACES[1], step=-3.0)
-    assert not watched.perception.finish()
-
-
 def test_a_rest_is_wanted_in_a_new_place_and_heading_only_and_from_an_object_at_rest():
     rng = np.random.default_rng(0)
     perception = Perception(CAMERA, PerceptionSettings(rest_frames=5))

@@ -79,14 +79,6 @@ def test_the_shadow_of_a_step_of_an_object_does_not_divide_it(head, n_segments, 
         assert np.ptp(segments[0].points_in(shadowed.points)[:, 0]) > 0.23
 
 
-def test_an_object_behind_another_is_found_but_not_registered():
-    prisms = [box(-0.06, 0.0, 0.06, 0.24, 0.11), box(0.06, 0.0, 0.05, 0.1, 0.11)]
-    segments, _ = segments_of(prisms, settings=replace(TALL, min_object_height=0.01))
-    assert [segment.fault for segment in segments].count(Reason.BEHIND_ANOTHER) == 1
-    behind = next(segment for segment in segments if not segment.whole)
-    assert behind.centre[0] < 0.0
-
-
 # Several views
 
 

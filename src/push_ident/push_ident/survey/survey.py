@@ -23,7 +23,7 @@ from push_ident.perception.frame.view import median_frame, points_in_table
 from push_ident.perception.observation import Observation
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.refusals import Reason, Refusal
-from push_ident.perception.settings import PerceptionSettings
+from push_ident.perception.settings import PerceptionSettings, TableSettings
 from push_ident.survey.noise_bands import NoiseBand, noise_by_distance
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
@@ -40,8 +40,6 @@ _MOVED: Final = (0.01, 0.01)
 Kinect at 2 m, 5 mm each (Nguyen et al., 2012)."""
 _MOVED_SHARE: Final = 0.002
 """Largest fraction of the pixels that may show something else in frames at rest: a patch of 25 x 25 pixels of 640 x 480."""
-_MAX_CORRECTION: Final = (0.06, 0.03)
-"""A given pose of the camera that the plane would turn or move by more is wrong [rad, m]: as perception itself has it."""
 _HEIGHT_STEP: Final = 5e-4
 """To which `min_object_height` is rounded up [m]."""
 _UNDER_TOP: Final = 0.98
@@ -216,10 +214,11 @@ def _agreed(given: Float64Array | None, fitted: Float64Array, noise: float) -> t
     normal, point = plane_in_table[:3, 2], plane_in_table[:3, 3]
     tilt = float(np.arccos(np.clip(normal[2], -1.0, 1.0)))
     offset = float(normal @ point / normal[2]) if abs(normal[2]) > 0.1 else np.inf
-    if tilt > _MAX_CORRECTION[0] or abs(offset) > _MAX_CORRECTION[1]:
+    accepted = TableSettings()
+    if tilt > accepted.max_tilt or abs(offset) > accepted.max_offset:
         wrong = (
             f"the given camera pose is not used: the table is {np.degrees(tilt):.1f} degrees and {offset * 1e3:.0f} mm from its place, "
-            f"expected at most {np.degrees(_MAX_CORRECTION[0]):.1f} degrees and {_MAX_CORRECTION[1] * 1e3:.0f} mm; calibrate anew"
+            f"expected at most {np.degrees(accepted.max_tilt):.1f} degrees and {accepted.max_offset * 1e3:.0f} mm; calibrate anew"
         )
         return fitted, False, wrong
     slope = (float(-normal[0] / normal[2]), float(-normal[1] / normal[2]))

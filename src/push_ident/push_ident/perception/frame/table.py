@@ -18,28 +18,12 @@ from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["TableCamera", "TablePlane", "fit_table"]
 
-_SEARCH: Final = 0.05
-"""Points within this height of the expected plane are candidates for the table [m]."""
-_MAX_TILT: Final = 0.06
-"""A larger correction of tilt means wrong extrinsics [rad]."""
-_MAX_OFFSET: Final = 0.03
-"""A larger correction of height means wrong extrinsics [m]."""
 _STRIDE: Final = 4
 """Every fourth pixel of every fourth row is used: enough for three unknowns."""
 _HYPOTHESES: Final = 60
 """Random planes tried."""
 _MIN_POINTS: Final = 125
 """Least number of points on the plane, after the stride."""
-_MIN_SHARE: Final = 0.2
-"""Fraction of the points in the workspace that must lie on the plane."""
-_MAX_NOISE: Final = 0.006
-"""A larger deviation of the points from their plane is no flat table [m]: a Kinect has 5 mm at 1.8 m (Nguyen et al., 2012)."""
-_UNDER: Final = 0.01
-"""Points that are further below the plane lie under the table [m], unless noise is larger."""
-_MAX_UNDER: Final = 0.1
-"""Largest fraction of the points in the workspace that may lie under the table: more is a reflection, or a rim taken for the table."""
-_MOVED: Final = 0.0015
-"""A table plane whose height differs by more at a corner of the workspace replaces the one in use [m]."""
 _CALMER: Final = 0.67
 """A table with less than this share of the noise that its plane was fitted with is less noisy [-]: by three deviations of a deviation that
 the median of 125 points gives, the least number of a plane."""
@@ -104,16 +88,16 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
     valid = sample[np.isfinite(sample[:, 2])]
     if len(valid) == 0:
         raise PerceptionError(f"Depth image has 0 valid of {points.shape[0] * points.shape[1]} pixels; check the camera and its range.")
-    low, high = settings.workspace_low, settings.workspace_high
+    low, high, accepted = settings.workspace_low, settings.workspace_high, settings.table
     in_workspace = np.all((valid[:, :2] >= low) & (valid[:, :2] <= high), axis=1)
-    near = valid[in_workspace & (np.abs(valid[:, 2]) < _SEARCH)]
-    needed = max(_MIN_POINTS, int(_MIN_SHARE * np.count_nonzero(in_workspace)))
+    near = valid[in_workspace & (np.abs(valid[:, 2]) < accepted.search_height)]
+    needed = max(_MIN_POINTS, int(accepted.min_share * np.count_nonzero(in_workspace)))
     if len(near) < needed:
         raise PerceptionError(
-            f"{len(near)} of {len(valid)} points lie within {_SEARCH * 1e3:.0f} mm of the table, expected at least {needed}; "
-            "check the extrinsics and that the camera sees the workspace."
+            f"{len(near)} of {len(valid)} points lie within {accepted.search_height * 1e3:.0f} mm of the table, expected at least "
+            f"{needed}; check the extrinsics and that the camera sees the workspace."
         )
-    plane, design = _best_random_plane(near), np.column_stack([near[:, :2], np.ones(len(near))])
+    plane, design = _best_random_plane(near, accepted.max_tilt), np.column_stack([near[:, :2], np.ones(len(near))])
     for _ in range(4):
         distance = near[:, 2] - design @ plane
         noise = 1.4826 * float(np.median(np.abs(distance[np.abs(distance) < 0.01]))) if np.any(np.abs(distance) < 0.01) else 0.01
@@ -124,27 +108,27 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
             )
         chosen = design[inliers]
         plane = np.linalg.lstsq(chosen.T @ chosen, chosen.T @ near[inliers, 2], rcond=None)[0]
-    if np.hypot(plane[0], plane[1]) > _MAX_TILT or abs(plane[2]) > _MAX_OFFSET:
+    if np.hypot(plane[0], plane[1]) > accepted.max_tilt or abs(plane[2]) > accepted.max_offset:
         raise PerceptionError(
             f"The table is tilted by {np.hypot(plane[0], plane[1]):.3f} rad and {plane[2] * 1e3:.0f} mm from its place in the extrinsics, "
-            f"expected at most {_MAX_TILT} rad and {_MAX_OFFSET * 1e3:.0f} mm; calibrate the camera."
+            f"expected at most {accepted.max_tilt} rad and {accepted.max_offset * 1e3:.0f} mm; calibrate the camera."
         )
-    if noise > _MAX_NOISE:
+    if noise > accepted.max_noise:
         raise PerceptionError(
-            f"The points of the table deviate by {noise * 1e3:.1f} mm from a plane, expected at most {_MAX_NOISE * 1e3:.0f} mm; "
+            f"The points of the table deviate by {noise * 1e3:.1f} mm from a plane, expected at most {accepted.max_noise * 1e3:.0f} mm; "
             "it is not flat, or glossy, or too far from the camera."
         )
     everything = valid[in_workspace]
-    under = float(np.mean(everything[:, 2] - everything[:, :2] @ plane[:2] - plane[2] < -max(_UNDER, _HEIGHTS_OF_NOISE * noise)))
-    if under > _MAX_UNDER:
+    under = float(np.mean(everything[:, 2] - everything[:, :2] @ plane[:2] - plane[2] < -max(accepted.under, _HEIGHTS_OF_NOISE * noise)))
+    if under > accepted.max_share_under:
         raise PerceptionError(
-            f"{under:.0%} of the points in the workspace lie more than {_UNDER * 1e3:.0f} mm under the table, expected at most "
-            f"{_MAX_UNDER:.0%}: a reflection, or the rim of a bin taken for the table; check extrinsics and workspace."
+            f"{under:.0%} of the points in the workspace lie more than {accepted.under * 1e3:.0f} mm under the table, expected at most "
+            f"{accepted.max_share_under:.0%}: a reflection, or the rim of a bin taken for the table; check extrinsics and workspace."
         )
     return TablePlane((float(plane[0]), float(plane[1])), float(plane[2]), max(noise, 1e-4), int(np.count_nonzero(inliers)))
 
 
-def _best_random_plane(points: Float64Array) -> Float64Array:
+def _best_random_plane(points: Float64Array, max_tilt: float) -> Float64Array:
     """The plane through three points with the most points within 6 mm."""
     rng = np.random.default_rng(0)
     scored = points[rng.integers(len(points), size=min(len(points), 1500))]
@@ -152,7 +136,7 @@ def _best_random_plane(points: Float64Array) -> Float64Array:
     design = np.concatenate([triples[:, :, :2], np.ones((_HYPOTHESES, 3, 1))], axis=2)
     spread = np.abs(np.linalg.det(design)) > 1e-3
     planes = np.linalg.solve(design[spread], triples[spread][:, :, 2:])[:, :, 0]
-    planes = planes[np.hypot(planes[:, 0], planes[:, 1]) < 2 * _MAX_TILT]
+    planes = planes[np.hypot(planes[:, 0], planes[:, 1]) < 2 * max_tilt]
     if len(planes) == 0:
         return np.zeros(3)
     distance = scored[:, 2:] - scored[:, :2] @ planes[:, :2].T - planes[:, 2]
@@ -226,10 +210,10 @@ class TableCamera:
         except PerceptionError:
             # As far from the plane in use as a correction goes, and as near to the extrinsics.
             anew = fit_table(points_in_table(view.frame, self._extrinsics), self.settings)
-            if anew.difference(plane, self.settings) <= _MOVED:
+            if anew.difference(plane, self.settings) <= self.settings.table.moved:
                 raise
             return anew
-        if moved.difference(TablePlane.expected(), self.settings) > _MOVED:
+        if moved.difference(TablePlane.expected(), self.settings) > self.settings.table.moved:
             return fit_table(points_in_table(view.frame, self._extrinsics), self.settings)
         return replace(plane, noise=moved.noise) if moved.noise < _CALMER * plane.noise else plane
 

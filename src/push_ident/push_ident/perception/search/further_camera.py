@@ -31,21 +31,6 @@ __all__ = ["FurtherCamera"]
 
 _KEPT: Final = 20
 """Number of latest frames that are kept."""
-_TIME_MARGIN: Final = 0.05
-"""Frames up to this long before or after the rest still belong to it, as the cameras are not synchronised [s]."""
-_NEEDED: Final = 1 / 3
-"""Frames needed during a rest, as a fraction of those of the main camera."""
-_AREA: Final = (0.7, 1.4)
-"""Range of the area of the segment, relative to that of the object."""
-_MAX_SHIFT: Final = 0.005
-"""A larger distance from the position that the main camera measured means wrong extrinsics [m]."""
-_MAX_TURN: Final = 0.05
-"""A larger difference of yaw means wrong extrinsics [rad]."""
-_MAX_CONTRADICTING: Final = 0.08
-"""Largest fraction of the lines of sight away from the edge that may contradict the outline of the main camera."""
-_MAX_GROWTH: Final = 0.0012
-"""Largest difference of the radius of the object from that of the main camera [m]. With two exact cameras differences up to 0.75 mm were
-measured, from parts hidden from one of them; from 1.2 mm on the second camera made some outlines worse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +74,8 @@ class FurtherCamera:
         Raises:
             PerceptionError: The view shows too little of the object, or contradicts the main camera; the text gives the numbers.
         """
-        shots = self._during(began, ended, settings.rest_frames)
+        accepted = settings.further_camera
+        shots = self._during(began, ended, settings)
         frame = median_frame([shot.frame for shot in shots])
         robot = [part for shot in shots for part in shot.robot]
         plane = fit_table(points_in_table(frame, self._extrinsics), settings)
@@ -100,32 +86,34 @@ class FurtherCamera:
         if fit.status is not TrackStatus.TRACKED:
             raise PerceptionError(f"The object is not found where the main camera located it: {fit.status.value}.")
         shift, turn = float(np.linalg.norm(fit.pose[:2] - traced.pose[:2])), abs(float(wrap_angle(fit.pose[2] - traced.pose[2])))
-        if shift > _MAX_SHIFT or turn > _MAX_TURN or fit.share_contradicting > _MAX_CONTRADICTING:
+        if shift > accepted.max_shift or turn > accepted.max_turn or fit.share_contradicting > accepted.max_contradicting:
             raise PerceptionError(
                 f"The object is {shift * 1e3:.1f} mm and {np.degrees(turn):.1f} degrees from its pose in the main camera, and "
-                f"{fit.share_contradicting:.0%} of the lines of sight contradict its outline, expected at most {_MAX_SHIFT * 1e3:.0f} mm, "
-                f"{np.degrees(_MAX_TURN):.1f} degrees and {_MAX_CONTRADICTING:.0%}; check the extrinsics of both cameras."
+                f"{fit.share_contradicting:.0%} of the lines of sight contradict its outline, expected at most "
+                f"{accepted.max_shift * 1e3:.0f} mm, {np.degrees(accepted.max_turn):.1f} degrees and {accepted.max_contradicting:.0%}; "
+                "check the extrinsics of both cameras."
             )
         agreed = _moved(view.camera_in_table, compose(traced.pose, inverse(fit.pose)))
         growth = template.radius * (relative_size(FrameView(frame, agreed, robot), traced) - 1.0)
-        if abs(growth) > _MAX_GROWTH:
+        if abs(growth) > accepted.max_growth:
             raise PerceptionError(
                 f"The farthest edge of the object is {growth * 1e3:+.1f} mm from its place in the main camera, expected within "
-                f"{_MAX_GROWTH * 1e3:.1f} mm; check the camera infos and the unit of the depth of both cameras."
+                f"{accepted.max_growth * 1e3:.1f} mm; check the camera infos and the unit of the depth of both cameras."
             )
         return SegmentedView(FrameView(frame, agreed, noise=plane.noise), segment)
 
-    def _during(self, began: float, ended: float, rest_frames: int) -> list[_Shot]:
+    def _during(self, began: float, ended: float, settings: PerceptionSettings) -> list[_Shot]:
         """Frames taken during a rest, at most `rest_frames`, the latest ones."""
-        shots = [shot for shot in self._shots if began - _TIME_MARGIN <= shot.frame.stamp <= ended + _TIME_MARGIN]
-        needed = int(np.ceil(_NEEDED * rest_frames))
+        margin = settings.further_camera.time_margin
+        shots = [shot for shot in self._shots if began - margin <= shot.frame.stamp <= ended + margin]
+        needed = int(np.ceil(settings.further_camera.needed * settings.rest_frames))
         if len(shots) < needed:
             late = f"the latest is from {ended - self._shots[-1].frame.stamp:.2f} s before its end" if self._shots else "there are none"
             raise PerceptionError(
                 f"{len(shots)} depth frames show the {ended - began:.2f} s of rest, expected at least {needed}; {late}. "
                 "Check the driver, its clock, and rest_frames."
             )
-        return shots[-rest_frames:]
+        return shots[-settings.rest_frames :]
 
 
 def _segment_of(traced: TracedObject, template: Template, view: FrameView) -> Segment:
@@ -143,7 +131,8 @@ def _segment_of(traced: TracedObject, template: Template, view: FrameView) -> Se
     if not segment.whole:
         raise PerceptionError("The object is beside the robot, cut by the border of the image, or behind another; move what is in the way.")
     area = abs(polygon_area(traced.shape.outline))
-    if not _AREA[0] * area < segment.area < _AREA[1] * area:
+    low, high = view.settings.further_camera.area
+    if not low * area < segment.area < high * area:
         raise PerceptionError(
             f"The object covers {segment.area * 1e4:.1f} cm^2, for the main camera {area * 1e4:.1f} cm^2; "
             "make all of it visible to both, and check that min_step does not divide it."

@@ -27,11 +27,6 @@ from push_ident.types import BoolArray, DepthFrame, Float64Array
 
 __all__ = ["Registration"]
 
-_SAME_AREA: Final = 0.15
-"""Largest relative difference of the areas of a segment at rest in two frames."""
-_MIN_COVERED: Final = 0.7
-"""Least fraction of the points of a segment that its traced outline must cover. On recorded scenes of a Kinect, refusing shapes below
-this caught half of the wrong ones and one in 128 right ones."""
 _WALL: Final = 0.01
 """Points up to this distance outside the outline count as covered [m]: a wall's points scatter to both sides of it."""
 _CHECKED: Final = 2000
@@ -67,16 +62,18 @@ class _Candidate:
     failure: str = ""
     """Why the last try gave no shape."""
 
-    def is_continued_by(self, segment: Segment, frame: DepthFrame, rest_distance: float) -> bool:
+    def is_continued_by(self, segment: Segment, view: FrameView) -> bool:
         """Whether the segment has the position and the size of this candidate; noise moves the middle of a segment by up to a pixel.
 
         Frames of another size or with other intrinsics, as after a driver has changed its mode, begin anew.
         """
+        frame, settings = view.frame, view.settings
         if frame.intrinsics != self.frames[-1].intrinsics:
             return False
         pixel = float(np.nanmedian(frame.depth[segment.rows, segment.columns][segment.mask])) / frame.intrinsics.fx
         moved = float(np.linalg.norm(segment.centre - np.mean(self.centres, axis=0)))
-        return moved < max(rest_distance, pixel) and abs(segment.area - self.segment.area) < _SAME_AREA * segment.area
+        same_area = abs(segment.area - self.segment.area) < settings.segments.same_area * segment.area
+        return moved < max(settings.rest_distance, pixel) and same_area
 
 
 @dataclass(slots=True)
@@ -130,7 +127,7 @@ class Registration:
         """The candidate at the position of the segment with this frame added, or a new one."""
         frame, settings = view.frame, view.settings
         for candidate in self._candidates:
-            if candidate.is_continued_by(segment, frame, settings.rest_distance):
+            if candidate.is_continued_by(segment, view):
                 frames = [*candidate.frames, frame][-settings.rest_frames :]
                 centres = [*candidate.centres, segment.centre][-settings.rest_frames :]
                 return _Candidate(segment, frames, centres, candidate.waited + 1, candidate.wait, candidate.failure)
@@ -181,9 +178,10 @@ def _check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> N
     points = segment.measured_in(view.points)[:, :2].astype(np.float64)
     points = points[:: 1 + len(points) // _CHECKED]
     covered = float(np.mean(signed_distance(points, transform_points(traced.pose, traced.shape.outline)) < _WALL))
-    if covered < _MIN_COVERED:
+    least = view.settings.segments.min_covered
+    if covered < least:
         raise PerceptionError(
-            f"the traced outline covers {covered:.0%} of what was seen of it, expected at least {_MIN_COVERED:.0%}; "
+            f"the traced outline covers {covered:.0%} of what was seen of it, expected at least {least:.0%}; "
             "it may be hollow, leaning or several things"
         )
 

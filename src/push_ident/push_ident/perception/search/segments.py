@@ -26,17 +26,9 @@ __all__ = ["find_segments", "split_surfaces"]
 
 _NEAR: Final = 4
 """Distance at which a robot pixel or the image border counts as touching [px]."""
-_SHADOW: Final = 0.05
-"""Width up to which unmeasured pixels may surround an object [m]: the shadow that the projector or the second imager of a depth camera
-leaves is baseline * height / (distance - height), 5 cm for an object of 0.4 m seen from 1 m at a baseline of 75 mm."""
 _OWN_SHADOW: Final = 1.0 / 3.0
 """Width of the shadow that a step of an object leaves on the object itself over the height of the step [-]: a baseline of a third of the
 distance, that of a structured-light scanner near its object; other depth cameras have a tenth or less."""
-_UNMEASURED: Final = 0.15
-"""Largest fraction of the surrounding pixels beside which nothing is measured for further than that: half of one of four sides."""
-_ON_ANOTHER: Final = 0.6
-"""Fraction of the surrounding pixels that show other things from which something stands on one of them: things beside it are on one side,
-in a corner on two of four."""
 _SKIRT: Final = 0.004
 """Distance from the border of the workspace at which a segment counts as cut by it [m]."""
 _SMALLEST: Final = 12
@@ -97,7 +89,7 @@ def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[
     on_others = around & (surfaces[wide] > 0)
     if _behind_another(view.frame.depth[wide], inside, on_others, settings.min_step):
         return Reason.BEHIND_ANOTHER
-    if np.count_nonzero(on_others) > _ON_ANOTHER * np.count_nonzero(around):
+    if np.count_nonzero(on_others) > settings.segments.on_another * np.count_nonzero(around):
         return Reason.STACKED
     if _beside_unmeasured(view, box, inside, around):
         return Reason.BESIDE_UNMEASURED
@@ -109,10 +101,10 @@ def _beside_unmeasured(view: FrameView, box: tuple[slice, slice], inside: BoolAr
 
     `inside`, `around`: the pixels of the segment and those around it, over its box grown by `_NEAR`.
     """
-    enough = _UNMEASURED * np.count_nonzero(around)
+    shadow, enough = view.settings.segments.shadow, view.settings.segments.unmeasured * np.count_nonzero(around)
     rows, columns = box
     pixel = float(np.nanmedian(view.frame.depth[box])) / view.frame.intrinsics.fx
-    reach = _NEAR + int(np.ceil(_SHADOW / pixel))
+    reach = _NEAR + int(np.ceil(shadow / pixel))
     wide = (slice(max(0, rows.start - reach), rows.stop + reach), slice(max(0, columns.start - reach), columns.stop + reach))
     top, left = rows.start - _NEAR - wide[0].start, columns.start - _NEAR - wide[1].start
     inner = (slice(top, top + inside.shape[0]), slice(left, left + inside.shape[1]))
@@ -123,7 +115,7 @@ def _beside_unmeasured(view: FrameView, box: tuple[slice, slice], inside: BoolAr
     # A line of single pixels is the foot of a wall of the segment itself.
     areas = cv2.morphologyEx(others.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     to_others = cv2.distanceTransform(1 - areas, cv2.DIST_L2, 3)[inner]
-    return bool(np.count_nonzero(around & (to_others * pixel > _SHADOW)) > enough)
+    return bool(np.count_nonzero(around & (to_others * pixel > shadow)) > enough)
 
 
 def _bridged(depth: NDArray[np.float32], labels: NDArray[np.int8], focal: float, step: float) -> tuple[BoolArray, NDArray[np.float32]]:

@@ -65,26 +65,12 @@ _STEP: Final = 0.005
 """A line of sight counts as stopped this far below the top, if that is above half height [m]: three times the noise of a height."""
 _ABOVE: Final = 0.01
 """Points this far above the top belong to something in front [m]."""
-_MIN_PIXELS: Final = 120
-"""Least number of informative pixels in the narrow band."""
-_MIN_SHARE: Final = 0.25
-"""Least fraction of the pixels in the narrow band that must be informative."""
 _CLEAR: Final = 0.003
 """Pixels further than this from the edge can contradict a pose [m]."""
-_MAX_CONTRADICTING: Final = 0.2
-"""Largest fraction of the pixels away from the edge that may contradict the pose."""
-_FOUND_VISIBLE: Final = 0.7
-"""Least fraction of informative pixels in the narrow band where a lost object is found again."""
-_FOUND_CONTRADICTING: Final = 0.08
-"""Largest fraction of contradicting pixels where a lost object is found again."""
 _EQUAL_FIT: Final = 0.02
 """Headings whose fractions of contradicting pixels differ by less fit equally well."""
-_FLOOR: Final = (6e-5, 6e-5, 3e-4)
-"""Least standard deviations of a pose [m, m, rad]: errors of outline and calibration, which no residual shows."""
 _SQUARE: Final = 0.02
 """Edge of the squares of the object within which residuals may be correlated [m]: the window of a matcher is 7 to 9 px, 10 to 20 mm."""
-_MAX_DEVIATION: Final = (0.01, 0.01, 0.2)
-"""A pose with larger standard deviations is not used [m, m, rad]."""
 _SHADOW_MARGIN: Final = 0.005
 """Lines of sight nearer to an unmeasured area are left out [m]: as far as the narrow width of the fit reaches."""
 _DAMPING: Final = np.array([1.0, 1.0, 1e-4])
@@ -119,12 +105,12 @@ def fit_pose(template: Template, view: FrameView, start: ArrayLike, others: Sequ
         others: Other known objects; their pixels are left out.
     """
     start = np.asarray(start, dtype=np.float64)
-    pose, lines, width = start.copy(), None, 0.0
+    pose, lines, width, accepted = start.copy(), None, 0.0, view.settings.tracking
     for width, band, stride, iterations, enough in _LEVELS:
         lines = lines_of_sight(template, view, pose, band, stride, others)
         if lines is None:
             return _failed(TrackStatus.OUT_OF_VIEW, pose)
-        if len(lines.stopped) < _MIN_PIXELS / stride**2:
+        if len(lines.stopped) < accepted.min_pixels / stride**2:
             return _failed(TrackStatus.HIDDEN, pose, lines)
         pose = _gauss_newton(template, lines, pose, width, iterations, enough)
     assert lines is not None
@@ -132,15 +118,15 @@ def fit_pose(template: Template, view: FrameView, start: ArrayLike, others: Sequ
     share_visible = len(lines.stopped) / (len(lines.stopped) + lines.n_uninformative)
     share_contradicting = comparison.share_contradicting
     normal = comparison.normal + 1e-6 * np.diag(_DAMPING)
-    covariance = comparison.edge_variance * np.linalg.inv(normal) + np.diag(np.square(_FLOOR))
+    covariance = comparison.edge_variance * np.linalg.inv(normal) + np.diag(np.square(accepted.min_deviation))
     residual_covariance = _at_least(covariance, _jackknife(template, lines, pose, normal))
     covariance = residual_covariance + _covariance_shared_by_frames(template, view, lines, pose, normal)
     status = TrackStatus.TRACKED
-    if np.hypot(*(pose - start)[:2]) > 0.05 or share_contradicting > _MAX_CONTRADICTING:
+    if np.hypot(*(pose - start)[:2]) > 0.05 or share_contradicting > accepted.max_contradicting:
         status = TrackStatus.POOR_FIT
-    elif share_visible < _MIN_SHARE:
+    elif share_visible < accepted.min_share_visible:
         status = TrackStatus.HIDDEN
-    elif np.any(np.diag(covariance) > np.square(_MAX_DEVIATION)):
+    elif np.any(np.diag(covariance) > np.square(accepted.max_deviation)):
         status = TrackStatus.UNDETERMINED
     pose[2] = start[2] + float(wrap_angle(pose[2] - start[2]))
     covariance = 0.5 * (covariance + covariance.T)
@@ -168,7 +154,8 @@ def relocate(
         equal = [fit for fit in fits if fit.status is best.status and fit.share_contradicting < best.share_contradicting + _EQUAL_FIT]
         best = min(equal, key=lambda fit: abs(float(wrap_angle(fit.pose[2] - last_yaw))))
     # Without a previous pose, one half of an object can be taken for the other half.
-    is_doubtful = best.share_visible < _FOUND_VISIBLE or best.share_contradicting > _FOUND_CONTRADICTING
+    accepted = view.settings.tracking
+    is_doubtful = best.share_visible < accepted.found_visible or best.share_contradicting > accepted.found_contradicting
     return replace(best, status=TrackStatus.HIDDEN) if best.status is TrackStatus.TRACKED and is_doubtful else best
 
 

@@ -28,15 +28,8 @@ from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["KnownObjects", "TrackedObject", "Tracker"]
 
-_MAX_JUMP: Final = (0.02, 0.2)
-"""Largest distance of a fitted pose from the predicted one [m, rad]: no pushed object moves further between two frames."""
 _MAX_AGE: Final = 0.2
 """Poses further apart in time do not estimate a velocity [s]."""
-_DOUBTFUL: Final = 0.02
-"""Where more of the pixels contradict a pose, it is checked in every frame whether a part is missing, else once in each search period:
-whole objects have 0.002 of the plain camera."""
-_SAME_AREA: Final = (0.4, 1.6)
-"""Range of the area of a segment that may be a lost object, relative to the area of that object."""
 
 
 @dataclass(slots=True)
@@ -144,7 +137,7 @@ class Tracker:
 
         While a search is under way, checks for missing parts wait.
         """
-        fits = {}
+        fits, (max_step, max_turn) = {}, view.settings.tracking.max_jump
         to_check = self._to_check(view, elapsed, is_searching=is_searching)
         for name, known in self._objects.items():
             if not known.announced:
@@ -152,7 +145,7 @@ class Tracker:
             start = known.predicted(view.frame.stamp)
             others = self._objects.others_near(name)
             fit = fit_pose(known.template, view, start, others)
-            jumped = np.hypot(*(fit.pose - start)[:2]) > _MAX_JUMP[0] or abs(fit.pose[2] - start[2]) > _MAX_JUMP[1]
+            jumped = np.hypot(*(fit.pose - start)[:2]) > max_step or abs(fit.pose[2] - start[2]) > max_turn
             if fit.can_start_next and jumped:
                 # With most of the object behind the arm, a fit may slide to a pose that no visible pixel contradicts.
                 fit = replace(fit, status=TrackStatus.POOR_FIT)
@@ -162,8 +155,9 @@ class Tracker:
     def find_again(self, view: FrameView, name: str, segments: Sequence[Segment]) -> PoseFit | None:
         """Fit of a lost object to the first segment of similar area that it fits as a whole; None where it fits none."""
         known, others = self._objects[name], self._objects.others_near(name)
+        low, high = view.settings.tracking.same_area
         for segment in segments:
-            if _SAME_AREA[0] * known.area < segment.area < _SAME_AREA[1] * known.area:
+            if low * known.area < segment.area < high * known.area:
                 fit = relocate(known.template, view, segment.centre, others=others, last_yaw=float(known.pose[2]))
                 if fit.status is TrackStatus.TRACKED and not compare_upper_side(known.template, view, fit.pose, others).is_part_missing:
                     self._separation.clear(name)
@@ -210,7 +204,7 @@ class Tracker:
         `must_check`: whether the object is checked for missing parts though nothing speaks for any.
         """
         known = self._objects[name]
-        doubtful = not known.is_tracked or fit.share_contradicting > _DOUBTFUL
+        doubtful = not known.is_tracked or fit.share_contradicting > view.settings.tracking.doubtful
         if fit.status in (TrackStatus.TRACKED, TrackStatus.POOR_FIT) and (doubtful or must_check):
             known.checked = view.frame.stamp
             upper_side = compare_upper_side(known.template, view, fit.pose, others)
