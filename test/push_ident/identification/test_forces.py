@@ -10,7 +10,7 @@ import pytest
 from helpers.objects import hammer, random_records, with_forces
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.identify import identify
-from push_ident.identification.observing.forces import observe_forces
+from push_ident.identification.observing.observation import observe_forces
 from push_ident.identification.online.identifier import OnlineIdentifier
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec

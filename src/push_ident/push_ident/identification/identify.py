@@ -13,18 +13,18 @@ from push_ident.identification.fitting.budget import Budget, Meter, Progress
 from push_ident.identification.fitting.fit import Fit, FitOptions
 from push_ident.identification.fitting.levenberg_marquardt import minimise_roughly
 from push_ident.identification.fitting.problem import FitProblem
-from push_ident.identification.fitting.solver import FitTask, MapFit, Solver
+from push_ident.identification.fitting.solver import FitTask, Solver
 from push_ident.identification.fitting.summary import Summary
 from push_ident.identification.observing.observation import noise_at_rest
-from push_ident.identification.results.explanation import Explanation, explain
+from push_ident.identification.results.explanation import explain
 from push_ident.identification.results.known_effects import KnownEffect
-from push_ident.identification.results.posterior import ModelPosterior, with_total_mass
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.results.result import Checkpoint, Identification, WarmStart
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.unknowns.mechanics import model_at
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec, nuisance_effects
-from push_ident.types import PushRecord, SolveStatus
+from push_ident.types import PushRecord
 
 __all__ = ["Earlier", "identify"]
 
@@ -76,26 +76,27 @@ def identify(
     Raises:
         InputError: no push, pushes of different objects, an unknown method or effect, or effects with a method that fits none.
     """
-    solver = solver_of(method)
-    if not records:
-        raise InputError("There is no push to learn from; give at least one push record.")
-    earlier = earlier or Earlier()
-    unknowns = _unknowns_of(records, prior or Prior(), effects, solver, earlier)
-    options = options or FitOptions()
-    options = replace(options, noise=noise_at_rest(records, options.noise))
-    _compile(records[:1], unknowns, options)
-    meter = Meter(budget, on_progress)
-    scalar = _fit_scalars(records, unknowns, options, earlier.warm_starts)
+    solver, earlier = solver_of(method), earlier or Earlier()
+    unknowns, options = _prepared(records, prior or Prior(), effects, solver, earlier, options or FitOptions())
+    meter, scalars = Meter(budget, on_progress), unknowns.equal_cells().with_effects(())
+    # Roughly: equal cells explain pushes of an uneven object badly, at a cost with many kinks. Fits of maps start from them, and a
+    # candidate fits them to the end where that decides something.
+    problem = FitProblem(records, scalars, noise=options.noise, settings=options.numerics)
+    warm = next((start.x for start in earlier.warm_starts if start.name == _SCALARS), np.empty(0))
+    start, steps = problem.continued(np.zeros(problem.size), warm), _WARM_STEPS if len(warm) else options.max_iterations
+    scalar = Fit(problem, *minimise_roughly(problem, start, steps))
     past = earlier.past if solver.capabilities.takes_past else None
     fit = solver.fit(FitTask(records, unknowns, options, meter, scalar, earlier.warm_starts, past, earlier.known))
     explanation = explain(fit.posterior, records, settings=options.numerics)
-    posterior, status = _checked(fit, explanation, unknowns, past)
+    status = explanation.judged(fit.status, any(observed.touched for observed in fit.problem.observations))
+    if past is not None:  # pushes that are summed up count in these unknowns
+        unknowns = replace(unknowns, prior=unknowns.prior.on_feet(past.feet))
     return Identification(
         method=method,
         status=status,
-        posterior=posterior,
-        scalar=scalar.model,
-        uniform=model_at(scalar.unknowns, np.zeros(scalar.unknowns.size)),
+        posterior=ModelPosterior.of_prior(unknowns) if status.is_failure else fit.posterior,
+        scalar=model_at(scalars, scalar.z),
+        uniform=model_at(scalars, np.zeros(scalars.size)),
         cost=fit.cost,
         reduced_chi2=fit.reduced_chi2,
         n_simulations=meter.n_simulations,
@@ -105,6 +106,25 @@ def identify(
         candidates=fit.candidates,
         explanation=explanation,
     )
+
+
+def _prepared(
+    records: Sequence[PushRecord], prior: Prior, effects: Sequence[str], solver: Solver, earlier: Earlier, options: FitOptions
+) -> tuple[UnknownsSpec, FitOptions]:
+    """What is fitted of the object, and the options with the noise at rest, after a push was simulated.
+
+    What is compiled then, once on a machine, may take longer than the budget of a solve.
+    """
+    if not records:
+        raise InputError("There is no push to learn from; give at least one push record.")
+    unknowns = _unknowns_of(records, prior, effects, solver, earlier)
+    equal = unknowns.equal_cells()
+    without_effects = equal.with_effects(())
+    options = replace(options, noise=noise_at_rest(records, options.noise))
+    for spec in (without_effects, equal) if equal.effects.names else (equal,):  # pushes with effects have kernels of their own
+        problem = FitProblem(records[:1], spec, noise=options.noise, settings=options.numerics)
+        problem.evaluate(np.zeros(problem.size))
+    return unknowns, options
 
 
 def _unknowns_of(records: Sequence[PushRecord], prior: Prior, effects: Sequence[str], solver: Solver, earlier: Earlier) -> UnknownsSpec:
@@ -124,39 +144,6 @@ def _unknowns_of(records: Sequence[PushRecord], prior: Prior, effects: Sequence[
         return UnknownsSpec.of(shape, prior, maps=False).cell_by_cell()
     modes = earlier.past.modes if earlier.past else None
     return UnknownsSpec.of(shape, prior, modes=modes, effects=tuple(dict.fromkeys((*names, *nuisance_effects(shape, prior)))))
-
-
-def _compile(records: Sequence[PushRecord], unknowns: UnknownsSpec, options: FitOptions) -> None:
-    """Simulate a push: what is compiled then, once on a machine, may take longer than the budget of a solve."""
-    equal = unknowns.equal_cells()
-    for effects in dict.fromkeys(((), unknowns.effects.names)):  # pushes with effects have kernels of their own
-        problem = FitProblem(records, equal.with_effects(effects), noise=options.noise, settings=options.numerics)
-        problem.evaluate(np.zeros(problem.size))
-
-
-def _fit_scalars(records: Sequence[PushRecord], unknowns: UnknownsSpec, options: FitOptions, warm_starts: Sequence[WarmStart]) -> Fit:
-    """Equal cells with the friction scale and the pusher friction fitted.
-
-    Roughly: they explain pushes of an uneven object badly, at a cost with many kinks. Fits of maps start from
-    them, and a candidate fits them to the end where that decides something.
-    """
-    equal = unknowns.equal_cells().with_effects(())
-    problem = FitProblem(records, equal, noise=options.noise, settings=options.numerics)
-    warm = next((start.x for start in warm_starts if start.name == _SCALARS), np.empty(0))
-    start, steps = problem.continued(np.zeros(problem.size), warm), _WARM_STEPS if len(warm) else options.max_iterations
-    return Fit(problem, *minimise_roughly(problem, start, steps))
-
-
-def _checked(fit: MapFit, explanation: Explanation, unknowns: UnknownsSpec, past: Summary | None) -> tuple[ModelPosterior, SolveStatus]:
-    """The posterior with its total mass; the prior where the pushes cannot be simulated, explained, or never touch the object."""
-    status = fit.status
-    if status is not SolveStatus.SIMULATION_FAILED and not any(o.touched for o in fit.problem.observations):
-        status = SolveStatus.NO_CONTACT
-    status = explanation.judged(status)
-    if status.is_failure:
-        # Pushes that are summed up count in these unknowns.
-        return ModelPosterior.of_prior(unknowns.with_prior(unknowns.prior.on_feet(past.feet)) if past else unknowns), status
-    return with_total_mass(fit.posterior), status
 
 
 def _checkpoints(problem: FitProblem) -> tuple[Checkpoint, ...]:

@@ -169,7 +169,7 @@ def pattern_families(fit: Fit) -> tuple[Family, ...] | None:
 
 def _respond(fit: Fit, push: int, motion: Motion, path: _Path, places: Float64Array) -> dict[str, Rows]:
     """Change of the residuals of one push by every pattern."""
-    problem, blocks = fit.problem, _blocks_of(path, places)
+    problem, mechanics, blocks = fit.problem, fit.mechanics, _blocks_of(path, places)
     if problem.uses_forces:
         blocks |= _felt_blocks_of(path)
     wrench = np.concatenate([b.wrench for b in blocks.values()], axis=2)
@@ -178,8 +178,8 @@ def _respond(fit: Fit, push: int, motion: Motion, path: _Path, places: Float64Ar
     weight = np.sqrt(problem.frame_weight(problem.residual(fit.x, motion, push)))
     whitening = weight[:, None, None] * problem.observations[push].whitening
     of_poses = np.einsum("fij,fjp->fip", whitening, by_pose).reshape(3 * len(whitening), -1)
-    weight = np.sqrt(problem.frame_weight(problem.force_residual(fit.x, motion, push)))
-    of_forces = weight[:, None, None] * problem.force_change(fit.x, motion, push, by_impulse)
+    weight = np.sqrt(problem.frame_weight(problem.force_residual(mechanics, motion, push)))
+    of_forces = weight[:, None, None] * problem.force_change(mechanics, motion, push, by_impulse)
     ends = np.cumsum([b.wrench.shape[2] for b in blocks.values()])
     parts = [np.split(rows, ends[:-1], axis=1) for rows in (of_poses, of_forces.reshape(-1, ends[-1]))]
     return dict(zip(blocks, zip(*parts, strict=True), strict=True))

@@ -63,12 +63,12 @@ class EvidenceFit:
     name: str
     prior: MapPrior
     fit: Fit
-    transform: Float64Array
-    """From the unknowns of the fit to those in the units of the caller's prior, shape (unknowns.size, unknowns.size)."""
     log_evidence: float
     """With the prior of the hyperparameters [nat]."""
+    z: Float64Array
+    """Unknowns in the units of the caller's prior, shape (unknowns.size,)."""
     covariance: Float64Array
-    """Of the unknowns in the units of the caller's prior, over what the hyperparameters may be, shape (unknowns.size, unknowns.size)."""
+    """Of `z`, over what the hyperparameters may be, shape (unknowns.size, unknowns.size)."""
     is_complete: bool
     """Whether the search ended because nothing more was to be gained."""
 
@@ -112,7 +112,7 @@ class MapTransforms:
 
     def _transform_of_modes(self, length: float) -> Float64Array:
         """Root of the covariance of the modes under a unit map of another correlation length, shape (n_modes, n_modes)."""
-        n_modes = self.spec.n_modes
+        n_modes = self.spec.modes.shape[1]
         if length == self.spec.prior.correlation_length:
             return np.eye(n_modes)
         if length not in self._of_modes:
@@ -123,7 +123,7 @@ class MapTransforms:
 
 def fit_by_evidence(
     name: str,
-    transforms: MapTransforms,
+    spec: UnknownsSpec,
     problem_of: Callable[[UnknownsSpec, Float64Array], FitProblem],
     prior: MapPrior,
     start: Float64Array,
@@ -133,14 +133,14 @@ def fit_by_evidence(
 
     Args:
         name: of the start in `STARTS`, whose prior of the hyperparameters holds.
-        transforms: of the unknowns under the caller's prior.
+        spec: unknowns under the caller's prior.
         problem_of: the problem of unknowns under another prior of the maps, and the matrix that leads from them to the caller's.
         prior: where the search begins.
         start: of the unknowns and first poses, in the units of the caller's prior, shape (problem.size,).
         max_iterations: of each fit.
     """
-    centre, n = STARTS[name].logs, transforms.spec.size
-    logs, best, around = prior.logs, None, None
+    centre, n, transforms = STARTS[name].logs, spec.size, MapTransforms(spec)
+    logs, best = prior.logs, None
     for last in (False,) * _ROUNDS + (True,):
         maps = MapPrior.of_logs(logs)
         transform = transforms.matrix(maps)
@@ -152,17 +152,19 @@ def fit_by_evidence(
             break
         linear = LinearEvidence(transforms, fit, transform, centre)
         following, gain = (logs, 0.0) if last else linear.maximum(logs)
+        start = linear.minimum(following)
         if gain < _NO_GAIN:
             fit = Fit(problem, *minimise(problem, fit.x, max_iterations, tolerance=FINE, start=fit.end))
         evidence = fit.log_evidence - 0.5 * float(np.sum(((logs - centre) / _WIDTH) ** 2))
-        if best is None or evidence > best.log_evidence:
-            is_complete = gain < _NO_GAIN and not problem.meter.spent
-            covariance = transform @ fit.covariance @ transform.T
-            best, around = EvidenceFit(name, maps, fit, transform, evidence, covariance, is_complete), linear
+        if best is None or evidence > best[0]:
+            best = evidence, maps, fit, linear, transform @ fit.z, gain < _NO_GAIN and not problem.meter.spent
         if gain < _NO_GAIN or problem.meter.spent:
             break
-        logs, start = following, linear.minimum(following)
-    return None if best is None or around is None else replace(best, covariance=around.covariance(best.prior.logs))
+        logs = following
+    if best is None:
+        return None
+    evidence, maps, fit, linear, z, is_complete = best
+    return EvidenceFit(name, maps, fit, evidence, z, linear.covariance(maps.logs), is_complete)
 
 
 class LinearEvidence:

@@ -7,7 +7,7 @@ are in units of their prior standard deviation, so that the cost is
 
     sum_frames (n + 3)/2 log(1 + |W (y - f(x) - s d)|^2 / n) + 1/2 |z|^2 + 1/2 |d|^2 + past(z),      n = `TAILS`
 
-Where forces are measured and the prior uses them, their means over windows (`forces.py`) are measurements too, of a like cost. The
+Where forces are measured and the prior uses them, their means over windows are measurements too, of a like cost. The
 quadratic `past` replaces pushes that are no longer simulated. Frozen unknowns have a quadratic of their own.
 
 The noise of a frame is Student's t with n degrees of freedom: near the fit it counts like a normal one, and a wrong pose does not drag
@@ -29,9 +29,8 @@ import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.identification.fitting.budget import Budget, Meter
-from push_ident.identification.observing.forces import ForceObservation, observe_forces
-from push_ident.identification.observing.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.unknowns.mechanics import Mechanics, effect_values_at, effects_at, mass_factor, mechanics_at
+from push_ident.identification.observing.observation import ForceObservation, NoiseModel, Observation, observe_forces, observe_push
+from push_ident.identification.unknowns.mechanics import Mechanics, effect_values_at, mechanics_at
 from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.identification.unknowns.spec import Block, Layout, UnknownsSpec
 from push_ident.physics.accuracy import MAX_LEVEL, SHARE, StepChoice, choose_steps, step_error
@@ -249,19 +248,19 @@ class FitProblem:
         choice = self.steps[push]
         if choice is None:
             choice = self.steps[push] = self._choose_steps(mechanics, x, push, most=_FIRST_LEVEL)
-        self.meter.count(1)
-        scenario = self._scenario(x, push)
+        scenario = self._scenario(mechanics, x, push)
         timeline = self._timeline(scenario, push, choice.settings)
+        self.meter.count(1)
         motion = mechanics.simulate(scenario, settings=choice.settings, jacobian=jacobian, timeline=timeline)
         if choice.level > 0 and jacobian and np.max(np.abs(motion.jacobian[:, :, :PARAM_MASS])) > _UNSTABLE:
             self.steps[push] = StepChoice(self.settings, 0, np.inf)
             return self._simulate_push(mechanics, x, push, jacobian)
         return motion
 
-    def _scenario(self, x: Float64Array, push: int) -> PushScenario:
+    def _scenario(self, mechanics: Mechanics, x: Float64Array, push: int) -> PushScenario:
         record = self.records[push]
         forces = self.forces[push]
-        force_time = np.zeros(0) if forces is None else forces.times(effects_at(self.unknowns, self.object_unknowns(x)))
+        force_time = np.zeros(0) if forces is None else forces.times(mechanics.all_effects)
         return PushScenario(record.pusher, self.first_pose(x, push), self.observations[push].time, record.order, force_time)
 
     def _timeline(self, scenario: PushScenario, push: int, settings: SimulationSettings) -> Timeline | None:
@@ -280,17 +279,17 @@ class FitProblem:
         mechanics = self.mechanics_at(x)
         self.meter.count(1)
         return simulate_body_with_response(
-            mechanics.shape, mechanics.body, mechanics.pusher_friction, self._scenario(x, push), settings=self.settings_of(push),
+            mechanics.shape, mechanics.body, mechanics.pusher_friction, self._scenario(mechanics, x, push), settings=self.settings_of(push),
             effects=mechanics.effects,
         )  # fmt: skip
 
     def _end_pose(self, mechanics: Mechanics, x: Float64Array, push: int, settings: SimulationSettings) -> Float64Array:
         """For the choice of steps. Not counted as a simulation of the fit; its time is."""
-        scenario = self._scenario(x, push)
+        scenario = self._scenario(mechanics, x, push)
         return mechanics.simulate(scenario, settings=settings, timeline=self._timeline(scenario, push, settings)).pose[-1]
 
     def _choose_steps(self, mechanics: Mechanics, x: Float64Array, push: int, least: int = 0, most: int = MAX_LEVEL) -> StepChoice:
-        duration, covariance = self._scenario(x, push).duration, self.observations[push].last_covariance
+        duration, covariance = self._scenario(mechanics, x, push).duration, self.observations[push].last_covariance
         return choose_steps(partial(self._end_pose, mechanics, x, push), self.settings, covariance, duration, least=least, most=most)
 
     def settings_of(self, push: int) -> SimulationSettings:
@@ -350,26 +349,28 @@ class FitProblem:
         """Cost at `x`, without derivative: one simulation per push. Infinite where a simulation failed."""
         return self.cost_of(x, self.simulate(x))
 
-    def force_residual(self, x: Float64Array, motion: Motion, push: int) -> Float64Array:
-        """Whitened difference between the forces of a push simulated at `x` and the measured ones, shape (n_windows, 2)."""
-        observed, z = self.forces[push], self.object_unknowns(x)
+    def force_residual(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:
+        """Whitened difference between the forces of a simulated push and the measured ones, shape (n_windows, 2)."""
+        observed = self.forces[push]
         if observed is None:
             return np.zeros((0, 2))
-        return observed.residual(observed.simulated(motion.impulse, mass_factor(self.unknowns, z), effects_at(self.unknowns, z)))
+        return observed.residual(observed.simulated(motion.impulse, mechanics.mass_factor, mechanics.all_effects))
 
-    def force_change(self, x: Float64Array, motion: Motion, push: int, by_impulse: Float64Array) -> Float64Array:
+    def force_change(self, mechanics: Mechanics, motion: Motion, push: int, by_impulse: Float64Array) -> Float64Array:
         """Change of `force_residual`, shape (n_windows, 2, n), by that of `Motion.impulse`, shape (n_windows + 1, 2, n)."""
-        observed, z = self.forces[push], self.object_unknowns(x)
+        observed = self.forces[push]
         if observed is None:
             return np.zeros((0, 2, by_impulse.shape[2]))
-        return observed.derivative(motion, by_impulse, mass_factor(self.unknowns, z), effects_at(self.unknowns, z))[0]
+        return observed.derivative(motion, by_impulse, mechanics.mass_factor, mechanics.all_effects)[0]
 
     def cost_of(self, x: Float64Array, motions: Sequence[Motion]) -> float:
         """Cost of motions simulated at `x`."""
         if motions[-1].status is SolveStatus.SIMULATION_FAILED:
             return np.inf
         of_pushes = sum(self.weigh(self.residual(x, motion, push))[0] for push, motion in enumerate(motions))
-        of_pushes += sum(self.weigh(self.force_residual(x, motion, push))[0] for push, motion in enumerate(motions))
+        if self.uses_forces:
+            mechanics = self.mechanics_at(x)
+            of_pushes += sum(self.weigh(self.force_residual(mechanics, motion, push))[0] for push, motion in enumerate(motions))
         return self._prior_cost(self.object_unknowns(x)) + of_pushes + 0.5 * float(np.sum(self.push_unknowns(x)[:, _POSE:] ** 2))
 
     def _prior_cost(self, z: Float64Array) -> float:
@@ -382,12 +383,12 @@ class FitProblem:
         """Cost and derivatives at `x`: one simulation per push, with its derivative."""
         n_z = self.unknowns.size
         z = self.object_unknowns(x)
-        mechanics = mechanics_at(self.unknowns, z)
+        mechanics = self.mechanics_at(x)
         cost = self._prior_cost(z)
         gradient = np.zeros(self.size)
         gradient[:n_z] = z + self.past.slope(z)
-        hessian = np.zeros((self.size, self.size))
-        hessian[:n_z, :n_z] = np.eye(n_z) + self.past.hessian
+        hessian = np.diag(self.unit_prior)
+        hessian[:n_z, :n_z] += self.past.hessian
         if (frozen := self.unknowns.frozen_cost) is not None:
             gradient[:n_z] += frozen.slope(z)
             hessian[:n_z, :n_z] += frozen.hessian
@@ -410,7 +411,7 @@ class FitProblem:
         for push, motion in enumerate(self._of_pushes(partial(self._simulate_push, mechanics, x, jacobian=True))):
             if motion.status is SolveStatus.SIMULATION_FAILED:
                 return None
-            residuals.append((self.residual(x, motion, push), self.force_residual(x, motion, push)))
+            residuals.append((self.residual(x, motion, push), self.force_residual(mechanics, motion, push)))
             poses.append(self._rows(self._whitened_jacobian(mechanics, motion, push), push))
             if self.forces[push] is not None:
                 forces.append(self._rows(self._force_jacobian(mechanics, x, motion, push), push))
@@ -438,7 +439,7 @@ class FitProblem:
         weighted = jacobian * np.repeat(weight, 3)[:, None]
         gradient, hessian = weighted.T @ residual.ravel(), weighted.T @ jacobian
         if self.forces[push] is not None:
-            forces, by_forces = self.force_residual(x, motion, push), self._force_jacobian(mechanics, x, motion, push)
+            forces, by_forces = self.force_residual(mechanics, motion, push), self._force_jacobian(mechanics, x, motion, push)
             of_forces, weight = self.weigh(forces)
             weighted = by_forces * np.repeat(weight, 2)[:, None]
             cost, gradient, hessian = cost + of_forces, gradient + weighted.T @ forces.ravel(), hessian + weighted.T @ by_forces
@@ -459,10 +460,9 @@ class FitProblem:
              np.zeros((len(observed.edges), 2, self.unknowns_of_push - _POSE))],
             axis=2,
         )  # fmt: skip
-        z = self.object_unknowns(x)
-        jacobian, by_factor, by_value = observed.derivative(motion, by_unknowns, mass_factor(unknowns, z), effects_at(unknowns, z))
+        jacobian, by_factor, by_value = observed.derivative(motion, by_unknowns, mechanics.mass_factor, mechanics.all_effects)
         jacobian[:, :, unknowns.slices["total_mass"]] += by_factor[:, :, None] * unknowns.blocks["total_mass"].std
-        jacobian[:, :, unknowns.slices["effects"]] += by_value * effect_values_at(unknowns, z)[1]
+        jacobian[:, :, unknowns.slices["effects"]] += by_value * effect_values_at(unknowns, self.object_unknowns(x))[1]
         return jacobian.reshape(2 * len(observed.force), -1)
 
     def _whitened_jacobian(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:

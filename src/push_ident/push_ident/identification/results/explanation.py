@@ -26,6 +26,7 @@ from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.identification.observing.observation import pusher_gaps, rest_frames
 from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at
 from push_ident.physics.effect_values import true_pose
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
@@ -110,10 +111,12 @@ class Explanation:
         missed = [not push.is_explained for push in self.pushes if push.moved]
         return self.contradiction or (self._missed() if sum(missed) > _MOST * len(missed) else "")
 
-    def judged(self, status: SolveStatus) -> SolveStatus:
-        """The status of a fit that ended with `status`, once its outcome is looked at."""
-        if status in (SolveStatus.SIMULATION_FAILED, SolveStatus.NO_CONTACT):
+    def judged(self, status: SolveStatus, touched: bool) -> SolveStatus:
+        """The status of a fit that ended with `status`, once its outcome is looked at; `touched`: whether any push touches the object."""
+        if status is SolveStatus.SIMULATION_FAILED:
             return status
+        if not touched:
+            return SolveStatus.NO_CONTACT
         # A solve that was stopped early is no success as it is: a longer one may fit the pushes that it misses.
         ended = status in (SolveStatus.CONVERGED, SolveStatus.STALLED, SolveStatus.POOR_FIT)
         if self.contradiction or (ended and self.failure):
@@ -183,17 +186,17 @@ def explain(posterior: ModelPosterior, records: Sequence[PushRecord], *, setting
         records: its training pushes, at least one.
         settings: numerics of the simulation.
     """
-    return Explanation(tuple(_evidence(posterior, record, settings) for record in records))
+    mechanics = mechanics_at(posterior.unknowns, posterior.z)
+    return Explanation(tuple(_evidence(mechanics, record, settings) for record in records))
 
 
-def _evidence(posterior: ModelPosterior, record: PushRecord, settings: SimulationSettings | None) -> PushEvidence:
+def _evidence(mechanics: Mechanics, record: PushRecord, settings: SimulationSettings | None) -> PushEvidence:
     poses, cells = record.poses, record.shape.cells
     n = max(1, min(_REST_FRAMES, len(poses.time) // 4))
     # An arm that hides the object in the middle of a push leaves few frames after it: those before it are no part of the end.
     _, after, touched = rest_frames(record)
     end = after[-n:] if touched else np.arange(len(poses.time))[-n:]
     first, last = np.median(poses.pose[:n], axis=0), np.median(poses.pose[end], axis=0)
-    mechanics = posterior.mechanics
     scenario = PushScenario(record.pusher, true_pose(mechanics.effects, first), poses.time[-1:], record.order)
     motion = mechanics.simulate(scenario, settings=settings)
     error = np.inf if motion.status is SolveStatus.SIMULATION_FAILED else cell_error(cells, motion.pose[-1], last)

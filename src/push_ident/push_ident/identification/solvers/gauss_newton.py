@@ -15,12 +15,12 @@ import numpy as np
 from push_ident.identification.fitting.budget import Meter
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.fitting.levenberg_marquardt import FINE, minimise, minimise_roughly
-from push_ident.identification.fitting.map_prior import STARTS, EvidenceFit, MapTransforms, fit_by_evidence
+from push_ident.identification.fitting.map_prior import STARTS, EvidenceFit, fit_by_evidence
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.fitting.solver import Capabilities, FitTask, FrameFit, FrameTask, MapFit, Solver, WarmStart
 from push_ident.identification.observing.observation import UNCHECKED, NoiseModel
 from push_ident.identification.results.known_effects import effects_cost
-from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.results.posterior import ModelPosterior, with_total_mass
 from push_ident.identification.results.result import Candidate
 from push_ident.identification.unknowns.mechanics import foot_position_unknowns, model_at
 from push_ident.identification.unknowns.prior import MapPrior
@@ -84,19 +84,19 @@ class GaussNewton(Solver):
         fits = candidates.fits
         if not fits:
             return _failed(task)
-        best = candidates.best
+        best, noise_factor, reduced_chi2 = candidates.best, candidates.noise_factor, candidates.reduced_chi2
         status = best.status if candidates.is_complete else SolveStatus.BUDGET_SPENT
-        if status in (SolveStatus.CONVERGED, SolveStatus.STALLED) and candidates.reduced_chi2 > _POOR_FIT:
+        if status in (SolveStatus.CONVERGED, SolveStatus.STALLED) and reduced_chi2 > _POOR_FIT:
             status = SolveStatus.POOR_FIT
         return MapFit(
-            posterior=replace(_posterior(fits), pose_noise_factor=candidates.noise_factor),
             status=status,
             problem=best.problem,
             x=best.x,
             cost=best.end.cost,
-            reduced_chi2=candidates.reduced_chi2,
+            reduced_chi2=reduced_chi2,
             warm_starts=tuple(candidates.warm_starts),
             candidates=tuple(_candidate(entry, float(p)) for entry, p in zip(fits, _probabilities(fits), strict=True)),
+            posterior=replace(with_total_mass(_posterior(fits)), pose_noise_factor=noise_factor),
         )
 
     def fit_frame(self, task: FrameTask) -> FrameFit | None:
@@ -142,8 +142,7 @@ class _Candidates:
 
     def __init__(self, task: FitTask) -> None:
         self._task = task
-        self._unknowns = self._on(task.past.feet if task.past else 0)
-        self._transforms = MapTransforms(self._unknowns)
+        self._unknowns = self._on(task.past.feet) if task.past and task.past.feet else task.unknowns
         self._pushes = task.scalar.problem
         """The pushes with the noise that the fits assume."""
         self._inflation = UNCHECKED
@@ -154,8 +153,8 @@ class _Candidates:
         """Whether no search was ended by the budget."""
 
     def _on(self, feet: int) -> UnknownsSpec:
-        """Unknowns under the caller's prior, of an object on feet or on its whole base (0)."""
-        return self._task.unknowns.with_prior(self._task.unknowns.prior.on_feet(feet))
+        """Unknowns under the caller's prior, of an object on feet."""
+        return replace(self._task.unknowns, prior=self._task.unknowns.prior.on_feet(feet))
 
     @property
     def best(self) -> Fit:
@@ -202,7 +201,7 @@ class _Candidates:
         task, full, equal = self._task, self._unknowns, self._task.unknowns.equal_cells()
         start, full_maps = task.scalar.x, np.arange(full.size)[full.maps]
         for name, prior in ((_EQUAL, equal.prior), (_NOMINAL, equal.prior.with_frictions_frozen())):
-            unknowns = equal.with_prior(prior)
+            unknowns = replace(equal, prior=prior)
             transform = np.zeros((full.size, unknowns.size))
             for key, block in unknowns.blocks.items():
                 if block.size == full.blocks[key].size:
@@ -243,7 +242,7 @@ class _Candidates:
             self.fits, self.warm_starts, earlier = [], [], self.warm_starts or self._task.warm_starts
             for name, candidate in zip(STARTS, self._maps_from_all_starts(earlier), strict=True):
                 self._keep_maps(name, candidate)
-            if remaining == 0 or not self.fits or not self._set_inflation(self._expected_inflation):
+            if remaining == 0 or not self.fits or not self._noise_is_open or not self._set_inflation(self._expected_inflation):
                 break
 
     def _maps_from_all_starts(self, warm_starts: Sequence[WarmStart]) -> list[EvidenceFit | None]:
@@ -269,7 +268,7 @@ class _Candidates:
         warm = _warm_start(warm_starts, name, len(start))
         if warm is not None and warm.prior is not None:
             start[: len(warm.x)], prior = warm.x, warm.prior
-        return fit_by_evidence(name, self._transforms, partial(self._problem, meter=meter), prior, start, self._task.options.max_iterations)
+        return fit_by_evidence(name, unknowns, partial(self._problem, meter=meter), prior, start, self._task.options.max_iterations)
 
     def _keep_maps(self, name: str, candidate: EvidenceFit | None) -> None:
         task, unknowns = self._task, self._unknowns
@@ -277,9 +276,8 @@ class _Candidates:
             return
         fit = candidate.fit
         self.is_complete &= candidate.is_complete or not task.meter.spent
-        z = candidate.transform @ fit.z
-        self.fits.append(_Entry(name, unknowns, candidate.log_evidence, candidate.prior, fit, z, candidate.covariance))
-        self.warm_starts.append(WarmStart(name, np.concatenate([z, fit.x[unknowns.size :]]), candidate.prior))
+        self.fits.append(_Entry(name, unknowns, candidate.log_evidence, candidate.prior, fit, candidate.z, candidate.covariance))
+        self.warm_starts.append(WarmStart(name, np.concatenate([candidate.z, fit.x[unknowns.size :]]), candidate.prior))
 
     @property
     def _expected_inflation(self) -> float:
@@ -355,8 +353,8 @@ class _Candidates:
 
     def _flat(self, unknowns: UnknownsSpec) -> Float64Array:
         """The fit of equal cells in unknowns with maps and first poses."""
-        scalar = self._task.scalar
-        return scalar.problem.layout.moved(scalar.x, self._problem(unknowns, np.eye(unknowns.size)).layout)
+        scalar, target = self._task.scalar, self._problem(unknowns, np.eye(unknowns.size)).layout
+        return scalar.problem.layout.moved(scalar.x, target)
 
 
 def _warm_start(earlier: Sequence[WarmStart], name: str, size: int) -> WarmStart | None:

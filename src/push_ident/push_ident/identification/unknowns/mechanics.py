@@ -22,7 +22,7 @@ simulated at M_0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -39,14 +39,14 @@ from push_ident.identification.unknowns.load import (
 )
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import PREFERENCE_STD, UnknownsSpec
-from push_ident.physics.effect_values import EffectValues
+from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, Timeline, body_of_cells, simulate_body
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
 
 __all__ = [
-    "Mechanics", "effect_values_at", "effects_at", "feet_at", "foot_position_unknowns", "log_derivatives_at", "mass_factor", "mechanics_at",
+    "Mechanics", "effect_values_at", "effects_at", "feet_at", "foot_position_unknowns", "log_derivatives_at", "mechanics_at",
     "model_at", "uniform_model", "unknowns_of_maps",
 ]  # fmt: skip
 
@@ -66,6 +66,10 @@ class Mechanics:
     derivative: Float64Array
     """d(body parameters, limits of the cells, values of the effects) / dz, shape (8 + n_cells + n_values, size), rows as the columns of
     `Motion.jacobian`."""
+    all_effects: EffectValues = field(default_factory=lambda: effect_values(()))
+    """With those that only measured forces show."""
+    mass_factor: float = 1.0
+    """Total mass over that of `body`, 1 where no forces are measured."""
 
     @property
     def limit_derivative(self) -> Float64Array:
@@ -89,8 +93,8 @@ def mechanics_at(spec: UnknownsSpec, z: Float64Array) -> Mechanics:
     weight = model.mass / body.mass
     arms = spec.shape.cells.centres - body.centre
     moment = np.sum(arms**2, axis=1) + spec.shape.cells.size**2 / 6
+    effects, d_values, mass_factor = effects_at(spec, z), effect_values_at(spec, z)[1], _mass_factor(spec, z)
     d_mass, d_friction = _log_derivatives(spec, z, model)
-    values, d_values = effect_values_at(spec, z)
     shown = np.array([not effect.needs_forces for effect in spec.effects.effects for _ in effect.parameters], dtype=bool)
     n_cells, n_values = len(weight), int(np.sum(shown))
     derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values, spec.size))
@@ -99,7 +103,7 @@ def mechanics_at(spec: UnknownsSpec, z: Float64Array) -> Mechanics:
     derivative[PARAM_LIMIT : PARAM_LIMIT + n_cells] = body.limit[:, None] * (d_mass + d_friction)
     derivative[PARAM_MU, spec.slices["pusher_friction"]] = model.pusher_friction * spec.prior.pusher_friction_std
     derivative[PARAM_LIMIT + n_cells :, spec.slices["effects"]] = np.diag(d_values)[shown]
-    return Mechanics(spec.shape, body, model.pusher_friction, spec.effects.with_values(values).of_poses, derivative)
+    return Mechanics(spec.shape, body, model.pusher_friction, effects.of_poses, derivative, effects, mass_factor)
 
 
 def model_at(spec: UnknownsSpec, z: Float64Array) -> ObjectModel:
@@ -241,7 +245,7 @@ def effect_values_at(spec: UnknownsSpec, z: Float64Array) -> tuple[Float64Array,
     return np.clip(free, low, high), np.where((free >= low) & (free <= high), std, 0.0)
 
 
-def mass_factor(spec: UnknownsSpec, z: Float64Array) -> float:
+def _mass_factor(spec: UnknownsSpec, z: Float64Array) -> float:
     """Total mass over the nominal one, 1 where no forces are measured."""
     return float(np.exp(spec.blocks["total_mass"].std @ z[spec.slices["total_mass"]]))
 

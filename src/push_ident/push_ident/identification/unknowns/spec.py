@@ -180,10 +180,6 @@ class UnknownsSpec:
         """The same object under the same prior with other effects."""
         return replace(self, effects=effect_values(names), frozen_effects=tuple(frozen_effects))
 
-    def with_prior(self, prior: Prior) -> UnknownsSpec:
-        """The same object under another prior, with the same modes."""
-        return replace(self, prior=prior)
-
     def equal_cells(self) -> UnknownsSpec:
         """Without maps: only the scales and the effects are free."""
         return replace(self, modes=np.zeros((len(self.shape.cells), 0)))
@@ -194,17 +190,12 @@ class UnknownsSpec:
 
     def at_amplitude(self, amplitude: float) -> UnknownsSpec:
         """The same unknowns with the prior standard deviations of the maps multiplied by `amplitude`."""
-        return self.with_prior(self.prior.at_amplitude(amplitude))
+        return replace(self, prior=self.prior.at_amplitude(amplitude))
 
     def slice_of_effect(self, name: str) -> slice:
         """Position of the parameters of one effect in `z`. Raises InputError for an effect that is no unknown."""
         start, at = self.slices["effects"].start, self.effects.slice_of(name)
         return slice(start + at.start, start + at.stop)
-
-    @property
-    def n_modes(self) -> int:
-        """Number of modes of each map."""
-        return int(self.modes.shape[1])
 
     @property
     def effect_std(self) -> Float64Array:
