@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import configparser
+import importlib.util
 import os
 import re
 import subprocess
@@ -15,6 +16,8 @@ import pytest
 
 import push_ident
 from helpers.paths import ROOT
+from push_ident.nodes.executables import NODES
+from push_ident_sim.executables import NODES as SIM_NODES
 
 PACKAGES = {"push_ident": "ament_python", "push_ident_sim": "ament_python", "push_ident_msgs": "ament_cmake"}
 PYTHON_PACKAGES = [name for name, kind in PACKAGES.items() if kind == "ament_python"]
@@ -71,6 +74,9 @@ def test_every_executable_has_its_function(package: str) -> None:
         assert path.is_file(), f"{name}: {path} is missing"
         defined = {node.name for node in ast.parse(path.read_text()).body if isinstance(node, ast.FunctionDef)}
         assert function in defined, f"{name}: {module} has no {function}()"
+    table = {"push_ident": NODES, "push_ident_sim": SIM_NODES}[package]
+    assert {name for name in scripts if name.endswith("_node")} == set(table)
+    assert all(importlib.util.find_spec(module) is not None for module in table.values())
 
 
 @pytest.mark.parametrize("package", PYTHON_PACKAGES)

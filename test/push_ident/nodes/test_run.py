@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import re
 import signal
 import subprocess
 import sys
@@ -11,10 +9,7 @@ import time
 
 import pytest
 
-import push_ident.nodes.executables
-import push_ident_sim.executables
 from helpers.executor_cell import Stalls
-from helpers.paths import ROOT
 
 SCRIPT = """
 import sys, time
@@ -151,15 +146,6 @@ def test_nothing_happens_when_a_module_of_the_nodes_is_imported():
     done = subprocess.run([sys.executable, "-c", IMPORT_ALL, "some_node"], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""
-
-
-@pytest.mark.parametrize("package", ["push_ident", "push_ident_sim"])
-def test_every_executable_of_the_packages_is_in_the_table(package):
-    nodes = push_ident.nodes.executables.NODES if package == "push_ident" else push_ident_sim.executables.NODES
-    setup = (ROOT / "src" / package / "setup.py").read_text()
-    assert set(re.findall(r'"(\w+_node) = ', setup)) == set(nodes)
-    for module in nodes.values():
-        assert importlib.util.find_spec(module) is not None
 
 
 def test_an_unknown_executable_is_refused_in_one_line():
