@@ -30,6 +30,7 @@ def kinds(cells: list[Any]) -> list[list[str]]:
     ]
 
 
+@pytest.mark.release
 def test_notebook_runs_and_gives_outputs_like_those_it_stores() -> None:
     pytest.importorskip("nbclient")
     stored, run = nbformat.read(NOTEBOOK, as_version=4), tool("run_notebook").executed(NOTEBOOK)

@@ -16,8 +16,8 @@ AnyNode = TypeVar("AnyNode", bound=Node)
 
 
 @contextmanager
-def spinning(make: Callable[[Context], AnyNode], domain: int) -> Iterator[AnyNode]:
-    """The node that `make` makes, on a ROS domain."""
+def spinning(make: Callable[[Context], AnyNode], domain: int | None = None) -> Iterator[AnyNode]:
+    """The node that `make` makes, on a ROS domain, by default that of the tests."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = make(context)

@@ -25,6 +25,7 @@ from push_ident import __version__
 from push_ident.extras import EXTRAS, how_to_get
 from push_ident.physics.simulation import compile_kernels
 
+pytestmark = pytest.mark.release
 EXTRA = "report"
 PROGRAM = """
 import contextlib, io, json, sys

@@ -5,38 +5,83 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import typing
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer.main
 
 from helpers.commands import run_here
 from push_ident.cli.checks import parse_numbers
-from push_ident.errors import InputError
+from push_ident.cli.main import app
+from push_ident.errors import InputError, PushIdentError
 
 BAG = "no_such_bag"
 """What is refused before it is looked at needs no bag."""
+NEVER_NEGATIVE = ("seed", "models", "jobs", "hold_out", "goals", "workers", "pushes", "random", "explore", "max_pushes", "repeat")
+"""Whole numbers that no command takes below zero."""
+RESULTS = ("out", "json", "page", "truth", "record")
+
+
+def commands(group: Any, before: str = "") -> Iterator[tuple[str, Any]]:
+    for listed in group.commands:
+        name, command, _ = group.resolve_command(typer.Context(group), [listed])
+        if hasattr(command, "commands"):
+            yield from commands(command, f"{before}{name} ")
+        else:
+            yield before + name, command
+
+
+def kind_of(option: Any) -> Any:
+    """The type of its value, without None."""
+    annotation = option.type_descriptor.annotation
+    return next((a for a in typing.get_args(annotation) if a in (float, int, Path)), annotation)
+
+
+OPTIONS = [(name, command, option) for name, command in commands(typer.main.get_command(app)) for option in command.params]
+
+
+def refusal(command: Any, option: Any, value: str) -> str:
+    """What is said of a value; empty where it is accepted."""
+    try:
+        option.process_value(command.context_class(command, info_name="push-ident"), value)
+    except (typer.BadParameter, PushIdentError) as error:
+        return str(error)
+    return ""
+
+
+def numbers() -> Iterator[Any]:
+    for name, command, option in OPTIONS:
+        if kind_of(option) is float:
+            yield from (pytest.param(command, option, value, id=f"{name} {option.name}") for value in ("nan", "inf"))
+        elif kind_of(option) is int and option.name in NEVER_NEGATIVE:
+            yield pytest.param(command, option, "-1", id=f"{name} {option.name}")
+
+
+@pytest.mark.parametrize(("command", "option", "value"), [*numbers()])
+def test_number_that_means_nothing_is_refused(command: Any, option: Any, value: str) -> None:
+    assert refusal(command, option, value)
+    assert not refusal(command, option, "1")
 
 
 @pytest.mark.parametrize(
-    ("command", "option", "value"),
-    [
-        *(
-            ("identify", name, value)
-            for name in ("--friction", "--nominal-mass", "--total-mass", "--max-seconds")
-            for value in ("-1", "nan")
-        ),
-        ("identify", "--pusher-friction", "0"),
-        ("identify", "--seed", "-1"),
-        ("identify", "--max-simulations", "0"),
-        ("diagnose", "--friction", "inf"),
-        ("demo", "--seed", "-1"),
-        *(("simulate", name, "-0.001") for name in ("--position-noise", "--yaw-noise", "--force-noise")),
-    ],
+    ("command", "option"),
+    [pytest.param(c, o, id=f"{name} {o.name}") for name, c, o in OPTIONS if o.name in RESULTS and kind_of(o) is Path],
 )
-def test_numbers_out_of_range_are_refused_by_the_name_of_the_option(command: str, option: str, value: str) -> None:
-    bag = [] if command in ("demo", "simulate") else [BAG]
-    done = run_here(command, *bag, option, value)
-    assert done.returncode == 2 and f"'{option}'" in done.stderr and "Prior" not in done.stderr and "Budget" not in done.stderr
+def test_result_that_cannot_be_written_is_refused(command: Any, option: Any, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    assert "Cannot write to" in refusal(command, option, str(tmp_path / "file" / "below" / "x"))
+    assert not refusal(command, option, str(tmp_path / "new"))
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "value"), [("identify", "--friction", "nan"), ("identify", "--seed", "-1"), ("simulate", "--yaw-noise", "-0.001")]
+)
+def test_number_out_of_range_is_refused_by_the_name_of_the_option(command: str, option: str, value: str) -> None:
+    done = run_here(command, *([BAG] if command == "identify" else []), option, value)
+    assert done.returncode == 2 and f"'{option}'" in done.stderr and "Prior" not in done.stderr
 
 
 @pytest.mark.parametrize("command", ["identify", "diagnose", "replay"])

@@ -12,7 +12,6 @@ import pytest
 
 from helpers.commands import run_here
 from helpers.objects import hammer, random_records
-from helpers.paths import EXAMPLE_BAG
 from push_ident import __version__
 from push_ident.bags.raw import raw_messages
 from push_ident.bags.records import write_records
@@ -123,15 +122,6 @@ def test_bag_cut_in_half_can_be_salvaged_and_identified(bag: Path, tmp_path: Pat
     saved = run_here("salvage", cut, "--out", tmp_path / "saved")
     assert saved.returncode == 0, saved.stderr
     assert run_here("identify", tmp_path / "saved").returncode == 0
-
-
-def test_example_depth_bag_is_tracked_and_identified(tmp_path: Path) -> None:
-    done = run_here("identify", EXAMPLE_BAG, "--train", "0,1,2", "--json", tmp_path / "r.json")
-    assert done.returncode == 0, done.stderr
-    content = json.loads((tmp_path / "r.json").read_text())
-    assert 50 <= content["n_cells"] <= 150
-    assert content["train"]["pushes"] == [0, 1, 2] and content["test"]["pushes"] == [3]
-    assert content["train"]["identified_m"] < 0.5 * content["train"]["uniform_m"]
 
 
 @pytest.mark.parametrize(("chosen", "used"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")], ids=["by default", "as chosen"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -65,8 +66,6 @@ def test_a_folder_of_images_gives_picture_page_parameters_and_json(folder: Path,
     assert content["n_frames"] == 2 and content["scale_check"]["outcome"] == "agrees"
     assert any("3.png" in note and "colour" in note for note in content["notes"])
     assert "o1: 20" in done.stdout and "right within" in done.stdout
-    picture = cv2.imread(str(tmp_path / "out" / "look.png"))
-    assert picture.shape[1] == 1280
     page = (tmp_path / "out" / "look.html").read_text(encoding="utf-8")
     assert "data:image/png;base64," in page and "camera_quaternion" in page and "Noise of a height" in page
     values = yaml.safe_load((tmp_path / "out" / "perception.yaml").read_text())["/**/perception_node"]["ros__parameters"]
@@ -122,99 +121,80 @@ def test_a_known_size_that_no_object_has_is_an_error_after_everything_is_written
     assert content["objects"] and (tmp_path / "out" / "look.html").exists()
 
 
-def _missing(folder: Path) -> list[object]:
-    return [folder / "nothing"]
+def changed_info(info: object) -> Callable[[Path], Path]:
+    """The folder with another camera info; a text stays as it is, None is none."""
+
+    def make(folder: Path) -> Path:
+        file = folder / "camera_info.yaml"
+        file.unlink()
+        if info is not None:
+            file.write_text(info if isinstance(info, str) else yaml.safe_dump(info))
+        return folder
+
+    return make
 
 
-def _empty(folder: Path) -> list[object]:
+def image(name: str, pixels: np.ndarray) -> Callable[[Path], Path]:
+    """An image of those pixels."""
+
+    def make(folder: Path) -> Path:
+        if name.endswith(".npy"):
+            np.save(folder / name, pixels, allow_pickle=True)
+        else:
+            cv2.imwrite(str(folder / name), pixels)
+        return folder / name
+
+    return make
+
+
+def file(name: str, content: bytes) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        (folder / name).write_bytes(content)
+        return folder / name
+
+    return make
+
+
+def empty(folder: Path) -> Path:
     (folder / "none").mkdir()
-    return [folder / "none"]
+    return folder / "none"
 
 
-def _no_intrinsics(folder: Path) -> list[object]:
-    (folder / "camera_info.yaml").unlink()
-    return [folder]
+def damaged(folder: Path) -> Path:
+    (folder / "2.png").write_bytes((folder / "2.png").read_bytes()[:60])
+    return folder / "2.png"
 
 
-def _broken_info(folder: Path) -> list[object]:
-    (folder / "camera_info.yaml").write_text("image_width: 320\n")
-    return [folder]
-
-
-def _distorted(folder: Path) -> list[object]:
-    only_matrix = {key: value for key, value in INFO.items() if key != "projection_matrix"}
-    (folder / "camera_info.yaml").write_text(yaml.safe_dump({**only_matrix, "distortion_coefficients": {"data": [0.1, 0, 0, 0, 0]}}))
-    return [folder]
-
-
-def _not_yaml(folder: Path) -> list[object]:
-    (folder / "camera_info.yaml").write_text("a: [\n")
-    return [folder]
-
-
-def _other_size(folder: Path) -> list[object]:
-    (folder / "camera_info.yaml").write_text(yaml.safe_dump({**INFO, "image_width": 640}))
-    return [folder]
-
-
-def _eight_bits(folder: Path) -> list[object]:
-    cv2.imwrite(str(folder / "8.png"), np.full((240, 320), 9, np.uint8))
-    return [folder / "8.png"]
-
-
-def _damaged(folder: Path) -> list[object]:
-    file = folder / "2.png"
-    file.write_bytes(file.read_bytes()[:60])
-    return [file]
-
-
-def _pickled(folder: Path) -> list[object]:
-    np.save(folder / "p.npy", np.array([{}], dtype=object), allow_pickle=True)
-    return [folder / "p.npy"]
-
-
-def _nothing_measured(folder: Path) -> list[object]:
-    cv2.imwrite(str(folder / "0.png"), np.zeros((240, 320), np.uint16))
-    return [folder / "0.png"]
-
-
-def _no_cloud(folder: Path) -> list[object]:
-    (folder / "c.pcd").write_text("VERSION 0.7\nWIDTH 320\nHEIGHT 1\nPOINTS 320\nDATA ascii\n")
-    return [folder / "c.pcd"]
-
-
-def _not_a_bag(folder: Path) -> list[object]:
-    (folder / "b.mcap").write_bytes(b"nothing of the kind")
-    return [folder / "b.mcap"]
+DISTORTED = {**INFO, "projection_matrix": None, "distortion_coefficients": {"data": [0.1, 0, 0, 0, 0]}}
 
 
 @pytest.mark.parametrize(
     ("make", "options", "expected"),
     [
-        (_missing, (), "does not exist; give a bag, a folder"),
-        (_empty, (), "has no depth image"),
-        (_no_intrinsics, (), "no camera_info.yaml beside it"),
-        (_broken_info, (), "gives no intrinsics"),
-        (_distorted, (), "distortion and no projection_matrix"),
-        (_not_yaml, (), "gives no intrinsics"),
-        (_other_size, (), "belong to different cameras"),
-        (_eight_bits, (), "8 bits hold no depth"),
-        (_damaged, (), "damaged"),
-        (_pickled, (), "cannot be read as an image"),
-        (_nothing_measured, (), "0 valid of 76800 pixels"),
-        (_no_cloud, (), "not organised"),
-        (_not_a_bag, (), "b.mcap"),
-        (lambda folder: [folder], ("--intrinsics", "1,2"), "expected four numbers"),
-        (lambda folder: [folder], ("--intrinsics", "-300,300,1,1"), "focal lengths > 0"),
-        (lambda folder: [folder], ("--known", "a box"), "expected width x depth x height"),
-        (lambda folder: [folder], ("--known", "200x120"), "give metres"),
-        (lambda folder: [folder], ("--depth-unit", "2000"), "expected metres per unit"),
-        (lambda folder: [folder], ("--depth-unit", "1"), "give the metres per unit"),
-        (lambda folder: [EXAMPLE_BAG], ("--intrinsics", NUMBERS), "is a bag"),
+        (lambda folder: folder / "nothing", (), "does not exist; give a bag, a folder"),
+        (empty, (), "has no depth image"),
+        (changed_info(None), (), "no camera_info.yaml beside it"),
+        (changed_info("image_width: 320\n"), (), "gives no intrinsics"),
+        (changed_info(DISTORTED), (), "distortion and no projection_matrix"),
+        (changed_info("a: [\n"), (), "gives no intrinsics"),
+        (changed_info(INFO | {"image_width": 640}), (), "belong to different cameras"),
+        (image("8.png", np.full((240, 320), 9, np.uint8)), (), "8 bits hold no depth"),
+        (damaged, (), "damaged"),
+        (image("p.npy", np.array([{}], dtype=object)), (), "cannot be read as an image"),
+        (image("0.png", np.zeros((240, 320), np.uint16)), (), "0 valid of 76800 pixels"),
+        (file("c.pcd", b"VERSION 0.7\nWIDTH 320\nHEIGHT 1\nPOINTS 320\nDATA ascii\n"), (), "not organised"),
+        (file("b.mcap", b"nothing of the kind"), (), "b.mcap"),
+        (lambda folder: folder, ("--intrinsics", "1,2"), "expected four numbers"),
+        (lambda folder: folder, ("--intrinsics", "-300,300,1,1"), "focal lengths > 0"),
+        (lambda folder: folder, ("--known", "a box"), "expected width x depth x height"),
+        (lambda folder: folder, ("--known", "200x120"), "give metres"),
+        (lambda folder: folder, ("--depth-unit", "2000"), "expected metres per unit"),
+        (lambda folder: folder, ("--depth-unit", "1"), "give the metres per unit"),
+        (lambda folder: EXAMPLE_BAG, ("--intrinsics", NUMBERS), "is a bag"),
     ],
 )
 def test_each_bad_input_ends_in_one_line(folder: Path, tmp_path: Path, make, options: tuple[str, ...], expected: str) -> None:
-    done = run_here("look", *make(folder), *options, "--out", tmp_path / "out")
+    done = run_here("look", make(folder), *options, "--out", tmp_path / "out")
     assert done.returncode == 1
     assert len(done.stderr.strip().splitlines()) == 1 and expected in done.stderr, done.stderr
 

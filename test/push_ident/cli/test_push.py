@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 from rclpy.action import ActionServer
 from rclpy.action.server import ServerGoalHandle
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from helpers.commands import run_here
+from helpers.spinning import spinning
 from push_ident.cli.push import contact_goal, random_goals
 from push_ident.errors import InputError
 from push_ident_msgs.action import ExecutePush
@@ -41,18 +39,9 @@ class Executor(Node):
 @pytest.fixture
 def executor() -> Iterator[Executor]:
     """One that answers: missed, made, arm silent."""
-    context = Context()
-    rclpy.init(context=context)
-    node = Executor(context, [ExecutePush.Result.NO_CONTACT, ExecutePush.Result.NONE, ExecutePush.Result.ARM_SILENT])
-    spinning = SingleThreadedExecutor(context=context)
-    spinning.add_node(node)
-    thread = threading.Thread(target=spinning.spin, daemon=True)
-    thread.start()
-    yield node
-    spinning.shutdown(timeout_sec=1.0)
-    thread.join(timeout=1.0)
-    node.destroy_node()
-    rclpy.try_shutdown(context=context)
+    codes = [ExecutePush.Result.NO_CONTACT, ExecutePush.Result.NONE, ExecutePush.Result.ARM_SILENT]
+    with spinning(lambda context: Executor(context, codes)) as node:
+        yield node
 
 
 def test_random_pushes_are_reproducible_from_the_seed() -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from helpers.commands import run_here
-from push_ident.cli.goal_messages import EdgeLine, edge_message, goal_message, path_message
+from push_ident.cli.goal_messages import edge_message, goal_message, path_message
 from push_ident.cli.goal_report import GoalReport, PathReport, PushLine, last_feedback
-from push_ident.cli.push_to import GoalText, goals_of
+from push_ident.cli.push_to import goals_of, parse_edge, parse_goal
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident_msgs.action import PushToGoal
@@ -64,7 +64,7 @@ def test_report_of_a_goal_that_has_not_ended_is_that_of_one_broken_off() -> None
 
 
 def test_goal_of_the_command_line_becomes_that_of_the_action() -> None:
-    msg = goal_message(GoalText("0.05,-0.1,1.5").pose, object_id="o1", tolerance_mm=10.0, tolerance_deg=9.0, explore=2)
+    msg = goal_message(parse_goal("0.05,-0.1,1.5"), object_id="o1", tolerance_mm=10.0, tolerance_deg=9.0, explore=2)
     assert (msg.goal.header.frame_id, msg.object_id, msg.explore) == ("table", "o1", 2)
     assert msg.position_tolerance == pytest.approx(0.01) and msg.yaw_tolerance == pytest.approx(np.radians(9.0))
     assert (msg.goal.pose.position.x, msg.goal.pose.position.y) == (0.05, -0.1)
@@ -74,7 +74,7 @@ def test_goal_of_the_command_line_becomes_that_of_the_action() -> None:
 @pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "inf,0,0"])
 def test_goal_that_is_no_pose_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="X,Y,YAW"):
-        GoalText(text)
+        parse_goal(text)
     done = run_here("demo", "--goal", text)
     assert done.returncode == 1 and "X,Y,YAW" in done.stderr
 
@@ -99,7 +99,7 @@ def test_file_that_is_no_path_is_refused_before_the_cell_is_looked_for(tmp_path:
 
 
 def test_goal_at_an_edge_becomes_that_of_the_action_and_its_report_has_what_the_node_chose() -> None:
-    msg = edge_message(None, EdgeLine("0.15,-0.3,0.15,0.3"), overhang_mm=50.0, held_mm=12.0, tolerance_deg=15.0)
+    msg = edge_message(None, parse_edge("0.15,-0.3,0.15,0.3"), overhang_mm=50.0, held_mm=12.0, tolerance_deg=15.0)
     assert (msg.kind, msg.use_heading, msg.overhang, msg.held) == (msg.KIND_EDGE, False, pytest.approx(0.05), pytest.approx(0.012))
     assert [(point.x, point.y) for point in msg.edge] == [(0.15, -0.3), (0.15, 0.3)]
     turned = edge_message(0.4, None, overhang_mm=40.0, held_mm=10.0)

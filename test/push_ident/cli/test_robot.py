@@ -23,8 +23,7 @@ from helpers.robots import changed, robot_path
 from helpers.spinning import spinning
 from push_ident.cli.overrides import overrides_of
 from push_ident.cli.robot import robot_for
-from push_ident.cli.robot_live import find_live
-from push_ident.cli.robot_parameters import check_parameters
+from push_ident.cli.robot_doctor import check_parameters, find_live
 from push_ident.cli.supervisor import node_commands, node_names
 from push_ident.nodes.base.network import own_domain
 from push_ident.pushing.robot.finding import Finding, Level
@@ -81,7 +80,7 @@ def test_right_file_ends_well_says_that_no_cell_runs_and_leaves_picture_and_file
     assert content["reach"]["along_x"] == [[0, 0], [0, 0]] and content["robot"] == "ur5e"
     unchecked = [finding for finding in content["findings"] if finding["level"] == "not checked"]
     assert [finding["about"] for finding in unchecked] == ["arm", "camera"] and "nothing publishes on" in unchecked[0]["what"]
-    assert (tmp_path / "out" / "reach.png").read_bytes().startswith(b"\x89PNG")
+    assert "along x: 100 %" in (tmp_path / "out" / "reach.html").read_text(encoding="utf-8")
     parameters = tmp_path / "out" / "parameters.yaml"
     overrides_of([parameters], (), node_names("arm"))  # `up --params` takes it ...
     program = """

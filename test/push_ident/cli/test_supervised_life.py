@@ -9,14 +9,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from helpers.executor_cell import Stalls
-from push_ident.cli.restart import RestartPolicy
+from helpers.processes import is_alive, wait_until
+from push_ident.cli.restart import Backoff, RestartPolicy
 from push_ident.cli.supervisor import NodeCommand, Supervisor, node_commands
 from push_ident.nodes.base.lifetime import stop_signals_blocked
 
@@ -65,21 +65,6 @@ def node(folder: Path, name: str, loading: float = 0.0) -> tuple[str, ...]:
 
 def start_supervisor(nodes: dict[str, tuple[str, ...]]) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-c", RUN, json.dumps(nodes)], stderr=subprocess.DEVNULL)
-
-
-def wait_until(condition: Callable[[], object], timeout: Callable[[], float] = lambda: 60.0) -> None:
-    """`timeout` [s] may grow while it waits, with what the machine lets threads wait."""
-    began = time.monotonic()
-    while not condition():
-        assert time.monotonic() - began < timeout(), "waited too long"
-        time.sleep(0.02)
-
-
-def is_alive(process: int) -> bool:
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 def written(file: Path) -> int:
@@ -243,3 +228,13 @@ def test_ctrl_c_at_any_moment_of_a_command_is_quiet(tmp_path: Path, command: str
     assert "Traceback" not in output
     assert code == (0 if command.startswith("up") else 130)
     assert took < 3.0 + 6.0 * stalls.worst
+
+
+def test_pause_doubles_with_each_early_death_up_to_its_limit_and_then_there_is_none() -> None:
+    backoff = Backoff(RestartPolicy(first=1.0, longest=30.0, settled=60.0, attempts=7))
+    assert [backoff.pause(0.5) for _ in range(8)] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0, None]
+
+
+def test_a_long_life_begins_the_count_anew() -> None:
+    backoff = Backoff(RestartPolicy(first=1.0, longest=30.0, settled=60.0, attempts=2))
+    assert [backoff.pause(lived) for lived in (0.5, 59.0, 60.0, 0.5, 0.5)] == [1.0, 2.0, 1.0, 2.0, None]

@@ -8,13 +8,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import yaml
 
 from helpers.executor_cell import Stalls
+from helpers.processes import is_alive, wait_until
 from push_ident.cli.supervisor import NodeCommand, Supervisor, SupervisorError, config_file, node_commands
 from push_ident.errors import InputError
 
@@ -49,13 +49,6 @@ def command(name: str, code: str, may_end: bool = False) -> NodeCommand:
     return NodeCommand(name, (sys.executable, "-c", code), may_end)
 
 
-def wait_until(condition: Callable[[], bool], timeout: float = 60.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, "waited too long"
-        time.sleep(0.02)
-
-
 def wait_for_line(path: Path, word: str) -> str:
     wait_until(lambda: path.exists() and word in path.read_text())
     return path.read_text()
@@ -64,14 +57,6 @@ def wait_for_line(path: Path, word: str) -> str:
 def child_in(log: Path) -> int:
     """The child of a process that has one, once both are ready."""
     return int(wait_for_line(log, "ready").split()[1])
-
-
-def is_alive(process: int) -> bool:
-    try:
-        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except FileNotFoundError:
-        return False
-    return state != "Z"
 
 
 def start_in_own_process(tmp_path: Path, **codes: str) -> subprocess.Popen[str]:
@@ -143,7 +128,9 @@ def test_no_process_remains_when_the_caller_is_terminated(tmp_path: Path, number
 
 def test_process_that_may_end_stops_nothing(tmp_path: Path) -> None:
     with Supervisor([command("player", "pass", may_end=True), command("one", SLEEP)], log_dir=tmp_path) as supervisor:
-        assert supervisor.wait_for("player", timeout=60.0) == 0
+        while supervisor.exit_code("player") is None:
+            time.sleep(0.05)
+        assert supervisor.exit_code("player") == 0
         assert supervisor.poll() is None and supervisor.exit_code("one") is None
 
 

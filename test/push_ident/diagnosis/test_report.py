@@ -23,12 +23,12 @@ def test_page_says_where_why_how_far_and_what_to_do_next(tmp_path: Path) -> None
     (total,) = re.findall(r'<span class="total" style="left:([\d.]+)%', page)
     assert abs(signed - float(total)) < 0.1
     for text in (
-        "What the error is made of",
+        "Components of the prediction error",
         "mean error on held-out pushes",
         "noise of the poses",
         "Where the gap lies",
         "What causes it",
-        "How probable each cause is",
+        "Posterior probability of each cause",
         "How far the gap shrinks",
         "What to do next",
         "spirit level",

@@ -29,6 +29,7 @@ from push_ident.identification.results.result import Identification
 from push_ident.planning.goal_page import write_goal_page
 from push_ident.types import CameraIntrinsics, PushRecord
 
+pytestmark = pytest.mark.release
 SMALLEST_TEXT = 11.0
 """[CSS px]; smaller letters are hard to read."""
 CONTRAST = 4.5

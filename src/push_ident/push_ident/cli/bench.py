@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedCo
 
 from push_ident.cli.checks import writable_file
 from push_ident.cli.experiment import sim_module
-from push_ident.cli.output import Description, console
+from push_ident.cli.output import Description, console, say
 from push_ident.errors import InputError
 
 __all__ = ["bench_command"]
@@ -48,5 +48,5 @@ def bench_command(
             )
             sim_module("push_ident_sim.studies.common.files").write_json(page.with_suffix("") / f"{name}.json", result)
     written = pages.write_benchmarks(known.values(), page)
-    console.print(page.read_text(encoding="utf-8"), highlight=False, markup=False, soft_wrap=True)
-    console.print("written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
+    say(page.read_text(encoding="utf-8"))
+    say("written: " + ", ".join(str(path) for path in written))

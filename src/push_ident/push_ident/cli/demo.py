@@ -20,8 +20,8 @@ from push_ident.cli.demo_pushes import DemoPush, DemoPushes
 from push_ident.cli.goal_messages import goal_message
 from push_ident.cli.goal_report import GoalReport
 from push_ident.cli.live_view import ViewOption, show_view
-from push_ident.cli.output import Description, JsonOption, console, millimetres, write_json
-from push_ident.cli.push_to import GoalText, finish, push_to_goal
+from push_ident.cli.output import Description, JsonOption, console, millimetres, say, write_json
+from push_ident.cli.push_to import finish, parse_goal, push_to_goal
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.extras import need_ros
@@ -57,7 +57,7 @@ def demo_command(
     json: JsonOption = None,
 ) -> None:
     """Push an unknown object in the simulated cell, identify it during the pushes, and predict further pushes, or push it to a goal."""
-    started, target = time.monotonic(), None if goal is None else GoalText(goal).pose
+    started, target = time.monotonic(), None if goal is None else parse_goal(goal)
     need_ros()
     # With a goal few: the pushes to it are learned as well.
     n_train, n_test = (n_train or 4, n_test) if target is None else (n_train or 2, 0)
@@ -75,7 +75,7 @@ def demo_command(
         with CellClient(check=supervisor.check) as client, Progress(*columns, console=console) as progress:
             show = partial(progress.update, progress.add_task("starting the cell", total=n_train + n_test))
             object_id = client.wait_for_object()
-            console.print(f"object {object_id} found by perception", highlight=False)
+            say(f"object {object_id} found by perception")
             pushes = DemoPushes(client, object_id, seed, run / "model.json", show)
             pushes.await_executor()
             training, tested = pushes.make(n_train), pushes.make(n_test)
@@ -88,8 +88,7 @@ def demo_command(
     content = {"object_id": object_id, "training": [push.content() for push in training], "time_s": seconds, "n_train": n_train}
     content = content | _scores(tested, run, seconds) if report is None else report.content() | content
     for file in (run / "result.json", json):
-        if file is not None:
-            write_json(file, content)
+        write_json(file, content)
     drawn = _pushes_section(training + tested, outline)
     if report is None:
         _write_report(run, n_test, [drawn, _maps_section({"True": truth, "Identified": load_model(run / "model.json")[1].model})])
@@ -97,7 +96,7 @@ def demo_command(
         write_goal_page(run / "report.html", content, [drawn])
     files = {"report": "report.html", "numbers": "result.json", "model": "model.json", "recording": "bag", "logs of the nodes": "log"}
     for line in (*(f"{name}: {run / path}" for name, path in files.items()), f"again, offline: push-ident identify {run / 'bag'}"):
-        console.print(line, highlight=False, soft_wrap=True)
+        say(line)
     if report is not None:
         finish(report)
 
@@ -119,7 +118,7 @@ def _scores(tested: Sequence[DemoPush], run: Path, seconds: float) -> dict[str, 
     for name, errors in (("equal cells, nominal", uniform), ("identified", predicted)):
         table.add_row(name, *(millimetres(float(f(errors))) for f in (np.mean, np.median, np.max)))
     console.print(table)
-    console.print(f"{seconds:.0f} s; ratio identified / equal cells {predicted.mean() / uniform.mean():.2f}", highlight=False)
+    say(f"{seconds:.0f} s; ratio identified / equal cells {predicted.mean() / uniform.mean():.2f}")
     per_push = [push.content() for push in tested]
     return {"identified_m": float(predicted.mean()), "uniform_m": float(uniform.mean()), "per_push": per_push}
 
@@ -139,12 +138,12 @@ def _pushes_section(pushes: Sequence[DemoPush], outline: Float64Array) -> Figure
     """A drawing of each push; `outline` of the object in its frame [m], shape (n_vertices, 2)."""
     drawings = []
     for number, push in enumerate(pushes, 1):
-        poses = [("before", "before the push", push.before), ("seen", "seen after the push", push.after)]
+        poses = [("before", "before the push", push.before), ("seen", "observed after the push", push.after)]
         poses += [(style, "predicted", way["end"]) for style, way in zip(("predicted", "other"), push.ways, strict=False)]
         title = f"Push {number}: {push.expectation}" + (f"; error {millimetres(push.predicted_m)}" if push.ways else "")
         drawings.append((title, [Placed(transform_points(np.array(pose), outline), style, text) for style, text, pose in poses]))
     note = "From above, in the table frame. Filled: before the push. Dashed: predicted before it, twice where it may end in two ways. "
-    return FigureSection("Predicted live, then pushed", outline_panels(drawings), note + "Solid: seen after it.")
+    return FigureSection("Predicted live, then pushed", outline_panels(drawings), note + "Solid: observed after it.")
 
 
 def _maps_section(models: dict[str, ObjectModel]) -> FigureSection:

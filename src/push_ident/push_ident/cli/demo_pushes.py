@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from push_ident.cli.output import console, millimetres
+from push_ident.cli.output import millimetres, say
 from push_ident.errors import PushIdentError
 from push_ident.geometry.cells import cell_error
 from push_ident.identification.predicting.prediction import predict
@@ -158,7 +158,7 @@ class DemoPushes:
         if result.error_code == _OK:
             self._learned(known + 1)
         self._show(description=f"push {number} is made", advance=1)
-        console.print(text, highlight=False)
+        say(text)
 
     def _predict(self, push: DemoPush, path: PusherPath, before: Float64Array) -> Float64Array:
         """What the model of the node expects of a push: the last pose."""
@@ -169,7 +169,7 @@ class DemoPushes:
         # Where there is one way only, the prediction is where the mean model ends.
         ways = ways if len(ways) > 1 else [Way(1.0, prediction.pose[-1])]
         push.expected_m, push.ways = prediction.cell_error_std, [{"chance": way.chance, "end": way.end.tolist()} for way in ways]
-        console.print(f"push {len(self.made) + 1} predicted, {push.expectation}", highlight=False)
+        say(f"push {len(self.made) + 1} predicted, {push.expectation}")
         return prediction.pose[-1]
 
     def _learned(self, n: int) -> None:
@@ -180,14 +180,14 @@ class DemoPushes:
             self._client.wait_for_map(self._object_id, n, _LEARN)
         except CellTimeout as error:
             self._due = 0
-            console.print(f"the push was not learned: {error}", style="yellow", highlight=False, soft_wrap=True)
+            say(f"the push was not learned: {error}", style="yellow")
 
     def _n_learned(self) -> int:
         latest = self._client.latest_map(self._object_id)
         return 0 if latest is None else int(latest.n_pushes)
 
     def _refused(self, result: ExecutePush.Result) -> None:
-        console.print(f"push not executed: {result.error_text}", style="yellow", highlight=False, soft_wrap=True)
+        say(f"push not executed: {result.error_text}", style="yellow")
         self._refusals += 1
         if self._refusals > _MAX_REFUSALS:
             raise PushIdentError(f"{self._refusals} pushes could not be executed; the last error: {result.error_text}")

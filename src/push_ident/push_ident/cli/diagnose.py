@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
-from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from push_ident.cli.checks import above_zero
 from push_ident.cli.identify import (
@@ -18,7 +17,7 @@ from push_ident.cli.identify import (
     prior_of_options,
     read_camera,
 )
-from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, warn, write_json
+from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, progress, say, warn, write_json
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.next_push import SeparatingPush
@@ -63,19 +62,12 @@ def diagnose_command(
         need("report")
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
-    columns = (SpinnerColumn(), Description(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("reading")
-
-        def report(text: str) -> None:
-            progress.update(task, description=text)
-
+    with progress() as report:
         loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
         diagnosis = diagnose(loaded.records, settings, on_progress=report)
     _show(diagnosis)
     content = to_json(diagnosis)
-    if json is not None:
-        write_json(json, content)
+    write_json(json, content)
     if out is not None:
         write_json(out / "diagnosis.json", content)
         write_report(
@@ -86,26 +78,22 @@ def diagnose_command(
             sources = [record.source for record in loaded.records]
             save_model(out / "model.json", diagnosis.fit.posterior, object_id=loaded.object_id, sources=sources)
             files.append("model.json")
-        console.print(f"written: {', '.join(str(out / name) for name in files)}", highlight=False, soft_wrap=True)
+        say(f"written: {', '.join(str(out / name) for name in files)}")
 
 
 def _show(diagnosis: Diagnosis) -> None:
     for gate in diagnosis.gates:
         if not gate.passed:
             warn(f"! {gate.found}: {gate.remedy}")
-    _print(f"{diagnosis.verdict.value}: {diagnosis.sentence}")
+    say(f"{diagnosis.verdict.value}: {diagnosis.sentence}")
     if diagnosis.check:
-        _print(f"Without a push: {diagnosis.check}")
+        say(f"Without a push: {diagnosis.check}")
     if diagnosis.next_push is not None and diagnosis.next_push.push.plan is not None:
-        _print(_describe_push(diagnosis.next_push))
+        say(_describe_push(diagnosis.next_push))
     elif diagnosis.confusion_set:
-        _print("No push within its limits would resolve what is still open.")
+        say("No push within its limits would resolve what is still open.")
     if diagnosis.selection is not None:
         console.print(_ranking(diagnosis.selection))
-
-
-def _print(text: str) -> None:
-    console.print(text, highlight=False, soft_wrap=True)
 
 
 def _describe_push(proposal: SeparatingPush) -> str:
@@ -117,11 +105,8 @@ def _ranking(selection: Selection) -> Table:
     """The most promising effects of the first step."""
     first = selection.steps[0]
     refitted = {c.name: c.log_bayes_factor for c in first.candidates}
-    table = Table(title="effects beside the base model")
-    table.add_column("effect")
-    table.add_column("log Bayes factor [nat]", justify="right")
-    table.add_column("smallest detectable size", justify="right")
-    table.add_column("")
+    numbers = (Column(heading, justify="right") for heading in ("log Bayes factor [nat]", "smallest detectable size"))
+    table = Table("effect", *numbers, "", title="effects beside the base model")
     ranked = sorted(first.scores, key=lambda s: -refitted.get(s.name, s.expected_log_bayes_factor))
     for score in ranked[:_N_RANKED]:
         value = refitted.get(score.name, score.expected_log_bayes_factor)

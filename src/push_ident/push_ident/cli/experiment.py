@@ -12,7 +12,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from push_ident.cli.checks import above_zero, writable_folder
-from push_ident.cli.output import Description, JsonOption, console, warn
+from push_ident.cli.output import Description, JsonOption, console, say, warn
 from push_ident.errors import InputError
 
 __all__ = ["experiment_command", "sim_module"]
@@ -67,12 +67,12 @@ def experiment_command(
     """Run one of the experiments on simulated ground truth, or write the pages of all results."""
     known = sim_module("push_ident_sim.studies.registry").EXPERIMENTS
     if name == _LIST:
-        console.print("\n".join(f"{study.name}: {study.title}" for study in known.values()), highlight=False, markup=False, soft_wrap=True)
+        say("\n".join(f"{study.name}: {study.title}" for study in known.values()))
         return
     if name == _REPORT:
         pages = sim_module("push_ident_sim.studies.common.pages")
         written = pages.write_experiments(known.values(), results, "push-ident experiment report")
-        console.print("written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
+        say("written: " + ", ".join(str(path) for path in written))
         return
     if name not in known:
         raise InputError(f"There is no experiment `{name}`; choose one of {', '.join(known)}, or {_REPORT}.")
@@ -91,12 +91,12 @@ def experiment_command(
         stop_after=math.inf if stop_after is None else stop_after,
     )
     content = _with_progress(runner, known[name], options)
-    console.print(known[name].tables(content["summary"]), highlight=False, markup=False, soft_wrap=True)
+    say(known[name].tables(content["summary"]))
     for failure in content["failed"]:
         warn(f"push-ident: {failure['case']}: {failure['error']}")
     if json is not None:
         sim_module("push_ident_sim.studies.common.files").write_json(json, content)
-        console.print(f"written: {json}", highlight=False, soft_wrap=True)
+        say(f"written: {json}")
 
 
 def _with_progress(runner: ModuleType, study: Any, options: Any) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from push_ident.cli.checks import above_zero, writable_file
-from push_ident.cli.output import console, warn
+from push_ident.cli.output import say, warn
 from push_ident.errors import InputError
 from push_ident.identification.export.description import DEFAULT_HEIGHT, describe
 from push_ident.identification.export.files import SUFFIXES, write_description
@@ -54,10 +54,10 @@ def export_command(
         posterior.model, object_id=object_id, source=model.name, height=height, sliding=_CELLS[cells], effects=posterior.effects
     )
     for file in write_description(path, thing, format_name):
-        console.print(f"written {file}", highlight=False, soft_wrap=True)
+        say(f"written {file}")
     if thing.effects:
         text = f"note: the model has effects ({', '.join(thing.effects)}); a comment in the file lists those that it contains"
-        console.print(text, highlight=False, soft_wrap=True)
+        say(text)
     if not posterior.total_mass_identifiable:
         text = f"note: the total mass, {posterior.total_mass.value:.3g} kg, is the nominal one: pushes alone do not determine it"
-        console.print(text, highlight=False, soft_wrap=True)
+        say(text)

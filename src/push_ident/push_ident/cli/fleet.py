@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedCo
 
 from push_ident.cli.checks import above_zero, writable_folder
 from push_ident.cli.identify import ObjectOption
-from push_ident.cli.output import Description, JsonOption, console, millimetres, warn, write_json
+from push_ident.cli.output import Description, JsonOption, console, millimetres, say, warn, write_json
 from push_ident.extras import need
 from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
 from push_ident.fleet.job import Outcome
@@ -76,16 +76,14 @@ def fleet_command(
     write_index(out / "index.html", outcomes)
     done = [outcome for outcome in outcomes if outcome["state"] == "done"]
     errors = [o["result"]["test"]["identified_m"] for o in done if o["result"]["test"]["pushes"]]
-    console.print(
+    say(
         f"{len(done)} of {len(outcomes)} bags identified; median error on held-out pushes "
-        f"{millimetres(float(np.median(errors)) if errors else float('nan'))}",
-        highlight=False,
+        f"{millimetres(float(np.median(errors)) if errors else float('nan'))}"
     )
     for outcome in outcomes:
         if outcome["state"] == "failed":
             warn(f"failed: {outcome['bag']}: {outcome['error']}")
-    console.print(f"written: {out / 'index.html'}, {out / 'results.parquet'}", highlight=False, soft_wrap=True)
-    if json is not None:
-        write_json(json, {"bags": outcomes})
+    say(f"written: {out / 'index.html'}, {out / 'results.parquet'}")
+    write_json(json, {"bags": outcomes})
     if not done:
         raise typer.Exit(1)

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw, yaw_of_quaternion
-from push_ident.limits import plain_text
 from push_ident.types import Float64Array
 
 if TYPE_CHECKING:
@@ -16,27 +14,7 @@ if TYPE_CHECKING:
 
     from push_ident_msgs.action import PushToGoal
 
-__all__ = ["EdgeLine", "edge_message", "goal_message", "path_message", "planar", "pose_message"]
-
-
-class EdgeLine:
-    """`X1,Y1,X2,Y2` of the command line: two points of an edge, with the table on the left of the way from the first to the second.
-
-    Raises:
-        InputError: it is not four finite numbers of two points that are apart.
-    """
-
-    def __init__(self, text: str) -> None:
-        from push_ident.physics.overhang import TableEdge
-
-        try:
-            numbers = [float(part) for part in text.split(",")]
-        except ValueError:
-            numbers = []
-        if len(numbers) != 4:
-            raise InputError(f"--edge-line is {plain_text(text)!r}, expected X1,Y1,X2,Y2 in metres, such as 0.15,-0.3,0.15,0.3.")
-        self.points = np.reshape(numbers, (2, 2))
-        TableEdge.between(*self.points)
+__all__ = ["edge_message", "goal_message", "path_message", "planar", "pose_message"]
 
 
 def goal_message(
@@ -64,12 +42,12 @@ def path_message(poses: Float64Array, speed: float, **fields: Any) -> PushToGoal
     return goal
 
 
-def edge_message(yaw: float | None, line: EdgeLine | None, *, overhang_mm: float, held_mm: float, **fields: Any) -> PushToGoal.Goal:
+def edge_message(yaw: float | None, line: Float64Array | None, *, overhang_mm: float, held_mm: float, **fields: Any) -> PushToGoal.Goal:
     """The goal of the action at an edge.
 
     Args:
         yaw: heading there [rad]; None: the nearest in which the object is held.
-        line: the edge; None: the nearest that the node knows.
+        line: two points of the edge, shape (2, 2) [m]; None: the nearest that the node knows.
         overhang_mm: of the object beyond the edge [mm].
         held_mm: least distance of the centre of mass from the border of its support [mm].
         fields: as of `goal_message`.
@@ -79,7 +57,7 @@ def edge_message(yaw: float | None, line: EdgeLine | None, *, overhang_mm: float
     goal = goal_message(np.array([0.0, 0.0, yaw or 0.0]), **fields)
     goal.kind, goal.use_heading = goal.KIND_EDGE, yaw is not None
     goal.overhang, goal.held = 1e-3 * overhang_mm, 1e-3 * held_mm
-    goal.edge = [] if line is None else [Point(x=float(x), y=float(y), z=0.0) for x, y in line.points]
+    goal.edge = [] if line is None else [Point(x=float(x), y=float(y), z=0.0) for x, y in line]
     return goal
 
 

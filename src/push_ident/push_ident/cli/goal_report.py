@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from push_ident.cli.goal_messages import planar, pose_message
-from push_ident.cli.output import console
+from push_ident.cli.output import say
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.limits import printable
 from push_ident.types import Float64Array
@@ -107,7 +107,7 @@ class GoalReport:
             self.target = planar(feedback.target)
         if feedback.pushes > (self.lines[-1].number if self.lines else 0):
             self.lines.append(PushLine(feedback, follows=self.goal.kind == self.goal.KIND_PATH))
-            console.print(str(self.lines[-1]), highlight=False, soft_wrap=True)
+            say(str(self.lines[-1]))
 
     @property
     def is_reached(self) -> bool:

@@ -10,11 +10,21 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from push_ident.cli.checks import above_zero, parse_numbers
-from push_ident.cli.output import BagsArgument, Description, JsonOption, OutOption, console, millimetres, warn, write_json
+from push_ident.cli.output import (
+    BagsArgument,
+    JsonOption,
+    OutOption,
+    console,
+    millimetres,
+    number_table,
+    progress,
+    say,
+    warn,
+    write_json,
+)
 from push_ident.errors import InputError
 from push_ident.extras import need
 from push_ident.identification.fitting.budget import Budget
@@ -93,12 +103,7 @@ def identify_command(
     takes_effects = solver_of(method).capabilities.takes_effects
     numbers = parse_numbers(train, "--train") if train else None
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
-    with Progress(SpinnerColumn(), Description(), TimeElapsedColumn(), console=console, transient=True) as progress:
-        task = progress.add_task("reading")
-
-        def report(text: str) -> None:
-            progress.update(task, description=text)
-
+    with progress() as report:
         loaded = _load(bags, object_id, camera, prior, report)
         chosen = _chosen(numbers, len(loaded.records))
         report(f"identifying from {len(chosen)} pushes")
@@ -116,14 +121,11 @@ def identify_command(
     found = result.explanation.notes([loaded.records[i].source for i in chosen])
     _show_errors(loaded, fitted, held_out)
     _show_identifiability(result)
-    if files := [file for file in (json, None if out is None else out / "result.json") if file is not None]:
-        content = result_json(result, loaded.object_id, fitted, held_out, [*loaded.notes, *found])
-        for file in files:
-            write_json(file, content)
+    content = result_json(result, loaded.object_id, fitted, held_out, [*loaded.notes, *found])
+    for file in (json, None if out is None else out / "result.json"):
+        write_json(file, content)
     if out is not None:
-        from push_ident.cli.identify_files import write_files  # models and pages take a quarter of a second to import
-
-        write_files(out, result, loaded, fitted, held_out, record=record)
+        _write_files(out, result, loaded, fitted, held_out, record=record)
     for line in found:
         warn(f"! {line}")
     if result.status.is_failure:
@@ -179,9 +181,13 @@ def _show_errors(loaded: LoadedPushes, fitted: PushErrors, held_out: PushErrors)
     for note in loaded.notes:
         warn(f"note: {note}")
     n_cells = len(loaded.records[0].shape.cells)
-    table = Table(title=f"object {loaded.object_id}: {n_cells} cells, mean cell error at the end of a push")
-    for heading in ("pushes", "equal cells, nominal", "equal cells, fitted", "identified"):
-        table.add_column(heading, justify="right")
+    table = number_table(
+        f"object {loaded.object_id}: {n_cells} cells, mean cell error at the end of a push",
+        "pushes",
+        "equal cells, nominal",
+        "equal cells, fitted",
+        "identified",
+    )
     for name, errors in (("train", fitted), ("test", held_out)):
         if errors.pushes:
             row = [millimetres(float(np.mean(own))) for own in (errors.uniform, errors.scalar, errors.identified)]
@@ -192,22 +198,64 @@ def _show_errors(loaded: LoadedPushes, fitted: PushErrors, held_out: PushErrors)
 def _show_identifiability(result: Identification) -> None:
     """Print which quantities the pushes determine, and how the solve ended."""
     known = identifiability(result.posterior)
-    table = Table(title="identifiability from these pushes")
-    for heading, justify in (("quantity", "left"), ("value", "right"), ("before", "right"), ("identifiability", "left")):
-        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
+    numbers = (Column(heading, justify="right") for heading in ("value", "before"))
+    table = Table("quantity", *numbers, "identifiability", title="identifiability from these pushes")
     for q in known.quantities:
         table.add_row(q.name, value_text(q), before_text(q), q.knowledge.value.partition(":")[0])
     console.print(table)
-    console.print(
-        f"maps: {known.n_pinned} of {len(known.combinations)} combinations of the cells pinned down, {known.n_open} hardly constrained",
-        highlight=False,
-    )
+    say(f"maps: {known.n_pinned} of {len(known.combinations)} combinations of the cells pinned down, {known.n_open} hardly constrained")
     if result.candidates:
         likely = [c for c in sorted(result.candidates, key=lambda c: -c.probability) if c.probability >= _SHOWN_PROBABILITY]
         odds = ", ".join(f"{c.name} {c.probability:.0%}" for c in likely)
-        console.print(f"priors: {odds}", highlight=False)
+        say(f"priors: {odds}")
     for label, value, std in zip(
         result.posterior.effects.labels, result.posterior.effects.values, result.posterior.effects_std, strict=True
     ):
-        console.print(f"{label}: {value:.3g} ± {std:.2g}", highlight=False)
-    console.print(f"{result.method}: {result.status.value}; {result.n_simulations} simulations in {result.time_s:.2f} s", highlight=False)
+        say(f"{label}: {value:.3g} ± {std:.2g}")
+    say(f"{result.method}: {result.status.value}; {result.n_simulations} simulations in {result.time_s:.2f} s")
+
+
+def _write_files(
+    out: Path,
+    result: Identification,
+    loaded: LoadedPushes,
+    train: PushErrors,
+    test: PushErrors,
+    *,
+    record: bool = False,
+) -> None:
+    """Write model and report, and name the files, `result.json` included.
+
+    Args:
+        out: folder.
+        result: of the identification.
+        loaded: all pushes.
+        train: errors of the pushes of the fit.
+        test: errors of the others.
+        record: predict each push from those before it, for the report; an identification for each push.
+
+    Raises:
+        PushIdentError: a file cannot be written.
+    """
+    # Models and pages take a quarter of a second to import.
+    from push_ident.identification.report import Provenance, write_report
+    from push_ident.identification.results.model_file import save_model
+
+    sources = [loaded.records[i].source for i in train.pushes]
+    save_model(out / "model.json", result.posterior, object_id=loaded.object_id, sources=sources, status=result.status)
+    scores = []
+    if record and not loaded.nuisances:  # the model of these predictions would lack the nuisances
+        from push_ident.identification.online.running_record import running_record
+
+        scores = running_record(loaded.records, result.posterior.prior)
+    write_report(
+        out / "report.html",
+        result,
+        train,
+        test,
+        Provenance(loaded.object_id, tuple(sources), (*loaded.notes, *result.explanation.notes(sources))),
+        loaded.records[0].pusher.radius,
+        scores,
+    )
+    names = ("report.html", "model.json", "result.json")
+    say(f"written: {', '.join(str(out / name) for name in names)}")

@@ -18,7 +18,7 @@ from push_ident.bags.pushes import count_pushes, split_pushes
 from push_ident.bags.reader import read_bag
 from push_ident.cli.checks import above_zero, at_least_zero, new_bag
 from push_ident.cli.live_view import ViewOption, show_view
-from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
+from push_ident.cli.output import JsonOption, OutOption, console, say, warn, write_json
 from push_ident.cli.overrides import overrides_of
 from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.robot import RobotOption, robot_for
@@ -171,10 +171,9 @@ def _left_out(counts: dict[str, str]) -> str:
 def _show_replay(latest: MassFrictionMap, counts: dict[str, str], out: Path | None, json: Path | None) -> None:
     """Print and write the map that was identified."""
     mass, friction = list(latest.mass), list(latest.friction)
-    console.print(
+    say(
         f"object {latest.object_id}: {len(mass)} cells, {latest.n_pushes} pushes, {latest.status_text}; pusher friction "
-        f"{latest.pusher_friction:.2f} ± {latest.pusher_friction_std:.2f}",
-        highlight=False,
+        f"{latest.pusher_friction:.2f} ± {latest.pusher_friction_std:.2f}"
     )
     content = {
         "object_id": latest.object_id,
@@ -191,11 +190,10 @@ def _show_replay(latest: MassFrictionMap, counts: dict[str, str], out: Path | No
         "pusher_friction": {"value": latest.pusher_friction, "std": latest.pusher_friction_std},
         "counts": counts,
     }
-    if json is not None:
-        write_json(json, content)
+    write_json(json, content)
     if out is not None:
         write_json(out / "result.json", content)
-        console.print(f"written: {out / 'model.json'}, {out / 'result.json'}", highlight=False, soft_wrap=True)
+        say(f"written: {out / 'model.json'}, {out / 'result.json'}")
 
 
 def _camera_parameters(camera_in_table: Any) -> dict[str, object]:
@@ -222,14 +220,14 @@ def doctor_command(
     """Report installed packages, the ROS in use, live topics, and what is missing; or check a robot file.
 
     With --robot only that file is checked: joints, limits, frames, reach of the workspace, and the cell that runs, if one does. --out then
-    gets the picture of the reach. The exit status is 1 where something is wrong.
+    gets the page of the reach. The exit status is 1 where something is wrong.
     """
     if robot is not None:
         from push_ident.cli.robot_doctor import examine_robot
 
         raise typer.Exit(examine_robot(robot, spacing=spacing, seconds=seconds, out=out, json=json))
     if out is not None:
-        raise InputError("--out gets the picture of the reach of a robot; give --robot FILE, or take it out.")
+        raise InputError("--out gets the page of the reach of a robot; give --robot FILE, or take it out.")
     problems: list[str] = []
     installed: dict[str, str | None] = {}
     for name in _PACKAGES:
@@ -251,9 +249,7 @@ def doctor_command(
         problems.append(f"only {free >> 20} MiB of disk are free here; a depth recording takes some 18 MB/s")
     topics = _topics(seconds, problems) if ros["rclpy"] != "missing" else []
     if topics:
-        alive = Table(title=f"topics of the bag contract, over {seconds:.0f} s")
-        for heading in ("topic", "type", "rate [Hz]", "QoS"):
-            alive.add_column(heading)
+        alive = Table("topic", "type", "rate [Hz]", "QoS", title=f"topics of the bag contract, over {seconds:.0f} s")
         for row in topics:
             alive.add_row(row["topic"], row["type"], f"{row['rate_hz']:.1f}", row["qos"])
         console.print(alive)
@@ -261,8 +257,7 @@ def doctor_command(
         warn(f"! {problem}")
     if not problems:
         console.print("nothing is missing")
-    if json is not None:
-        write_json(json, {"installed": installed, "ros": ros, "topics": topics, "problems": problems})
+    write_json(json, {"installed": installed, "ros": ros, "topics": topics, "problems": problems})
 
 
 def _ros(problems: list[str]) -> dict[str, str]:

@@ -13,7 +13,7 @@ from typing import Annotated, Final
 
 import typer
 
-from push_ident.cli.output import console, warn
+from push_ident.cli.output import say, warn
 from push_ident.nodes.viewer.settings import VIEWER
 
 __all__ = ["ADDRESS", "ViewOption", "show_view"]
@@ -38,7 +38,7 @@ def _await_and_open() -> None:
             warn(f"the live view is not served after {_SERVED_WITHIN:.0f} s; see the log of viewer_node")
             return
         time.sleep(_POLL)
-    console.print(f"live view: {ADDRESS}", highlight=False)
+    say(f"live view: {ADDRESS}")
     # Without a screen Python would start a browser for text in the terminal of the cell.
     if sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         webbrowser.open(ADDRESS)

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Annotated, Final
 
 import typer
-from rich.table import Table
 
 from push_ident.bags.contract import Role, topic_of
 from push_ident.bags.reader import read_depth
-from push_ident.cli.checks import above_zero, writable_folder
+from push_ident.cli.checks import above_zero, parse_floats, writable_folder
 from push_ident.cli.identify import CameraOption, read_camera
-from push_ident.cli.output import JsonOption, console, millimetres, warn, write_json
+from push_ident.cli.output import JsonOption, console, millimetres, number_table, say, warn, write_json
 from push_ident.errors import InputError, PerceptionError
 from push_ident.extras import need, need_ros
 from push_ident.files import write_whole
@@ -24,21 +23,19 @@ from push_ident.survey.scale_check import KnownSize, ScaleCheck, check_scale
 from push_ident.survey.survey import Survey, frames_at_rest, survey_frames
 from push_ident.survey.survey_json import survey_json
 from push_ident.survey.survey_page import table_sentence, write_survey_page
-from push_ident.survey.survey_picture import draw_survey, is_small, png_of, size_text
+from push_ident.survey.survey_picture import is_small, size_text
 from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["look_command"]
 
 _BAGS: Final = (".mcap", ".db3", ".bag")
 """Suffixes of the files of a bag."""
-_FILES: Final = ("look.html", "look.png", "perception.yaml")
+_FILES: Final = ("look.html", "perception.yaml")
 _TOPIC: Final = topic_of(Role.DEPTH)
 """Of the camera that is listened to where no other is given: that of perception_node."""
 
 
-_OutFolder = Annotated[
-    Path, typer.Option("--out", metavar="DIR", callback=writable_folder, help="Folder for picture, page and parameter file.")
-]
+_OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", callback=writable_folder, help="Folder for page and parameter file.")]
 _SourceArgument = Annotated[
     str,
     typer.Argument(
@@ -101,14 +98,12 @@ def look_command(
         seen = _listen(name, seconds, status.update) if live else _read(source, _intrinsics(intrinsics), depth_unit)
         survey = survey_frames(seen.frames, seen.camera_in_table if given is None else given, seen.notes)
         check, unchecked = _checked(survey, size)
-    parameters, png = parameter_text(survey, name), png_of(draw_survey(survey))
-    write_whole(out / "look.png", png, "the picture")
+    parameters = parameter_text(survey, name)
     write_whole(out / "perception.yaml", parameters, "the parameters")
-    write_survey_page(out / "look.html", survey, name, png, parameters, check or (str(unchecked) if unchecked else None))
-    if json is not None:
-        write_json(json, survey_json(survey, check))
+    write_survey_page(out / "look.html", survey, name, parameters, check or (str(unchecked) if unchecked else None))
+    write_json(json, survey_json(survey, check))
     _show(survey, check)
-    console.print(f"written: {', '.join(str(out / name) for name in _FILES)}", highlight=False, soft_wrap=True)
+    say(f"written: {', '.join(str(out / name) for name in _FILES)}")
     if unchecked is not None:
         raise unchecked
     if survey.failure:
@@ -156,9 +151,9 @@ def _listen(topic: str, seconds: float, show: Callable[[str], None]) -> _Seen:
     from push_ident.nodes.client.depth_capture import DepthCapture  # without --live no ROS is needed
 
     with DepthCapture(topic, seconds=seconds, on_progress=show) as camera:
-        console.print(f"listening to {camera.topic} and {camera.info_topic} for up to {seconds:g} s", highlight=False, soft_wrap=True)
+        say(f"listening to {camera.topic} and {camera.info_topic} for up to {seconds:g} s")
         frames, passed = frames_at_rest(camera.frames())
-        console.print(f"{len(frames)} depth images at rest", highlight=False)
+        say(f"{len(frames)} depth images at rest")
         return _Seen(frames, camera.camera_in_table, [*camera.notes, passed])
 
 
@@ -171,10 +166,7 @@ def _is_bag(source: Path) -> bool:
 def _intrinsics(text: str) -> tuple[float, float, float, float] | None:
     if not text:
         return None
-    try:
-        fx, fy, cx, cy = (float(word) for word in text.split(","))
-    except ValueError:
-        raise InputError(f"--intrinsics is `{text}`, expected four numbers fx,fy,cx,cy in pixels, such as 600,600,319.5,239.5.") from None
+    fx, fy, cx, cy = parse_floats(text, 4, "--intrinsics", "four numbers fx,fy,cx,cy in pixels, such as 600,600,319.5,239.5").tolist()
     return fx, fy, cx, cy
 
 
@@ -203,23 +195,21 @@ def _show(survey: Survey, check: ScaleCheck | None) -> None:
     """Print what was found."""
     for note in survey.notes:
         warn(f"note: {note}")
-    console.print(table_sentence(survey), highlight=False, soft_wrap=True)
-    table = Table(title="noise of a height on the table")
-    for heading in ("distance", "points", "deviation", "systematic"):
-        table.add_column(heading, justify="right")
+    say(table_sentence(survey))
+    table = number_table("noise of a height on the table", "distance", "points", "deviation", "systematic")
     for band in survey.bands:
         table.add_row(
             f"{band.near:g} to {band.far:g} m", str(band.n_points), f"{1e3 * band.deviation:.2f} mm", f"{1e3 * band.median:+.2f} mm"
         )
     console.print(table)
     for own in survey.objects:
-        console.print(f"{own.object_id}: {size_text(own)}, {own.distance:.2f} m away", highlight=False, soft_wrap=True)
+        say(f"{own.object_id}: {size_text(own)}, {own.distance:.2f} m away")
     if not survey.objects and not survey.failure:
-        console.print(f"no object: {survey.why_no_object}", highlight=False, soft_wrap=True)
+        say(f"no object: {survey.why_no_object}")
     listed = [refusal for refusal in survey.refused if not is_small(refusal)]
     for number, refusal in enumerate(listed, start=1):
-        console.print(f"{number}, {millimetres(refusal.height)} high, is no object: {refusal.why}", highlight=False, soft_wrap=True)
+        say(f"{number}, {millimetres(refusal.height)} high, is no object: {refusal.why}")
     if n_small := len(survey.refused) - len(listed):
-        console.print(f"{n_small} {'patch' if n_small == 1 else 'patches'} smaller than min_object_area", highlight=False, soft_wrap=True)
+        say(f"{n_small} {'patch' if n_small == 1 else 'patches'} smaller than min_object_area")
     if check is not None:
-        console.print(check.sentence, highlight=False, soft_wrap=True)
+        say(check.sentence)

@@ -10,7 +10,7 @@ import typer
 from push_ident import __version__
 from push_ident.cli.lazy import LazyCommand, LazyGroup
 from push_ident.cli.memory import limit_memory
-from push_ident.cli.output import console, warn
+from push_ident.cli.output import say, warn
 from push_ident.errors import PushIdentError
 from push_ident.extras import how_to_get
 
@@ -33,6 +33,8 @@ LazyGroup.lazy_subcommands = {
         ("experiment", "experiment:experiment_command", "Run an experiment on simulated ground truth"),
         ("simulate", "simulate:simulate_command", "Push an object in the simulated cell and write a bag"),
         ("bench", "bench:bench_command", "Measure time and error of the engine and of identification"),
+        ("faults", "faults:faults_command", "Inject faults into live nodes and check what holds"),
+        ("fuzz", "fuzz:fuzz_command", "Send mutated messages to every node"),
         ("demo", "demo:demo_command", "Push, identify and predict an object of the simulated cell"),
         ("doctor", "live:doctor_command", "Report packages, ROS, live topics, and what is missing"),
         ("salvage", "salvage:salvage_command", "Copy the readable messages of a damaged bag"),
@@ -53,7 +55,7 @@ app = typer.Typer(
 
 def _show_version(asked: bool) -> None:
     if asked:
-        console.print(f"push-ident {__version__}", highlight=False)
+        say(f"push-ident {__version__}")
         raise typer.Exit
 
 

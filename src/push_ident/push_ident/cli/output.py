@@ -4,19 +4,35 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
 from rich.console import Console
-from rich.progress import ProgressColumn, Task
+from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TimeElapsedColumn
+from rich.table import Column, Table
 from rich.text import Text
 
 from push_ident.cli.checks import writable_file, writable_folder
 from push_ident.files import json_text, write_whole
 from push_ident.limits import printable
 
-__all__ = ["BagsArgument", "Description", "JsonOption", "OutOption", "PlainConsole", "console", "millimetres", "warn", "write_json"]
+__all__ = [
+    "BagsArgument",
+    "Description",
+    "JsonOption",
+    "OutOption",
+    "PlainConsole",
+    "console",
+    "millimetres",
+    "progress",
+    "say",
+    "number_table",
+    "warn",
+    "write_json",
+]
 
 _WORD: Final = 1_000
 """Longest word that is shown whole; rich takes minutes to break one of 100,000 characters into the lines of a table."""
@@ -59,6 +75,11 @@ OutOption = Annotated[
 ]
 
 
+def say(text: str, style: str | None = None) -> None:
+    """Print one line, which the terminal wraps."""
+    console.print(text, style=style, highlight=False, soft_wrap=True)
+
+
 def warn(text: str) -> None:
     """Print one line on standard error."""
     _errors.print(text, style="yellow", highlight=False, soft_wrap=True)
@@ -69,6 +90,20 @@ def millimetres(metres: float) -> str:
     return f"{1e3 * metres:.1f} mm" if math.isfinite(metres) else "-"
 
 
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON in which numbers that are not finite are null. Raises PushIdentError where the file cannot be written."""
-    write_whole(path, json_text(content), "the result")
+def write_json(path: Path | None, content: dict[str, Any]) -> None:
+    """Write JSON in which numbers that are not finite are null; nothing without a path. Raises PushIdentError where it cannot."""
+    if path is not None:
+        write_whole(path, json_text(content), "the result")
+
+
+@contextmanager
+def progress() -> Iterator[Callable[[str], None]]:
+    """A line that says what is being done, as long as the context lasts: it is given to the function."""
+    with Progress(SpinnerColumn(), Description(), TimeElapsedColumn(), console=console, transient=True) as shown:
+        task = shown.add_task("reading")
+        yield lambda text: shown.update(task, description=text)
+
+
+def number_table(title: str, *headings: str) -> Table:
+    """A table of numbers."""
+    return Table(*(Column(heading, justify="right") for heading in headings), title=title)

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
-from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, warn, write_json
+from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, number_table, say, warn, write_json
 from push_ident.identification.predicting.comparison import PredictedPush, compare_pushes
 from push_ident.identification.results.model_file import failure_of_model, load_model
 from push_ident.offline.loading import load_pushes
@@ -36,17 +35,16 @@ def predict_command(
         warn(f"note: {note}")
     if failure := failure_of_model(model):
         warn(f"! the model is only the prior: {failure}")
-    table = Table(title=f"object {in_file}: predicted against observed, at the end of each push")
-    for heading in ("push", "cell error", "expected", "within 90%", "status"):
-        table.add_column(heading, justify="right")
+    table = number_table(
+        f"object {in_file}: predicted against observed, at the end of each push", "push", "cell error", "expected", "within 90%", "status"
+    )
     for number, row in enumerate(rows, 1):
         inside = "yes" if row["within_90"] else "no"
         table.add_row(str(number), millimetres(row["cell_error_m"]), millimetres(row["cell_error_std_m"]), inside, row["status"])
     console.print(table)
-    console.print(f"mean {millimetres(compared.mean_cell_error)} over {len(rows)} pushes", highlight=False)
+    say(f"mean {millimetres(compared.mean_cell_error)} over {len(rows)} pushes")
     content = {"object_id": in_file, "cell_error_m": compared.mean_cell_error, "pushes": rows, "notes": loaded.notes}
-    if json is not None:
-        write_json(json, content)
+    write_json(json, content)
     if out is not None:
         write_json(out / "prediction.json", content)
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import numpy as np
 import typer
 
-from push_ident.cli.checks import at_least_zero, finite
-from push_ident.cli.output import JsonOption, console, warn, write_json
+from push_ident.cli.checks import at_least_zero, finite, parse_floats
+from push_ident.cli.output import JsonOption, console, say, warn, write_json
 from push_ident.errors import InputError
 from push_ident.extras import need_ros
-from push_ident.limits import check_object_id, plain_text, printable
+from push_ident.limits import check_object_id, printable
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array
 
@@ -59,7 +59,8 @@ def push_command(
     from push_ident_msgs.action import ExecutePush
 
     if at is not None and direction is not None:
-        goals = iter([contact_goal(_point(at), direction, object_id=object_id, in_object=in_object, distance=distance, speed=speed)])
+        point = parse_floats(at, 2, "--at", _POINT)
+        goals = iter([contact_goal(point, direction, object_id=object_id, in_object=in_object, distance=distance, speed=speed)])
     elif distance or speed or in_object:
         raise InputError("--distance, --speed and --in-object are for a push --at a point; random pushes draw their own.")
     else:
@@ -69,8 +70,7 @@ def push_command(
     with CellClient() as client, console.status("looking for the cell") as status:
         results = push_one_by_one(client, goals, dry_run, status.update)
     n_done = sum(result.error_code == ExecutePush.Result.NONE for result in results)
-    if json is not None:
-        write_json(json, {"pushes": [_content(result) for result in results], "n_done": n_done, "dry_run": dry_run})
+    write_json(json, {"pushes": [_content(result) for result in results], "n_done": n_done, "dry_run": dry_run})
     asked = random or 1
     if n_done < asked:
         warn(f"push-ident: {n_done} of {asked} pushes {'could be planned' if dry_run else 'were made'}")
@@ -135,7 +135,7 @@ def push_one_by_one(
         results.append(client.execute_push(goal, on_feedback=progress))
         result = results[-1]
         if result.error_code == PushCode.NONE:
-            console.print(f"push {number}: {_way(result)}{' (planned only)' if dry_run else ''}", highlight=False, soft_wrap=True)
+            say(f"push {number}: {_way(result)}{' (planned only)' if dry_run else ''}")
         else:
             warn(f"push {number}: {_name(result)}: {printable(result.error_text)}")
         if result.error_code not in _GOES_ON:
@@ -169,14 +169,3 @@ def _content(result: ExecutePush.Result) -> dict[str, Any]:
         "distance_m": float(result.distance),
         "speed_m_s": float(result.speed),
     }
-
-
-def _point(text: str) -> Float64Array:
-    """`X,Y` [m], shape (2,). Raises InputError for another form."""
-    try:
-        point = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        point = np.empty(0)
-    if point.shape != (2,) or not np.isfinite(point).all():
-        raise InputError(f"--at is {plain_text(text)!r}, expected {_POINT}.")
-    return point

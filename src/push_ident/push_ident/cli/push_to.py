@@ -2,36 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 from rich.markup import escape
 
+from push_ident.cli.checks import above_zero, finite, parse_floats
 from push_ident.cli.goal_messages import edge_message, goal_message, path_message, planar
 from push_ident.cli.goal_report import GoalReport, PathReport, broken_off, last_feedback
-from push_ident.cli.output import JsonOption, OutOption, console, warn, write_json
-from push_ident.cli.push_to_options import (
-    EdgeFlag,
-    EdgeLineOption,
-    EdgeOptions,
-    ExploreOption,
-    HeldOption,
-    MaxPushesOption,
-    ObjectOption,
-    OverhangOption,
-    PathOption,
-    PlaceOption,
-    SpacingOption,
-    SpeedOption,
-    TimeLimitOption,
-    ToleranceAngleOption,
-    ToleranceOption,
-    YawOption,
-)
+from push_ident.cli.output import JsonOption, OutOption, console, say, warn, write_json
 from push_ident.errors import InputError
 from push_ident.extras import need_ros
 from push_ident.limits import printable
@@ -43,7 +26,74 @@ if TYPE_CHECKING:
     from push_ident.nodes.client.cell_client import CellClient
     from push_ident_msgs.action import PushToGoal
 
-__all__ = ["GoalText", "finish", "goals_of", "push_to_command", "push_to_goal"]
+__all__ = ["parse_edge", "parse_goal", "finish", "goals_of", "push_to_command", "push_to_goal"]
+
+PlaceOption = Annotated[
+    float | None, typer.Option(callback=finite, help="Goal of the object's origin in the table frame [m].", show_default=False)
+]
+YawOption = Annotated[
+    float | None,
+    typer.Option(callback=finite, help="Goal of the object's turn in the table frame [rad]; with --edge not needed.", show_default=False),
+]
+PathOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Along a path: a line for each pose, x, y, yaw [m, rad].", show_default=False),
+]
+SpacingOption = Annotated[
+    float | None,
+    typer.Option(
+        "--spacing-mm", min=1.0, callback=above_zero, help="Push to poses on the path this far apart instead [mm].", show_default=False
+    ),
+]
+SpeedOption = Annotated[
+    float | None, typer.Option("--speed-mm", min=1.0, callback=above_zero, help="Along a path [mm/s].", show_default="50")
+]
+EdgeFlag = Annotated[bool, typer.Option("--edge", help="Out over an edge of the table, held on it, instead of to a pose.")]
+EdgeLineOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X1,Y1,X2,Y2",
+        help="Two points of the edge, the table on the left [m]. Default: the nearest edge that the node knows.",
+        show_default=False,
+    ),
+]
+OverhangOption = Annotated[
+    float | None, typer.Option("--overhang-mm", min=1.0, callback=above_zero, help="Of the object beyond the edge [mm].", show_default="40")
+]
+HeldOption = Annotated[
+    float | None,
+    typer.Option(
+        "--held-mm",
+        min=0.1,
+        callback=above_zero,
+        help="Least distance of the centre of mass from the border of what supports it, at the edge [mm].",
+        show_default="10",
+    ),
+]
+ToleranceOption = Annotated[
+    float | None,
+    typer.Option(
+        "--tolerance-mm", min=0.1, callback=above_zero, help="Largest distance from the goal [mm].", show_default="20; along a path 3"
+    ),
+]
+ToleranceAngleOption = Annotated[
+    float | None,
+    typer.Option(
+        "--tolerance-deg",
+        min=0.1,
+        callback=above_zero,
+        help="Largest angle to the goal [degrees].",
+        show_default="5.73; at an edge 15, along a path 2",
+    ),
+]
+ExploreOption = Annotated[int, typer.Option(min=0, help="Random pushes first; 0: use what is known of the object.")]
+MaxPushesOption = Annotated[
+    int | None,
+    typer.Option("--max-pushes", min=1, help="Most pushes for a goal, exploring ones included.", show_default="15; along a path 60"),
+]
+TimeLimitOption = Annotated[float, typer.Option("--time-limit", min=1.0, callback=above_zero, help="Longest time for a goal [s].")]
+ObjectOption = Annotated[str, typer.Option("--object", metavar="ID", help="The object. Default: the only one.", show_default=False)]
+
 
 _TO_WRITE = 15.0
 """From Ctrl-C to the end by force [s]: for the arm to be held, 1 s, and for results and page, 1 s on an idle machine."""
@@ -72,16 +122,18 @@ def goals_of(x: float | None, y: float | None, yaw: float | None, path: Path | N
     return np.array([pose])
 
 
-class GoalText:
-    """`X,Y,YAW` of the command line. Raises InputError where it is not three finite numbers."""
+def parse_goal(text: str) -> Float64Array:
+    """A pose `X,Y,YAW` [m, m, rad], shape (3,). Raises InputError for another form."""
+    return parse_floats(text, 3, "--goal", "X,Y,YAW in metres and radians, such as 0.05,-0.1,1.57")
 
-    def __init__(self, text: str) -> None:
-        try:
-            self.pose = np.array([float(part) for part in text.split(",")])
-        except ValueError:
-            self.pose = np.empty(0)
-        if self.pose.shape != (3,) or not np.isfinite(self.pose).all():
-            raise InputError(f"--goal is {text!r}, expected X,Y,YAW in metres and radians, such as 0.05,-0.1,1.57.")
+
+def parse_edge(text: str) -> Float64Array:
+    """Two points of an edge [m], shape (2, 2), with the table on the left of the way from the first to the second. Raises InputError."""
+    from push_ident.physics.overhang import TableEdge
+
+    points = parse_floats(text, 4, "--edge-line", "X1,Y1,X2,Y2 in metres, such as 0.15,-0.3,0.15,0.3").reshape(2, 2)
+    TableEdge.between(*points)
+    return points
 
 
 def push_to_goal(client: CellClient, report: GoalReport, show: Callable[[str], None]) -> None:
@@ -137,15 +189,17 @@ def push_to_command(
 
     Ctrl-C holds the arm; results are written all the same.
     """
-    options = EdgeOptions(edge=edge, line=edge_line, overhang_mm=overhang_mm, held_mm=held_mm, x=x, y=y, path=path)
+    for_edge = {"--edge-line": edge_line, "--overhang-mm": overhang_mm, "--held-mm": held_mm}
+    _check_edge_options(edge, for_edge, {"--x": x, "--y": y, "--path": path})
+    line = None if edge_line is None else parse_edge(edge_line)
     poses = np.full((1, 3), np.nan) if edge else goals_of(x, y, yaw, path, spacing_mm)
     need_ros()
     follows = path is not None and spacing_mm is None
     limits: dict[str, Any] = {"object_id": object_id, "time_limit": time_limit}
     limits |= {"tolerance_mm": tolerance_mm or (3.0 if follows else 20.0), "max_pushes": max_pushes or (60 if follows else 15)}
     if edge:
-        limits |= {"tolerance_deg": tolerance_deg or 15.0, "overhang_mm": options.overhang_mm, "held_mm": options.held_mm}
-        goals = [edge_message(yaw, options.line, explore=explore, **limits)]
+        limits |= {"tolerance_deg": tolerance_deg or 15.0, "overhang_mm": overhang_mm or 40.0, "held_mm": held_mm or 10.0}
+        goals = [edge_message(yaw, line, explore=explore, **limits)]
     elif follows:
         goals = [path_message(poses, 1e-3 * (speed_mm or 0.0), explore=explore, tolerance_deg=tolerance_deg or 2.0, **limits)]
     else:
@@ -183,14 +237,13 @@ def _pursue(goals: Sequence[PushToGoal.Goal], reports: list[GoalReport]) -> None
 def _write(content: dict[str, Any], out: Path | None, json: Path | None) -> None:
     """Write the result as JSON, and as a page into the folder `out`."""
     for file in [json, None if out is None else out / "result.json"]:
-        if file is not None:
-            write_json(file, content)
+        write_json(file, content)
     if out is not None:
         from push_ident.planning.goal_page import write_goal_page
 
         page = out / "report.html"
         write_goal_page(page, content)
-        console.print(f"written: {page}, {out / 'result.json'}", highlight=False, soft_wrap=True)
+        say(f"written: {page}, {out / 'result.json'}")
 
 
 def _show(status: Status, prefix: str, text: str) -> None:
@@ -205,10 +258,9 @@ def _finish_path(report: PathReport) -> None:
         number = len(report.reports)
         warn(f"push-ident: {last.content()['code']} at goal {number} of {report.n_goals}: {printable(last.result.error_text)}")
         raise typer.Exit(1)
-    console.print(
+    say(
         f"at the end of the path after {content['n_pushes']} pushes: {1e3 * content['rms_position_m']:.1f} mm and "
-        f"{np.degrees(content['rms_yaw_rad']):.1f}° from its {report.n_goals} goals (root mean square)",
-        highlight=False,
+        f"{np.degrees(content['rms_yaw_rad']):.1f}° from its {report.n_goals} goals (root mean square)"
     )
 
 
@@ -220,19 +272,24 @@ def finish(report: GoalReport) -> None:
         warn(f"push-ident: {report.content()['code']}: {printable(result.error_text)}")
         raise typer.Exit(1)
     if report.goal.kind == report.goal.KIND_PATH:
-        console.print(
+        say(
             f"at the end of the path after {result.pushes} pushes with {result.corrections} corrections and {result.elapsed:.0f} s: "
-            f"{1e3 * result.rms_position:.1f} mm and {np.degrees(result.rms_yaw):.1f}° from it (root mean square)",
-            highlight=False,
+            f"{1e3 * result.rms_position:.1f} mm and {np.degrees(result.rms_yaw):.1f}° from it (root mean square)"
         )
         return
     if report.edge is None:
-        console.print(f"at the goal after {result.pushes} pushes and {result.elapsed:.0f} s: {where}", highlight=False)
+        say(f"at the goal after {result.pushes} pushes and {result.elapsed:.0f} s: {where}")
         return
     x, y, yaw = report.target
-    console.print(
+    say(
         f"over the edge by {1e3 * report.overhang:.0f} mm after {result.pushes} pushes and {result.elapsed:.0f} s, the centre of mass "
-        f"{1e3 * report.margin:.0f} mm inside its support; pre-grasp pose ({x:.3f}, {y:.3f}) m, {yaw:.2f} rad: {where}",
-        highlight=False,
-        soft_wrap=True,
+        f"{1e3 * report.margin:.0f} mm inside its support; pre-grasp pose ({x:.3f}, {y:.3f}) m, {yaw:.2f} rad: {where}"
     )
+
+
+def _check_edge_options(is_at_edge: bool, for_edge: Mapping[str, object], for_pose: Mapping[str, object]) -> None:
+    """Raise InputError where an option for a goal at an edge is given for another one, or the other way round; None: not given."""
+    if not is_at_edge and (given := [name for name, value in for_edge.items() if value is not None]):
+        raise InputError(f"{given[0]} was given without --edge; add --edge.")
+    if is_at_edge and (given := [name for name, value in for_pose.items() if value is not None]):
+        raise InputError(f"--edge was given beside {', '.join(given)}; of a pose only --yaw goes with it.")

@@ -9,7 +9,7 @@ import typer
 
 from push_ident.bags.salvage import salvage
 from push_ident.cli.checks import new_bag
-from push_ident.cli.output import console
+from push_ident.cli.output import say
 
 __all__ = ["salvage_command"]
 
@@ -20,4 +20,4 @@ def salvage_command(
 ) -> None:
     """Copy all readable messages of a truncated or damaged bag into a new bag."""
     report = salvage(bag, out)
-    console.print(f"{report.total} messages recovered into {out}", highlight=False, soft_wrap=True)
+    say(f"{report.total} messages recovered into {out}")

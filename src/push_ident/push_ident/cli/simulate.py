@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from push_ident.cli.checks import at_least_zero, new_bag, writable_file
+from push_ident.cli.checks import at_least_zero, new_bag, parse_floats, writable_file
 from push_ident.cli.experiment import sim_module
-from push_ident.cli.output import console, write_json
+from push_ident.cli.output import console, say, write_json
 from push_ident.errors import InputError
 
 __all__ = ["simulate_command"]
@@ -49,18 +49,19 @@ def simulate_command(
     if effects:
         for entry in injected.INJECTED.values():
             lines = [f"{entry.name}: {entry.what}", *(f"    {p.described}" for p in entry.parameters), f"    Simulated: {entry.how}."]
-            console.print("\n".join(lines), highlight=False, markup=False, soft_wrap=True)
+            say("\n".join(lines))
         return
     if out is None:
         raise InputError("--out is missing; name the new bag, such as --out out/tilted.")
     recording, pushing = sim_module("push_ident_sim.recordings.recording"), sim_module("push_ident_sim.recordings.truth")
+    low, high = parse_floats(speed, 2, "--speed", "LOW,HIGH in m/s such as 0.1,0.2").tolist()
     settings = recording.RecordingSettings(
         object_name=object_name,
         model=model,
         n_pushes=pushes,
         seed=seed,
         effects=injected.InjectedEffects.parse(effect or ()),
-        speed_range=_range(speed),
+        speed_range=(low, high),
         noise=pushing.CameraNoise(
             position_std=position_noise,
             yaw_std=yaw_noise,
@@ -73,15 +74,7 @@ def simulate_command(
     # In a separate process, which discards the output of the engine.
     with console.status("pushing"), sim_module("push_ident_sim.workers").single_threads() as pool:
         content = pool.submit(recording.record_pushes, out, settings).result()
-    console.print(f"written: {out}; SHA-256 of its truth: {recording.seal(content)}", highlight=False, soft_wrap=True)
+    say(f"written: {out}; SHA-256 of its truth: {recording.seal(content)}")
     if truth is not None:
         write_json(truth, content)
-        console.print(f"written: {truth}", highlight=False, soft_wrap=True)
-
-
-def _range(text: str) -> tuple[float, float]:
-    try:
-        low, high = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"--speed is {text!r}, expected LOW,HIGH in m/s such as 0.1,0.2.") from None
-    return low, high
+        say(f"written: {truth}")

@@ -177,20 +177,6 @@ class Supervisor:
         """Exit code of one process, None while it runs."""
         return self._processes[name].poll()
 
-    def wait_for(self, name: str, timeout: float) -> int:
-        """Wait for one process to end by itself; its exit code.
-
-        Raises:
-            SupervisorError: Another one died, or `timeout` [s] passed.
-        """
-        deadline = time.monotonic() + timeout
-        while (code := self.exit_code(name)) is None:
-            self.check()
-            if time.monotonic() > deadline:
-                raise SupervisorError(f"{name} still runs after {timeout:g} s; allow more time or look into its log")
-            time.sleep(_POLL_PERIOD)
-        return code
-
     def stop(self) -> list[str]:
         """Stop all processes: SIGINT, 2 s later SIGTERM, 1 s later SIGKILL. Returns when no process runs any more.
 

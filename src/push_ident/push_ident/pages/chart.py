@@ -18,7 +18,7 @@ from push_ident.limits import printable
 from push_ident.types import Float64Array
 
 __all__ = [
-    "BLUES", "HEAT", "MARGIN", "VIRIDIS", "WIDTH", "Arrow", "CellPanel", "Mark", "Row", "Series", "bar_of_length", "cell_panel",
+    "BLUES", "HEAT", "MARGIN", "VIRIDIS", "WIDTH", "Arrow", "CellPanel", "Mark", "Row", "Series", "bar_of_length", "cell_panel", "clean",
     "field_panel", "round_below", "row_chart", "shade", "svg_of", "text_on", "titled_polygon",
 ]  # fmt: skip
 
@@ -151,7 +151,7 @@ def cell_panel(panel: CellPanel) -> str:
         at = f"({1e3 * centre[0]:.0f}, {1e3 * centre[1]:.0f}) mm"
         parts.append(
             f'<rect x="{x - side / 2:.1f}" y="{y - side / 2:.1f}" width="{side:.1f}" height="{side:.1f}" fill="{colour}">'
-            f"<title>{_clean(f'cell {number} at {at}: {value:.3g} {panel.unit}')}</title></rect>"
+            f"<title>{clean(f'cell {number} at {at}: {value:.3g} {panel.unit}')}</title></rect>"
         )
     parts.append(_line(panel.outline, place, "outline", closed=True))
     if panel.region is not None:
@@ -208,7 +208,7 @@ def titled_polygon(
     """
     where = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(point) for point in points))
     shape = "polygon" if closed else "polyline"
-    return f'<{shape} class="{style}" points="{where}"><title>{_clean(text)}</title></{shape}>'
+    return f'<{shape} class="{style}" points="{where}"><title>{clean(text)}</title></{shape}>'
 
 
 def _line(points: Float64Array, place: Callable[[Float64Array], tuple[float, float]], name: str, *, closed: bool) -> str:
@@ -238,7 +238,7 @@ def _scale_of_colours(panel: CellPanel, low: float, high: float, y: float) -> li
     return [
         *strip,
         f'<text x="{x:.1f}" y="{y + 19:.1f}">{low:.3g}</text>',
-        f'<text x="{x + width:.1f}" y="{y + 19:.1f}" text-anchor="end">{_clean(f"{high:.3g} {panel.unit}".rstrip())}</text>',
+        f'<text x="{x + width:.1f}" y="{y + 19:.1f}" text-anchor="end">{clean(f"{high:.3g} {panel.unit}".rstrip())}</text>',
     ]
 
 
@@ -284,20 +284,20 @@ def row_chart(title: str, rows: Sequence[Row], series: Sequence[Series], unit: s
     for number, row in enumerate(rows):
         y = first + _ROW * (number + 0.5)
         label = row.label if len(row.label) <= _LETTERS else row.label[: _LETTERS - 1] + "…"
-        parts.append(f'<text x="{_LABEL:.1f}" y="{y + 4:.1f}" text-anchor="end">{_clean(label)}<title>{_clean(row.label)}</title></text>')
+        parts.append(f'<text x="{_LABEL:.1f}" y="{y + 4:.1f}" text-anchor="end">{clean(label)}<title>{clean(row.label)}</title></text>')
         if row.bar > 0:
             length = x_of(row.bar) - x_of(0.0)
             parts.append(f'<rect x="{x_of(0):.1f}" y="{y - 6:.1f}" width="{length:.1f}" height="12" style="fill:{row.colour}"/>')
         parts += [_mark(series[m.series], x_of(m.value), y, m.text) for m in row.marks if math.isfinite(m.value)]
     parts.append(
-        f'<text x="{WIDTH - MARGIN:.1f}" y="{bottom + 30:.1f}" text-anchor="end">{_clean(f"{axis} [{unit}]" if unit else axis)}</text>'
+        f'<text x="{WIDTH - MARGIN:.1f}" y="{bottom + 30:.1f}" text-anchor="end">{clean(f"{axis} [{unit}]" if unit else axis)}</text>'
     )
     return svg_of(title, bottom + 38.0, parts)
 
 
 def _legend(series: Sequence[Series]) -> list[list[str]]:
     """One line for each kind of mark."""
-    return [[_mark(one, MARGIN + 6, 4.0, one.name), f'<text x="{MARGIN + 18:.1f}" y="8">{_clean(one.name)}</text>'] for one in series]
+    return [[_mark(one, MARGIN + 6, 4.0, one.name), f'<text x="{MARGIN + 18:.1f}" y="8">{clean(one.name)}</text>'] for one in series]
 
 
 def _shifted(parts: Sequence[str], y: float) -> list[str]:
@@ -305,7 +305,7 @@ def _shifted(parts: Sequence[str], y: float) -> list[str]:
 
 
 def _mark(series: Series, x: float, y: float, text: str) -> str:
-    title, colour = f"<title>{_clean(text)}</title>", series.colour
+    title, colour = f"<title>{clean(text)}</title>", series.colour
     if series.style == "tick":
         return f'<rect x="{x - 1.2:.1f}" y="{y - 6:.1f}" width="2.4" height="12" style="fill:{colour}">{title}</rect>'
     filled = f"fill:{colour}" if series.style == "dot" else f"fill:none;stroke:{colour};stroke-width:1.6"
@@ -325,9 +325,10 @@ def svg_of(title: str, height: float, parts: Sequence[str]) -> str:
     body = "".join(parts)
     return (
         f'<svg class="chart" role="img" viewBox="0 0 {WIDTH:g} {height:.0f}" xmlns="http://www.w3.org/2000/svg" font-size="{_TEXT:g}">'
-        f"<title>{_clean(title)}</title>{body}</svg>"
+        f"<title>{clean(title)}</title>{body}</svg>"
     )
 
 
-def _clean(text: str) -> str:
+def clean(text: str) -> str:
+    """Foreign text as that of an element."""
     return escape(printable(text))

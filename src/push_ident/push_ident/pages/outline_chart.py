@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
 import numpy as np
 
-from push_ident.limits import printable
-from push_ident.pages.chart import MARGIN, WIDTH, bar_of_length, svg_of, titled_polygon
+from push_ident.pages.chart import MARGIN, WIDTH, bar_of_length, clean, svg_of, titled_polygon
 from push_ident.types import Float64Array
 
 __all__ = ["Placed", "outline_panel", "outline_panels"]
@@ -27,7 +25,7 @@ class Placed:
     corners: Float64Array
     """On the table [m], shape (n_vertices, 2); two points are a line."""
     style: str
-    """`before`, `goal`, `predicted`, `other`, `seen`, `edge`, `outline`, `meets`, `missed` or `trace`, a class of the page's styles."""
+    """A class of the page's styles, such as `before`, `predicted`, `seen` or `goal`."""
     text: str
     """Shown under the pointer."""
     closed: bool = True
@@ -63,5 +61,5 @@ def outline_panel(title: str, placed: Sequence[Placed], frame: Float64Array) -> 
     for one in placed:
         if one.label:
             x, y = place(0.5 * (one.corners.min(axis=0) + one.corners.max(axis=0)))
-            parts.append(f'<text x="{x:.1f}" y="{y + _HALF_LETTER:.1f}" text-anchor="middle">{escape(printable(one.label))}</text>')
+            parts.append(f'<text x="{x:.1f}" y="{y + _HALF_LETTER:.1f}" text-anchor="middle">{clean(one.label)}</text>')
     return svg_of(title, height, [*parts, *bar_of_length(scale, height - _FOOT + 12)])

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Final
 
-from push_ident.limits import printable
-from push_ident.pages.chart import MARGIN, WIDTH, svg_of
+from push_ident.pages.chart import MARGIN, WIDTH, clean, svg_of
 
 __all__ = ["Dot", "scatter"]
 
@@ -51,7 +49,7 @@ def scatter(title: str, dots: Sequence[Dot], *, x_axis: str, y_axis: str) -> str
     def at(value: float) -> float:
         return side * (math.log10(value) - low) / (high - low)
 
-    parts = [f'<text x="{MARGIN:.1f}" y="14">{_clean(y_axis)}</text>']
+    parts = [f'<text x="{MARGIN:.1f}" y="14">{clean(y_axis)}</text>']
     for tick in _ticks(low, high):
         x, y = left + at(tick), bottom - at(tick)
         parts += [
@@ -63,10 +61,10 @@ def scatter(title: str, dots: Sequence[Dot], *, x_axis: str, y_axis: str) -> str
     parts.append(f'<line class="limit" x1="{left:.1f}" y1="{bottom:.1f}" x2="{left + side:.1f}" y2="{_HEAD:.1f}"/>')
     parts += [
         f'<circle cx="{left + at(dot.x):.1f}" cy="{bottom - at(dot.y):.1f}" r="4.2" style="fill:var(--accent);fill-opacity:.75">'
-        f"<title>{_clean(dot.text)}</title></circle>"
+        f"<title>{clean(dot.text)}</title></circle>"
         for dot in shown
     ]
-    parts.append(f'<text x="{left + side:.1f}" y="{bottom + 32:.1f}" text-anchor="end">{_clean(x_axis)}</text>')
+    parts.append(f'<text x="{left + side:.1f}" y="{bottom + 32:.1f}" text-anchor="end">{clean(x_axis)}</text>')
     return svg_of(title, bottom + _FOOT, parts)
 
 
@@ -75,7 +73,3 @@ def _ticks(low: float, high: float) -> list[float]:
     steps = (1, 2, 5) if high - low <= 2 else (1,)
     every = [step * 10.0**power for power in range(math.floor(low), math.ceil(high) + 1) for step in steps]
     return [tick for tick in every if low <= math.log10(tick) <= high]
-
-
-def _clean(text: str) -> str:
-    return escape(printable(text))

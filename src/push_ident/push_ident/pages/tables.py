@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 
-from push_ident.limits import printable
+from push_ident.pages.chart import clean
 
 __all__ = ["html_table"]
 
@@ -14,12 +13,8 @@ def html_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], 
     """A table with a sentence above and one below; all texts are escaped."""
 
     def cells(tag: str, texts: Sequence[str]) -> str:
-        return "".join(f'<{tag} style="text-align:{"left" if i == 0 else "right"}">{_clean(text)}</{tag}>' for i, text in enumerate(texts))
+        return "".join(f'<{tag} style="text-align:{"left" if i == 0 else "right"}">{clean(text)}</{tag}>' for i, text in enumerate(texts))
 
     body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
     table = f"<table><thead><tr>{cells('th', heads)}</tr></thead><tbody>{body}</tbody></table>" if rows else ""
-    return f"<div><p><strong>{_clean(title)}</strong></p>{table}{f'<p>{_clean(note)}</p>' if note else ''}</div>"
-
-
-def _clean(text: str) -> str:
-    return escape(printable(text))
+    return f"<div><p><strong>{clean(title)}</strong></p>{table}{f'<p>{clean(note)}</p>' if note else ''}</div>"

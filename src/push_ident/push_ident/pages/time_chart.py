@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Final
 
 import numpy as np
 
-from push_ident.limits import printable
-from push_ident.pages.chart import MARGIN, WIDTH, round_below, svg_of
+from push_ident.pages.chart import MARGIN, WIDTH, clean, round_below, svg_of
 from push_ident.types import Float64Array
 
 __all__ = ["Line", "time_chart"]
@@ -62,9 +60,9 @@ def time_chart(title: str, lines: Sequence[Line], *, x_axis: str, y_axis: str, b
 
     (right, top), (_, foot) = place(most, band), place(0.0, -band)
     parts = [
-        f'<text x="{MARGIN:.1f}" y="14">{_clean(y_axis)}</text>',
+        f'<text x="{MARGIN:.1f}" y="14">{clean(y_axis)}</text>',
         f'<rect class="band" x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{max(foot - top, 1.0):.1f}">'
-        f"<title>{_clean(f'expected: within {band:.1f} of zero')}</title></rect>",
+        f"<title>{clean(f'expected: within {band:.1f} of zero')}</title></rect>",
     ]
     for tick in _ticks(low, high):
         _, y = place(0.0, tick)
@@ -75,8 +73,8 @@ def time_chart(title: str, lines: Sequence[Line], *, x_axis: str, y_axis: str, b
         parts.append(f'<text x="{x:.1f}" y="{bottom + 15:.1f}" text-anchor="middle">{tick:g}</text>')
     for line in lines:
         where = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(float(a), float(b)) for a, b in zip(line.x, line.y, strict=True)))
-        parts.append(f'<polyline class="{line.style}" points="{where}"><title>{_clean(line.text)}</title></polyline>')
-    parts.append(f'<text x="{right:.1f}" y="{bottom + 32:.1f}" text-anchor="end">{_clean(x_axis)}</text>')
+        parts.append(f'<polyline class="{line.style}" points="{where}"><title>{clean(line.text)}</title></polyline>')
+    parts.append(f'<text x="{right:.1f}" y="{bottom + 32:.1f}" text-anchor="end">{clean(x_axis)}</text>')
     return svg_of(title, bottom + _FOOT, parts)
 
 
@@ -84,7 +82,3 @@ def _ticks(low: float, high: float) -> list[float]:
     """Round numbers from `low` to `high`."""
     step = round_below((high - low) / _TICKS) or 1.0
     return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
-
-
-def _clean(text: str) -> str:
-    return escape(printable(text))

@@ -79,7 +79,7 @@ def _headline(content: Mapping[str, Any], goals: Sequence[Mapping[str, Any]], n_
     if content.get("kind") == "edge" and content["goal"] is None:
         return f"{made}; no pre-grasp pose was chosen."
     if _unknown(content["position_error_m"]):
-        return f"{made}; the object was not seen."
+        return f"{made}; the object was not observed."
     if content.get("kind") == "edge":
         over, inside = (_length(content[key]) for key in ("overhang_m", "margin_m"))
         apart = _apart(content["position_error_m"], content["yaw_error_rad"])
@@ -160,7 +160,7 @@ def _panels(goal: Mapping[str, Any]) -> list[tuple[str, str]]:
         else:
             title = f"Push {push['number']}: {100 * push['chance']:.0f} % chance of the goal"
             placed.append(Placed(transform_points(np.array(push["expected"]), outline), "predicted", "predicted"))
-        placed.append(Placed(transform_points(np.array(push["seen"]), outline), "seen", "seen"))
+        placed.append(Placed(transform_points(np.array(push["seen"]), outline), "seen", "observed"))
         found.append((title, outline_panel(title, placed, frame)))
         before = push["seen"]
     return found
@@ -179,11 +179,11 @@ def _errors(goal: Mapping[str, Any]) -> str:
     """Distance from the goal after each push, beside the one that was predicted; none where no pre-grasp pose was chosen."""
     if goal["goal"] is None:
         return ""
-    series = (Series("seen", "dot", "var(--accent, #1f5fa8)"), Series("predicted before the push", "ring", "var(--warm, #b54a12)"))
+    series = (Series("observed", "dot", "var(--accent, #1f5fa8)"), Series("predicted before the push", "ring", "var(--warm, #b54a12)"))
     rows = []
     for push in goal["pushes"]:
         seen = 1e3 * float("nan" if push["position_error_m"] is None else push["position_error_m"])
-        marks = [Mark(0, seen, f"push {push['number']}, seen: {seen:.1f} mm")]
+        marks = [Mark(0, seen, f"push {push['number']}, observed: {seen:.1f} mm")]
         if push["expected"] is not None:
             expected = 1e3 * _difference(push["expected"], goal["goal"])[0]
             marks.append(Mark(1, expected, f"push {push['number']}, predicted: {expected:.1f} mm"))

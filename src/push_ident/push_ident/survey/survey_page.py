@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from push_ident.pages.page import write_page
 from push_ident.survey.scale_check import ScaleCheck
 from push_ident.survey.survey import Survey
-from push_ident.survey.survey_picture import is_small
+from push_ident.survey.survey_picture import draw_survey, is_small
 
 __all__ = ["table_sentence", "write_survey_page"]
 
@@ -25,13 +24,12 @@ def table_sentence(survey: Survey) -> str:
     )
 
 
-def write_survey_page(path: Path, survey: Survey, source: str, png: bytes, parameters: str, check: ScaleCheck | str | None) -> None:
+def write_survey_page(path: Path, survey: Survey, source: str, parameters: str, check: ScaleCheck | str | None) -> None:
     """Write the page.
 
     Args:
         path: HTML file.
         source: What was looked at.
-        png: The picture.
         parameters: The parameter file.
         check: Outcome of the check of the scale, why there is none, or None where no size was given.
 
@@ -43,7 +41,7 @@ def write_survey_page(path: Path, survey: Survey, source: str, png: bytes, param
         "title": f"What the camera sees: {source}",
         "survey": survey,
         "sentence": table_sentence(survey),
-        "picture": base64.b64encode(png).decode("ascii"),
+        "picture": draw_survey(survey),
         "refused": listed,
         "n_small": len(survey.refused) - len(listed),
         "parameters": parameters,

@@ -14,7 +14,7 @@ from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.robot.checks import check_reach, check_robot
 from push_ident.pushing.robot.finding import Finding, Level
 from push_ident.pushing.robot.reach import Outcome, Reach, find_reach
-from push_ident.pushing.robot.reach_picture import draw_reach
+from push_ident.pushing.robot.reach_page import write_reach_page
 from push_ident.pushing.robot.robot_file import Robot, motion_settings, push_settings, read_robot
 
 
@@ -117,7 +117,11 @@ def test_places_that_the_arm_cannot_push_at_are_told_and_drawn_and_a_smaller_wor
     texts = [finding.text for finding in findings if finding.level is Level.WRONG]
     assert any("pushes along y are possible at 75 %" in text and "the largest workspace without a gap" in text for text in texts)
     assert any("the tool cannot reach (0.4" in text for text in texts)
-    assert draw_reach(reach, robot).startswith(b"\x89PNG")
+    write_reach_page(tmp_path / "reach.html", reach, robot)
+    page = (tmp_path / "reach.html").read_text(encoding="utf-8")
+    assert (
+        page.count('class="unreachable"') == int(np.sum(reach.outcome == Outcome.UNREACHABLE)) and "along y: 75 % of the workspace" in page
+    )
 
 
 def test_push_beyond_the_acceleration_of_the_joints_is_a_limit_and_not_out_of_reach(tmp_path: Path) -> None:

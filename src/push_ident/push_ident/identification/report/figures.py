@@ -30,7 +30,7 @@ def draw_maps(posterior: ModelPosterior) -> list[tuple[str, str]]:
         ("Mass of each cell", 1e3 * model.mass, "g"),
         ("Support friction of each cell", model.friction, ""),
         ("Mass × friction: what pushes determine", 1e3 * product, "g"),
-        ("How well the product is known: standard deviation", 100 * posterior.mass_friction_std / product, "%"),
+        ("Relative standard deviation of mass × friction", 100 * posterior.mass_friction_std / product, "%"),
     )
     region = _centre_ellipse(posterior)
     return [(title, _panel(posterior, title, values, unit, region)) for title, values, unit in panels]
