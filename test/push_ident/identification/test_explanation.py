@@ -148,10 +148,6 @@ def test_single_bad_push_is_named_and_the_maps_survive() -> None:
     assert note.startswith("push 2 is not explained: predicted 2")
 
 
-def test_solve_stopped_early_keeps_its_status() -> None:
-    assert identify(random_records(hammer(1), 2, 1), budget=Budget(max_simulations=4)).status is SolveStatus.BUDGET_SPENT
-
-
 def test_online_score_says_that_a_push_is_not_explained() -> None:
     records = simulated_pushes(3, 3)
     session = ObjectSession("o1", records[0].shape, SessionOptions())

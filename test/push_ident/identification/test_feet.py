@@ -14,8 +14,7 @@ from push_ident.errors import InputError
 from push_ident.identification.fitting.problem import Evaluation, FitProblem
 from push_ident.identification.identify import identify
 from push_ident.identification.online.identifier import OnlineIdentifier, OnlineState
-from push_ident.identification.predicting.prediction import held_out_errors
-from push_ident.identification.predicting.push_errors import push_errors
+from push_ident.identification.predicting.prediction import held_out_errors, push_errors
 from push_ident.identification.report.result_json import result_json
 from push_ident.identification.results.supports import supports
 from push_ident.identification.unknowns.load import Feet, feet_load

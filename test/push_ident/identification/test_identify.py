@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from helpers.diagnosis import NOISE, simulated_pushes, with_correlated_noise
 from helpers.objects import hammer, random_records
-from push_ident.errors import InputError, ModelFileError
+from push_ident.errors import InputError
 from push_ident.identification.fitting.budget import Budget, Sample
 from push_ident.identification.fitting.fit import FitOptions
 from push_ident.identification.fitting.problem import FitProblem
@@ -19,7 +18,6 @@ from push_ident.identification.identify import identify
 from push_ident.identification.observing.observation import NoiseModel, noise_correlation, observe_push
 from push_ident.identification.online.identifier import OnlineIdentifier
 from push_ident.identification.predicting.prediction import held_out_errors, predict
-from push_ident.identification.results.model_file import load_model, save_model
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec
@@ -146,23 +144,6 @@ def test_observation_condenses_rest_frames() -> None:
     observation = observe_push(record)
     assert len(observation.time) <= 12
     assert np.linalg.inv(observation.whitening[0])[0, 0] < 0.6e-3
-
-
-def test_model_file_round_trip(tmp_path: Path) -> None:
-    posterior = identify(random_records(hammer(1), 2, 1)).posterior
-    save_model(tmp_path / "model.json", posterior, object_id="7", sources=["bag push 0"])
-    object_id, again = load_model(tmp_path / "model.json")
-    assert object_id == "7"
-    assert again.model.mass == pytest.approx(posterior.model.mass, rel=1e-12)
-    assert again.mass_friction_std == pytest.approx(posterior.mass_friction_std, rel=1e-9)
-
-
-@pytest.mark.parametrize("content", [b"", b"{}", b"\x80\x04garbage", b'{"format": "push_ident/model/1"}'])
-def test_file_that_is_no_model_is_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "model.json"
-    path.write_bytes(content)
-    with pytest.raises(ModelFileError, match="not a model file"):
-        load_model(path)
 
 
 def _ends_only(record: PushRecord) -> PushRecord:

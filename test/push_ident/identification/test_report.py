@@ -13,9 +13,8 @@ import pytest
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
 from push_ident.identification.identify import identify
-from push_ident.identification.online.running_record import running_record
-from push_ident.identification.predicting.prediction import held_out_errors
-from push_ident.identification.predicting.push_errors import PushErrors
+from push_ident.identification.online.identifier import running_record
+from push_ident.identification.predicting.prediction import PushErrors, held_out_errors
 from push_ident.identification.report import Provenance, write_report
 from push_ident.identification.results.result import Identification
 from push_ident.types import PushRecord, SolveStatus

@@ -60,13 +60,6 @@ def test_killed_at_any_push_the_maps_are_those_of_the_uninterrupted_run(tmp_path
         assert again.record == lived.record
 
 
-def test_looped_bag_counts_once() -> None:
-    session = _session()
-    for record in (*RECORDS[:2], *RECORDS[:2]):
-        session.finish(record)
-    assert (session.n_pushes, session.n_known_again) == (2, 2)
-
-
 def test_the_latest_pushes_are_known_in_memory_of_fixed_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("push_ident.identification.online.session.REMEMBERED_PUSHES", 2)
     session = _session()

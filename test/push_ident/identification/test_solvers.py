@@ -100,11 +100,6 @@ def test_autograd_has_the_gradient_of_its_own_cost() -> None:
         assert float(unknowns.grad[i]) == pytest.approx(difference, rel=2e-2, abs=1e-2)
 
 
-def test_methods_without_a_posterior_keep_the_deviations_of_the_prior() -> None:
-    posterior = identify(TRAIN, method="fast_gradient", budget=Budget(max_simulations=100)).posterior
-    assert np.array_equal(posterior.covariance, np.eye(len(posterior.z)))
-
-
 def test_a_spent_budget_is_a_status() -> None:
     for method in ("gauss_newton", "random_search"):
         assert identify(TRAIN, method=method, budget=Budget(max_simulations=4)).status is SolveStatus.BUDGET_SPENT

@@ -22,7 +22,7 @@ from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.report import write_report as write_diagnosis
 from push_ident.fleet import write_index
 from push_ident.identification.identify import identify
-from push_ident.identification.predicting.push_errors import PushErrors, push_errors
+from push_ident.identification.predicting.prediction import PushErrors, push_errors
 from push_ident.identification.report import Provenance, write_report
 from push_ident.identification.report.result_json import result_json
 from push_ident.identification.results.result import Identification

@@ -27,7 +27,7 @@ from push_ident.errors import PushIdentError
 from push_ident.extras import need_ros
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.identify import identify
-from push_ident.identification.predicting.push_errors import push_errors
+from push_ident.identification.predicting.prediction import push_errors
 from push_ident.identification.report import Provenance, write_report
 from push_ident.identification.results.model_file import load_model
 from push_ident.nodes.base.network import own_domain

@@ -30,7 +30,7 @@ from push_ident.extras import need
 from push_ident.identification.fitting.budget import Budget
 from push_ident.identification.fitting.fit import FitOptions
 from push_ident.identification.identify import identify
-from push_ident.identification.predicting.push_errors import PushErrors, push_errors
+from push_ident.identification.predicting.prediction import PushErrors, push_errors
 from push_ident.identification.report.result_json import result_json
 from push_ident.identification.results.identifiability import before_text, identifiability, value_text
 from push_ident.identification.results.result import Identification
@@ -245,7 +245,7 @@ def _write_files(
     save_model(out / "model.json", result.posterior, object_id=loaded.object_id, sources=sources, status=result.status)
     scores = []
     if record and not loaded.nuisances:  # the model of these predictions would lack the nuisances
-        from push_ident.identification.online.running_record import running_record
+        from push_ident.identification.online.identifier import running_record
 
         scores = running_record(loaded.records, result.posterior.prior)
     write_report(

@@ -17,7 +17,7 @@ from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.fitting.budget import Budget
 from push_ident.identification.fitting.fit import FitOptions
 from push_ident.identification.identify import identify
-from push_ident.identification.predicting.push_errors import push_errors
+from push_ident.identification.predicting.prediction import push_errors
 from push_ident.identification.report.result_json import result_json
 from push_ident.identification.results.model_file import model_content
 from push_ident.identification.solvers import DEFAULT_SOLVER

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from push_ident.identification.observing.observation import NoiseModel
+from push_ident.identification.results.covariance import square_root
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at, model_at
 from push_ident.physics.batch import BatchModel
@@ -71,8 +72,7 @@ class Belief:
         if self.posterior is not None:
             # Each push touches another part of the outline.
             surface[1:] = NoiseModel().surface_std(self.shape) * rng.normal(size=n)
-            value, vector = np.linalg.eigh(self.posterior.covariance)
-            root = vector * np.sqrt(np.maximum(value, 0.0))
+            root = square_root(self.posterior.covariance)
             unknowns, z = self.posterior.unknowns, self.posterior.z
             others = [z + root @ draw for draw in rng.normal(size=(n, len(z)))]
             drawn += [mechanics_at(unknowns, other) for other in others]

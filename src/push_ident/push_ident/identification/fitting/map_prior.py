@@ -31,7 +31,7 @@ from push_ident.types import Float64Array
 
 __all__ = ["STARTS", "EvidenceFit", "LinearEvidence", "MapTransforms", "fit_by_evidence"]
 
-_MAPS: Final = ("mass_map", "pressure_map", "friction_map")
+_MAP_BLOCKS: Final = ("mass_map", "pressure_map", "friction_map")
 _WIDTH: Final = np.array([1.0, 1.0, 1.0, 0.5])
 """Standard deviation of the logarithm of each hyperparameter about its start: a factor of 2.7 either way, 1.6 for the length [-]."""
 _LARGEST_STEP: Final = float(np.log(4.0))
@@ -42,7 +42,7 @@ _ROUNDS: Final = 4
 """Changes of the hyperparameters."""
 _DIFFERENCE: Final = 1e-4
 """Of the logarithm of the length, for its derivative [-]."""
-_ROUNDING: Final = 1e-12
+_JITTER: Final = 1e-12
 """Added to the covariance of the modes, which are independent with a variance of 1 at the caller's length [-]."""
 
 
@@ -105,7 +105,7 @@ class MapTransforms:
         spec = self.spec
         transform = np.eye(spec.size)
         modes = self._transform_of_modes(maps.length)
-        for name, std in zip(_MAPS, (maps.mass_std, maps.pressure_std, maps.friction_std), strict=True):
+        for name, std in zip(_MAP_BLOCKS, (maps.mass_std, maps.pressure_std, maps.friction_std), strict=True):
             if spec.blocks[name].size:
                 transform[spec.slices[name], spec.slices[name]] = std / spec.blocks[name].std[:, None] * modes
         return transform
@@ -117,7 +117,7 @@ class MapTransforms:
             return np.eye(n_modes)
         if length not in self._of_modes:
             covariance = self._onto_modes @ map_covariance(self._distances, length) @ self._onto_modes.T
-            self._of_modes[length] = np.asarray(np.linalg.cholesky(covariance + _ROUNDING * np.eye(n_modes)), dtype=np.float64)
+            self._of_modes[length] = np.asarray(np.linalg.cholesky(covariance + _JITTER * np.eye(n_modes)), dtype=np.float64)
         return self._of_modes[length]
 
 
@@ -238,7 +238,7 @@ class LinearEvidence:
         y = cho_solve(factor, transform.T @ self._slope)
         variance = np.diag(cho_solve(factor, np.eye(len(y))))
         gradient = (logs - self._centre) / _WIDTH**2
-        for k, name in enumerate(_MAPS):
+        for k, name in enumerate(_MAP_BLOCKS):
             at = self._transforms.spec.slices[name]
             # Where the evidence is maximal, unknowns are as large as their prior expects.
             gradient[k] += float(np.sum(1.0 - variance[at] - y[at] ** 2))

@@ -51,7 +51,7 @@ _UNSTABLE = 1e6
 steps would follow the instability."""
 _FIRST_LEVEL = 2
 """Finest level of the time steps before a fit has ended: a motion of a poor model may need steps that the right one does not."""
-_CLEAR = 0.3
+_CLEAR_SHARE = 0.3
 """Share of the accepted error of the time steps below which a push is not looked at again after a fit [-]."""
 
 
@@ -304,7 +304,9 @@ class FitProblem:
         """
         mechanics = self.mechanics_at(x)
         doubtful = {
-            push: before.level for push, before in enumerate(self.steps) if before is not None and _CLEAR * SHARE <= before.error < np.inf
+            push: before.level
+            for push, before in enumerate(self.steps)
+            if before is not None and _CLEAR_SHARE * SHARE <= before.error < np.inf
         }
         choices = self.run_all(lambda push: self._choose_steps(mechanics, x, push, doubtful[push]), doubtful)
         refined = False

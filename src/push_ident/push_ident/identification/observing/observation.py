@@ -61,7 +61,7 @@ _MAX_CORRELATION = 0.98
 """Largest correlation of neighbouring frames that is assumed [-]: the mean of 100 frames is then as uncertain as a single one."""
 _OUTLIER = 6.0
 """A frame at rest this many standard deviations from the median is a wrong pose, not noise."""
-_CLEAR = 0.01
+_CLEAR_GAP = 0.01
 """Gap above which the pusher cannot touch, even with several times the usual errors of tool and camera [m]."""
 _COAST = 0.15
 """Time within which an object released at 0.3 m/s on friction 0.2 comes to rest [s]."""
@@ -262,7 +262,7 @@ def _clear_rests(records: Sequence[PushRecord]) -> list[Float64Array]:
     for record in records:
         before, after, _ = rest_frames(record)
         # With an error of tool or camera, the object moves before the pusher seems to touch it.
-        clear = before[record.poses.time[before] < _first_time(record, pusher_gaps(record) < _CLEAR)]
+        clear = before[record.poses.time[before] < _first_time(record, pusher_gaps(record) < _CLEAR_GAP)]
         for rest in (_agreeing(record, clear), _agreeing(record, after)):
             if len(rest) >= 4:
                 error = record.poses.pose[rest] - record.poses.pose[rest].mean(axis=0)

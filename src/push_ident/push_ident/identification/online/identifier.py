@@ -14,7 +14,8 @@ from push_ident.identification.fitting.problem import unknowns_of_push, without_
 from push_ident.identification.fitting.solver import FrameTask
 from push_ident.identification.fitting.summary import Summary, summarise
 from push_ident.identification.identify import Earlier, identify
-from push_ident.identification.observing.observation import NoiseModel, noise_at_rest
+from push_ident.identification.observing.observation import NoiseModel, noise_at_rest, observe_push
+from push_ident.identification.predicting.scoring import PushScore, score_push
 from push_ident.identification.results.known_effects import KnownEffect, with_known_effects
 from push_ident.identification.results.posterior import ModelPosterior, prior_posterior
 from push_ident.identification.results.result import Identification, WarmStart
@@ -25,7 +26,7 @@ from push_ident.physics.accuracy import quick_steps
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
-__all__ = ["FrameUpdate", "OnlineIdentifier", "OnlineState"]
+__all__ = ["FrameUpdate", "OnlineIdentifier", "OnlineState", "running_record"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,3 +198,19 @@ class OnlineIdentifier:
         if np.all(np.isfinite(fit.x)) and fit.status is not SolveStatus.SIMULATION_FAILED:
             self._under_way, self.posterior = (start, fit.x), fit.posterior
         return FrameUpdate(self.posterior, fit.status, time.perf_counter() - started)
+
+
+def running_record(records: Sequence[PushRecord], prior: Prior | None = None) -> list[PushScore]:
+    """Score every push that touches the object, in order, by the model of those before it; the first by the prior.
+
+    Args:
+        records: pushes of one object, at least one.
+        prior: nominal values and their standard deviations.
+    """
+    online = OnlineIdentifier(OnlineIdentifier.new(records[0].shape, prior))
+    scores: list[PushScore] = []
+    for record in records:
+        if observe_push(record).touched:
+            scores.append(score_push(online.posterior, record, len(scores) + 1))
+            online.add(record)
+    return scores

@@ -30,7 +30,7 @@ from push_ident.types import CameraAccuracy, Float64Array, ObjectShape, PoseTrac
 
 __all__ = ["KeptState", "load_state", "save_state"]
 
-_FORMAT = "push_ident/state/3"
+_STATE_FORMAT = "push_ident/state/3"
 _EARLIER = "push_ident/state/2"
 """Its starts of the next solve are of a solver that is no more; the rest is as now."""
 
@@ -162,7 +162,7 @@ def save_state(
     """
     past, record = state.past, record or RunningRecord()
     content = _State(
-        format=_FORMAT,
+        format=_STATE_FORMAT,
         model=model_content(state.posterior, object_id, sources),
         prior=asdict(state.prior),
         pushes=[_push(record) for record in state.records],
@@ -188,8 +188,8 @@ def save_state(
 def load_state(path: Path) -> KeptState:
     """Read a state. Raises ModelFileError: no such file, or not one written by `save_state`."""
     where, content = plain_text(str(path)), read_checked(path, _State, "a state of the identification", _REMEDY)
-    if content.format not in (_FORMAT, _EARLIER):
-        raise ModelFileError(f"{where} has the format `{plain_text(content.format)}`, expected `{_FORMAT}`; {_REMEDY}.")
+    if content.format not in (_STATE_FORMAT, _EARLIER):
+        raise ModelFileError(f"{where} has the format `{plain_text(content.format)}`, expected `{_STATE_FORMAT}`; {_REMEDY}.")
     posterior = posterior_of(content.model, where, _REMEDY)
     try:
         state = _state(content, posterior)

@@ -16,21 +16,22 @@ push fails, or chatters, counts as one to which that push adds nothing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
-from push_ident.errors import InputError, PushIdentError
+from push_ident.errors import InputError, PlanningError, PushIdentError
 from push_ident.geometry.cells import cell_displacement
 from push_ident.identification.fitting.problem import RunAll
 from push_ident.identification.observing.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.results.covariance import lower_root
+from push_ident.identification.results.covariance import lower_root, square_root
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at
+from push_ident.pages.tables import html_table
 from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
@@ -39,26 +40,37 @@ from push_ident.pushing.sampling import sample_push
 from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, short_repr
 
 __all__ = [
-    "CHATTER", "Criterion", "PlannedPush", "PoseSensor", "PushValue", "RankedPushes", "RankingOptions", "UnwantedError",
-    "candidate_pushes", "imagine_push", "rank_pushes", "reference_pushes",
-]  # fmt: skip
+    "CHATTER",
+    "N_CANDIDATES",
+    "PlannedPush",
+    "PoseSensor",
+    "Proposal",
+    "PushValue",
+    "RankedPushes",
+    "RankingOptions",
+    "UnwantedError",
+    "candidate_pushes",
+    "imagine_push",
+    "propose_push",
+    "rank_pushes",
+    "reference_pushes",
+]
 
 _SAMPLING = 100.0
 """Of planned pusher paths [Hz]."""
 CHATTER = 10.0
 """Largest derivative of the last pose by the first one [-]. It is 1 to 8 in ordinary pushes. Where it is larger, the motion chatters
 between modes of contact: its derivative, though exact, holds over micrometres only and predicts no observation."""
+N_CANDIDATES = 40
+"""Random pushes of which the best is proposed: one of the best tenth is among them with a probability of 0.985."""
+_PROPOSAL_REFERENCES = 20
+"""Random pushes that stand for all that may be predicted."""
+_FREE_WORKSPACE: tuple[float, float, float, float] = (-10.0, 10.0, -10.0, 10.0)
+"""Workspace in which nothing is in the way [m]."""
 
 
 class UnwantedError(PushIdentError):
     """Work was stopped before its end because nobody wants its result any more."""
-
-
-class Criterion(Enum):
-    """Why one push is better than another."""
-
-    ERROR = "least expected cell error of predictions"
-    INFORMATION = "most information on the unknowns"
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +183,6 @@ def reference_pushes(shape: ObjectShape, rng: np.random.Generator, n: int, setti
 class RankingOptions:
     """How candidates are ranked."""
 
-    criterion: Criterion = Criterion.ERROR
     n_draws: int = 1
     """Models drawn from the posterior, beside its mean; more make a steadier order at proportional cost."""
     sensor: PoseSensor = field(default_factory=PoseSensor)
@@ -204,7 +215,7 @@ def rank_pushes(
         candidates: pushes to choose from.
         reference: pushes that are to be predicted well, see `reference_pushes`.
         rng: of the draws from the posterior.
-        options: criterion, draws, sensor and numerics.
+        options: draws, sensor and numerics.
         is_wanted: asked before each push is simulated, so that the processor is free at once for more urgent work.
 
     Returns:
@@ -217,7 +228,7 @@ def rank_pushes(
     options = options or RankingOptions()
     if not candidates:
         raise InputError("There is no candidate to rank; give at least one push.")
-    scale = _square_root(posterior.covariance)
+    scale = square_root(posterior.covariance)
     draws = posterior.z + rng.standard_normal((options.n_draws, len(posterior.z))) @ scale.T
     possible = [mechanics_at(posterior.unknowns, z) for z in (posterior.z, *draws)]
     rows = [_reference_rows(mechanics, _while_wanted(reference, is_wanted), options) for mechanics in possible]
@@ -226,9 +237,8 @@ def rank_pushes(
     models = [_PossibleModel(mechanics, r @ scale) for mechanics, r in zip(possible, rows, strict=True) if len(r)]
     values = list(options.run_all(lambda push: _value(possible[0], scale, models, push, options), _while_wanted(candidates, is_wanted)))
     useless = [v.status is not SolveStatus.CONVERGED for v in values]
-    merit = [v.error_after if options.criterion is Criterion.ERROR else -v.information for v in values]
     return RankedPushes(
-        values=tuple(values[i] for i in np.lexsort((merit, useless))),
+        values=tuple(values[i] for i in np.lexsort(([v.error_after for v in values], useless))),
         error_before=float(np.mean([model.error(np.eye(len(scale))) for model in models])),
     )
 
@@ -353,12 +363,6 @@ def _freeze(owner: PlannedPush | PoseSensor, name: str, shape: tuple[int, ...]) 
     object.__setattr__(owner, name, array)
 
 
-def _square_root(covariance: Float64Array) -> Float64Array:
-    """L with L L' = covariance, also where some directions are known exactly."""
-    value, vector = np.linalg.eigh(covariance)
-    return np.asarray(vector * np.sqrt(np.maximum(value, 0.0)))
-
-
 def _pusher_path(plan: PushPlan2D, settings: PushSettings, rest: float, acceleration: float) -> PusherPath:
     """Stand, drive straight through the contact to the end, stand."""
     length = settings.clearance + plan.distance
@@ -373,3 +377,52 @@ def _pusher_path(plan: PushPlan2D, settings: PushSettings, rest: float, accelera
         travel = np.where(since < ramp, 0.5 * acceleration * since**2, travel)
         travel = np.where(left < ramp, length - 0.5 * acceleration * left**2, travel)
     return PusherPath(time, plan.tool_start(settings.clearance) + travel[:, None] * plan.heading, settings.pusher_radius)
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """The best of some random pushes."""
+
+    plan: PushPlan2D
+    """Object frame."""
+    posterior: ModelPosterior
+    """Of the object."""
+    pusher_radius: float
+    """[m]"""
+    error_before: float
+    """Expected cell error of other pushes now [m]."""
+    error_after: float
+    """The same after this push [m]."""
+
+    def __repr__(self) -> str:
+        return f"Proposal({self.sentence})"
+
+    @property
+    def sentence(self) -> str:
+        """The push in words; lengths in mm, angles in degrees."""
+        (x, y), plan = 1e3 * self.plan.contact_point, self.plan
+        return (
+            f"touch at ({x:.0f}, {y:.0f}) mm of the object frame, push {1e3 * plan.distance:.0f} mm at {plan.speed:.2f} m/s towards "
+            f"{math.degrees(plan.direction):.0f}°; expected cell error {1e3 * self.error_after:.1f} mm after it, "
+            f"{1e3 * self.error_before:.1f} mm now"
+        )
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return html_table(f"Next push: {self.sentence}", (), ())
+
+
+def propose_push(posterior: ModelPosterior, pusher_radius: float) -> Proposal | None:
+    """The push after which other pushes would be predicted best; None where no candidate would add information."""
+    rng = np.random.default_rng(0)
+    settings = PushSettings(pusher_radius=pusher_radius, workspace=_FREE_WORKSPACE)
+    shape = posterior.unknowns.shape
+    try:
+        candidates = candidate_pushes(shape, np.zeros(3), rng, N_CANDIDATES, settings)
+        ranked = rank_pushes(posterior, candidates, reference=reference_pushes(shape, rng, _PROPOSAL_REFERENCES, settings), rng=rng)
+    except (PlanningError, InputError):
+        return None
+    best = ranked.best
+    if best is None or best.plan is None:
+        return None
+    return Proposal(best.plan, posterior, pusher_radius, ranked.error_before, ranked.values[0].error_after)

@@ -45,19 +45,19 @@ from push_ident.types import BoolArray, Float64Array, PoseTrack, PushRecord, Sol
 
 __all__ = ["CheckedPoses", "ImpossiblePosesError", "check_poses", "why_no_object_ends_there"]
 
-_LONGEST: Final = 3.0
+_LONGEST_EXCURSION: Final = 3.0
 """Longest excursion after which poses are believed again [s]: as long as an arm may hide the object in a push."""
 _LEAST_KNOWN: Final = 3.0
 """Largest standard deviation of a pose in a step, over that of the better quarter of its push [-]: a pose of which less is known must not
 connect two that contradict each other. It is left out where it does not fit, but is not called impossible."""
-_SHARE: Final = 0.5
+_TRAVEL_SHARE: Final = 0.5
 """Distance from the end of the nearest drawn object over the travel of the pusher in contact, at most [-]. It was 0.32 at most in 800
 simulated pushes, with any effect of the catalogue at up to three times its usual size, and 0.23 in 130 recorded ones."""
 _NOISE: Final = 10.0
 """True standard deviation of poses over the stated one, below which they have noise, and beyond which they are wrong [-]."""
 _ENOUGH_STEPS: Final = 6
 """Steps of which the median shows how large the noise is: one excursion makes two large ones."""
-_DRAWS: Final = 32
+_DRAWN_OBJECTS: Final = 32
 """Objects that are drawn before an end counts as one that none has."""
 _CLOCKS: Final = np.linspace(-0.5, 0.5, 5)
 """Times by which an end is compared with ends of simulations [s]: poses may be older than their stamps."""
@@ -115,7 +115,7 @@ def why_no_object_ends_there(record: PushRecord, known: ModelPosterior, prior: P
     if why := why_impossible(shape, pusher, first, last, covariance_before=of_first, covariance_after=of_last, camera=camera, seen=seen):
         return why
     noise = float(np.linalg.norm(noise_allowance(shape, np.array([of_first, of_last]))))
-    possible, nearest = _SHARE * travel_in_contact(shape, pusher, first, of_first, camera) + noise, np.inf
+    possible, nearest = _TRAVEL_SHARE * travel_in_contact(shape, pusher, first, of_first, camera) + noise, np.inf
     time = np.maximum(seen + _CLOCKS, float(pusher.time[0]))
     for ends in _simulated(PushScenario(pusher, first, time, record.order), known, prior):
         nearest = min(nearest, float(np.min(displacement(shape, ends, last))))
@@ -124,7 +124,7 @@ def why_no_object_ends_there(record: PushRecord, known: ModelPosterior, prior: P
     if not np.isfinite(nearest):
         return ""
     return (
-        f"it ends {1e3 * nearest:.0f} mm from where the nearest of {_DRAWS} objects with its outline would, after "
+        f"it ends {1e3 * nearest:.0f} mm from where the nearest of {_DRAWN_OBJECTS} objects with its outline would, after "
         f"{moved_text(shape, first, last)}; {1e3 * possible:.0f} mm are possible."
     )
 
@@ -142,7 +142,7 @@ def _simulated(scenario: PushScenario, known: ModelPosterior, prior: Prior) -> I
 def _objects(known: ModelPosterior, prior: Prior) -> Iterator[tuple[UnknownsSpec, Float64Array]]:
     yield known.unknowns, known.z
     unknowns = prior_posterior(known.unknowns.shape, prior).unknowns
-    for z in np.random.default_rng(0).normal(size=(_DRAWS, unknowns.size)):
+    for z in np.random.default_rng(0).normal(size=(_DRAWN_OBJECTS, unknowns.size)):
         yield unknowns, z
 
 
@@ -188,11 +188,11 @@ def _understatement(record: PushRecord) -> float:
 
 
 def _longest_chain(steps: _Steps, runs: list[NDArray[np.intp]], time: Float64Array) -> list[int]:
-    """Which runs of poses to keep: the most poses in runs of which each can follow the one before, `_LONGEST` after it at most."""
+    """Which runs of poses to keep: the most poses in runs that can follow each other within `_LONGEST_EXCURSION`."""
     first, last = np.array([run[0] for run in runs]), np.array([run[-1] for run in runs])
     length, previous = np.array([len(run) for run in runs]), np.full(len(runs), -1)
     for k in range(1, len(runs)):
-        near = np.flatnonzero(time[first[k]] - time[last[:k]] <= _LONGEST)
+        near = np.flatnonzero(time[first[k]] - time[last[:k]] <= _LONGEST_EXCURSION)
         possible = near[steps.possible(last[near], np.full(len(near), first[k]))]
         if len(possible):
             previous[k] = possible[np.argmax(length[possible])]

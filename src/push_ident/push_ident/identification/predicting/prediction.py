@@ -11,7 +11,9 @@ import numpy as np
 from push_ident.geometry.cells import cell_error, cell_error_std
 from push_ident.identification.fitting.problem import unknowns_of_push
 from push_ident.identification.observing.observation import NoiseModel, Observation, observe_push
+from push_ident.identification.results.covariance import square_root
 from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.results.result import Identification
 from push_ident.identification.unknowns.mechanics import mechanics_at
 from push_ident.physics.accuracy import choose_steps
 from push_ident.physics.effect_values import EffectsLike, effect_values, true_pose
@@ -19,7 +21,7 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import Float64Array, ObjectModel, PushRecord, SolveStatus, short_repr
 
-__all__ = ["CHI2_90", "Prediction", "held_out_errors", "predict"]
+__all__ = ["CHI2_90", "Prediction", "PushErrors", "held_out_errors", "predict", "push_errors"]
 
 CHI2_90 = 6.251
 """Chi squared with 3 degrees of freedom is below it with probability 0.9."""
@@ -76,7 +78,7 @@ def predict(
     # two pushes can be compared.
     settings = _settings_of(posterior, scenario, first_covariance, noise, settings)
     draws = np.random.default_rng(0).normal(size=(n_samples, unknowns.size + unknowns_of_push(unknowns.shape, noise)))
-    z_root, first_root = _root(posterior.covariance), _root(first_covariance)
+    z_root, first_root = square_root(posterior.covariance), square_root(first_covariance)
     surface_std = noise.surface_std(unknowns.shape)
     poses = []
     for draw in draws:
@@ -132,12 +134,6 @@ def _covariance_of_draws(poses: Float64Array) -> Float64Array:
     return np.asarray(covariance * (np.quantile(mahalanobis2, 0.9, axis=0) / CHI2_90)[:, None, None])
 
 
-def _root(covariance: Float64Array) -> Float64Array:
-    """A with A A' = covariance, also where that is singular."""
-    value, vector = np.linalg.eigh(covariance)
-    return np.asarray(vector * np.sqrt(np.maximum(value, 0.0)))
-
-
 def held_out_errors(
     model: ObjectModel,
     records: Sequence[PushRecord],
@@ -165,3 +161,32 @@ def held_out_errors(
         chosen = choose_steps(end_pose, settings or SimulationSettings(), push.last_covariance, scenario.duration)
         errors.append(cell_error(record.shape.cells, end_pose(chosen.settings), push.pose[-1]))
     return np.array(errors)
+
+
+@dataclass(frozen=True, slots=True)
+class PushErrors:
+    """Cell errors of some pushes, see `held_out_errors`; NaN where a push could not be simulated."""
+
+    pushes: tuple[int, ...]
+    """Their numbers, from 0 over all pushes."""
+    uniform: Float64Array
+    """Of equal cells with nominal values [m], shape (n,)."""
+    scalar: Float64Array
+    """Of equal cells with fitted scalars [m], shape (n,)."""
+    identified: Float64Array
+    """[m], shape (n,)"""
+
+
+def push_errors(result: Identification, records: Sequence[PushRecord], pushes: Sequence[int]) -> PushErrors:
+    """Cell errors of some of the pushes under equal cells, fitted equal cells and the identified model.
+
+    Args:
+        result: of the identification.
+        records: all pushes of the object.
+        pushes: numbers of those that are asked for, from 0.
+    """
+    chosen = [records[i] for i in pushes]
+    observed = [observe_push(record) for record in chosen]
+    uniform, scalar = (held_out_errors(m, chosen, observed=observed) for m in (result.uniform, result.scalar))
+    identified = held_out_errors(result.model, chosen, effects=result.posterior.effects, observed=observed)
+    return PushErrors(tuple(pushes), uniform, scalar, identified)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from push_ident.identification.predicting.push_errors import PushErrors
+from push_ident.identification.predicting.prediction import PushErrors
 from push_ident.identification.predicting.scoring import PushScore
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.pages.chart import BLUES, Arrow, CellPanel, Mark, Row, Series, cell_panel, row_chart

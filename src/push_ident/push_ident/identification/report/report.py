@@ -13,8 +13,8 @@ import numpy as np
 from push_ident import __version__
 from push_ident.errors import InputError
 from push_ident.files import write_whole
-from push_ident.identification.predicting.proposal import N_CANDIDATES, propose_push
-from push_ident.identification.predicting.push_errors import PushErrors
+from push_ident.identification.predicting.next_push import N_CANDIDATES, propose_push
+from push_ident.identification.predicting.prediction import PushErrors
 from push_ident.identification.predicting.scoring import PushScore, summarise_scores
 from push_ident.identification.report.figures import draw_errors, draw_maps, draw_push, draw_record, shown_pushes
 from push_ident.identification.results.identifiability import Identifiability, Quantity, before_text, identifiability, value_text

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from push_ident.identification.predicting.push_errors import PushErrors
+from push_ident.identification.predicting.prediction import PushErrors
 from push_ident.identification.results.identifiability import Identifiability, identifiability
 from push_ident.identification.results.result import Candidate, Identification
 from push_ident.identification.results.supports import Support, supports

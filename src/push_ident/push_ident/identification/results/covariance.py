@@ -6,7 +6,7 @@ import numpy as np
 
 from push_ident.types import Float64Array
 
-__all__ = ["lower_root"]
+__all__ = ["lower_root", "square_root"]
 
 
 def lower_root(covariance: Float64Array) -> Float64Array:
@@ -21,3 +21,9 @@ def lower_root(covariance: Float64Array) -> Float64Array:
         value, vector = np.linalg.eigh(covariance)
         _, upper = np.linalg.qr((vector * np.sqrt(np.maximum(value, 0.0))).T)
         return np.asarray(np.where(np.diag(upper) < 0.0, -1.0, 1.0) * upper.T)
+
+
+def square_root(covariance: Float64Array) -> Float64Array:
+    """A with A A' = covariance, shape (n, n), also where some directions are known exactly."""
+    value, vector = np.linalg.eigh(covariance)
+    return np.asarray(vector * np.sqrt(np.maximum(value, 0.0)))

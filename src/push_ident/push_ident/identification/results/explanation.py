@@ -34,11 +34,11 @@ from push_ident.types import Float64Array, PushRecord, SolveStatus
 
 __all__ = ["Explanation", "PushEvidence", "explain"]
 
-_SHARE: Final = 0.5
+_MOTION_SHARE: Final = 0.5
 """Error of an explained push, as a share of the motion [-]: above it, the model explains less of the motion than it leaves open."""
 _DEVIATIONS: Final = 3.0
 """Standard deviations of the stated noise that an error, or an impossible contact, may have by chance: 0.3 % of normal errors."""
-_MOST: Final = 0.5
+_CONTRADICTED_SHARE: Final = 0.5
 """Share of the pushes above which a contradiction is one of the fit, and not of single pushes, which a robust fit survives [-]."""
 _OUTLINE_STD: Final = 2e-3
 """Standard deviation of an outline or a pusher's radius in use [m]: the prior of the effect that displaces the outline."""
@@ -85,7 +85,7 @@ class PushEvidence:
     @property
     def is_explained(self) -> bool:
         """Whether the model predicts the end of this push better than not at all."""
-        return self.error <= max(_SHARE * self.motion, _DEVIATIONS * self.noise)
+        return self.error <= max(_MOTION_SHARE * self.motion, _DEVIATIONS * self.noise)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ class Explanation:
     def failure(self) -> str:
         """What makes this fit no success, with sizes and likely causes; empty where it explains its pushes."""
         missed = [not push.is_explained for push in self.pushes if push.moved]
-        return self.contradiction or (self._missed() if sum(missed) > _MOST * len(missed) else "")
+        return self.contradiction or (self._missed() if sum(missed) > _CONTRADICTED_SHARE * len(missed) else "")
 
     def judged(self, status: SolveStatus, touched: bool) -> SolveStatus:
         """The status of a fit that ended with `status`, once its outcome is looked at; `touched`: whether any push touches the object."""
@@ -164,7 +164,7 @@ class Explanation:
         inside = [push.overlap for push in moved if push.is_overlapped]
         remote = [push.remote_motion for push in moved if push.moved_untouched]
         impossible = [push for push in moved if push.is_overlapped or push.moved_untouched]
-        if len(impossible) <= _MOST * len(moved):
+        if len(impossible) <= _CONTRADICTED_SHARE * len(moved):
             return ""
         kinds = ((inside, "the pusher at rest inside the object"), (remote, "motion of the object before the pusher is near"))
         reasons = [f"{len(values)} with {text} ({_mm(float(np.median(values)))})" for values, text in kinds if values]

@@ -25,7 +25,7 @@ __all__ = ["KnownEffect", "check_agreement", "effects_cost", "effects_in_use", "
 
 _BY_CHANCE: Final = 1e-3
 """Probability with which the pushes of the model contradict a right value by chance [1]: one right diagnosis in a thousand is refused."""
-_ROUNDING: Final = 1e-15
+_LEAST_STD: Final = 1e-15
 """Least standard deviation, in the unit of the value."""
 
 
@@ -123,7 +123,7 @@ def effects_in_use(posterior: ModelPosterior) -> tuple[KnownEffect, ...]:
     effects, measured = posterior.effects, _measured(posterior)
     low, high = (np.array([getattr(parameter, bound) for parameter in effects.parameters]) for bound in ("low", "high"))
     # A file or a fit may lie beside a bound by rounding.
-    value, std = np.clip(effects.values, low, high), np.maximum(posterior.effects_std, _ROUNDING)
+    value, std = np.clip(effects.values, low, high), np.maximum(posterior.effects_std, _LEAST_STD)
     position = {name: effects.slice_of(name) for name in effects.names if name not in measured}
     return tuple(KnownEffect(name, value[at], std[at]) for name, at in position.items())
 

@@ -28,9 +28,9 @@ __all__ = [
     "posterior_of", "prior_of", "save_model",
 ]  # fmt: skip
 
-_FORMAT: Final = "push_ident/model/1"
+_MODEL_FORMAT: Final = "push_ident/model/1"
 
-_ROUNDING: Final = 1e-6
+_STATED_TOLERANCE: Final = 1e-6
 """Relative difference of what a file states twice: machines differ in the last of 16 digits, and exponentials enlarge it [-]."""
 
 
@@ -73,7 +73,7 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
     """Content of the file of a posterior."""
     shape, model = posterior.unknowns.shape, posterior.model
     return ModelContent(
-        format=_FORMAT,
+        format=_MODEL_FORMAT,
         version=__version__,
         object_id=object_id,
         sources=list(sources),
@@ -149,13 +149,13 @@ def is_model_file(path: Path) -> bool:
         content = json.loads(read_regular(path))
     except (OSError, ValueError, RecursionError):
         return False
-    return isinstance(content, dict) and content.get("format") == _FORMAT
+    return isinstance(content, dict) and content.get("format") == _MODEL_FORMAT
 
 
 def posterior_of(content: ModelContent, where: str, remedy: str = "identify again with this version") -> ModelPosterior:
     """The posterior of a file; `where` names it. Raises ModelFileError where its numbers are none of a model, or contradict each other."""
-    if content.format != _FORMAT:
-        raise ModelFileError(f"{where} has the format `{plain_text(content.format)}`, expected `{_FORMAT}`; {remedy}.")
+    if content.format != _MODEL_FORMAT:
+        raise ModelFileError(f"{where} has the format `{plain_text(content.format)}`, expected `{_MODEL_FORMAT}`; {remedy}.")
     try:
         LIMITS.STRING.check(len(content.object_id), "Object id")
         if content.status and content.status.upper() not in SolveStatus.__members__:
@@ -207,7 +207,7 @@ def _check_stated(content: ModelContent, posterior: ModelPosterior) -> None:
             continue
         if len(expected) != len(stated):
             raise InputError(f"`{name}` has {len(stated)} values, expected {len(expected)}.")
-        differs = ~np.isclose(stated, expected, rtol=_ROUNDING, atol=1e-15)
+        differs = ~np.isclose(stated, expected, rtol=_STATED_TOLERANCE, atol=1e-15)
         if np.any(differs):
             first = int(np.argmax(differs))
             raise InputError(f"`{name}` states {stated[first]:.6g}, expected {expected[first]:.6g} as the unknowns `z` give it.")

@@ -18,7 +18,7 @@ from push_ident.types import Float64Array
 
 __all__ = ["check_information", "check_posterior", "check_prior", "check_start"]
 
-_ROUNDING: Final = 1e-9
+_MATRIX_ROUNDING: Final = 1e-9
 """Error of a matrix that rounding explains, relative to its largest entry [-]: condition numbers are below 1e7."""
 _MODE_ROUNDING: Final = 1e-6
 """By which the variance of a cell of a unit map may exceed 1 [-]."""
@@ -110,10 +110,10 @@ def check_information(cost: Quadratic, unknowns: UnknownsSpec) -> None:
 
 def _check_positive(matrix: Float64Array, name: str) -> None:
     largest = float(np.max(np.abs(matrix)))
-    if np.max(np.abs(matrix - matrix.T)) > _ROUNDING * largest:
+    if np.max(np.abs(matrix - matrix.T)) > _MATRIX_ROUNDING * largest:
         raise InputError(f"`{name}` is not symmetric, expected equal entries on both sides of its diagonal.")
     try:
-        np.linalg.cholesky(matrix + _ROUNDING * largest * np.eye(len(matrix)))
+        np.linalg.cholesky(matrix + _MATRIX_ROUNDING * largest * np.eye(len(matrix)))
     except np.linalg.LinAlgError:
         least = float(np.linalg.eigvalsh(matrix)[0])
         raise InputError(f"`{name}` has the eigenvalue {least:.3g}, expected none below 0.") from None

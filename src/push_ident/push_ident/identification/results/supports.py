@@ -14,7 +14,7 @@ from push_ident.types import Float64Array
 
 __all__ = ["Support", "supports"]
 
-_DRAWS: Final = 200
+_DRAWN_MODELS: Final = 200
 """Models drawn for the standard deviations: these are known to 5 % then."""
 
 
@@ -41,7 +41,7 @@ def supports(posterior: ModelPosterior) -> tuple[Support, ...]:
         return ()
     mean = feet_at(unknowns, posterior.z)
     root = lower_root(posterior.covariance)
-    draws = np.random.default_rng(0).normal(size=(_DRAWS, unknowns.size)) @ root.T
+    draws = np.random.default_rng(0).normal(size=(_DRAWN_MODELS, unknowns.size)) @ root.T
     drawn = [feet_at(unknowns, posterior.z + step) for step in draws]
     position_std = np.std([feet.position for feet in drawn], axis=0)
     share_std = np.std([feet.share for feet in drawn], axis=0)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SOLVER", "Autograd", "reference_cost"]
 
-_STEP = 0.01
+_TIME_STEP = 0.01
 """Time step of the reference engine [s]: a usual one for differentiable engines of its kind."""
 
 
@@ -69,7 +69,7 @@ def reference_cost(problem: FitProblem, x: Float64Array) -> tuple[torch.Tensor, 
         [record.pusher for record in problem.records],
         torch.stack(firsts),
         [observed.time for observed in problem.observations],
-        settings=SimulationSettings(step=_STEP),
+        settings=SimulationSettings(step=_TIME_STEP),
     )
     problem.meter.count(len(problem.records))
     cost = 0.5 * z @ z

@@ -13,7 +13,7 @@ from push_ident.types import Float64Array, SolveStatus
 
 __all__ = ["SOLVER", "FiniteDifferences"]
 
-_STEP = 1e-3
+_DIFFERENCE_STEP = 1e-3
 """Of the finite differences, in prior standard deviations."""
 
 
@@ -31,8 +31,8 @@ class FiniteDifferences(CellByCellSolver):
                 if problem.meter.spent:
                     return None
                 moved = x.copy()
-                moved[i] += _STEP
-                slope[i] = (problem.cost(moved) - cost) / _STEP
+                moved[i] += _DIFFERENCE_STEP
+                slope[i] = (problem.cost(moved) - cost) / _DIFFERENCE_STEP
             return slope
 
         return descend(problem, x0, problem.cost, gradient)

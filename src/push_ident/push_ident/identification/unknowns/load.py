@@ -46,11 +46,11 @@ _ARMIJO: Final = 1e-4
 """Share of the expected decrease that a step must make (Nocedal & Wright, Numerical Optimization, ch. 3) [-]."""
 _REGULAR: Final = 1e-12
 """Added to the spread, which is about 1 unless the load is on one line or point [-]."""
-_LONGEST: Final = 10.0
+_LONGEST_STEP: Final = 10.0
 """Step of the tilt: it changes ratios of loads by a factor of e^10 over the size of the object [-]."""
-_SHORTEST: Final = 1e-9
+_SHORTEST_STEP: Final = 1e-9
 """Shortest share of a step: below it the decrease is lost in rounding [-]."""
-_ROUNDING: Final = 1e-14
+_POTENTIAL_ROUNDING: Final = 1e-14
 """Relative error of the potential: near its minimum a step is not refused for less [-]."""
 _FLOATING: Final = 1e-3
 """Share f of the load that the rest of the base bears [-]."""
@@ -216,13 +216,13 @@ def _balance(exponent: Float64Array, arms: Float64Array, softness: float = 0.0) 
         spread = (arms * share[:, None]).T @ arms - np.outer(centre, centre)
         step = -np.linalg.solve(spread + (2.0 * softness + _REGULAR) * np.eye(2), slope)
         # Where nearly all of the load is in one place, the potential is a plane, and Newton's step without end.
-        step *= min(1.0, _LONGEST / float(np.linalg.norm(step)))
+        step *= min(1.0, _LONGEST_STEP / float(np.linalg.norm(step)))
         part = 1.0
-        while part > _SHORTEST:
+        while part > _SHORTEST_STEP:
             trial = tilt + part * step
             share, raw = _shares(exponent + arms @ trial)
             reached = raw + softness * float(trial @ trial)
-            if reached <= potential + _ARMIJO * part * float(slope @ step) + _ROUNDING * (1.0 + abs(potential)):
+            if reached <= potential + _ARMIJO * part * float(slope @ step) + _POTENTIAL_ROUNDING * (1.0 + abs(potential)):
                 break
             part *= 0.5
         tilt, potential = tilt + part * step, reached

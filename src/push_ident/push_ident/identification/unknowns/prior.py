@@ -23,7 +23,7 @@ _EVEN_FRICTION_STD: Final = 0.05
 """Of the friction of a cell of an object on feet: all feet slide on one table [-]."""
 _FORCE_OFFSET_STD: Final = 0.1
 """Of a force sensor that was tared: what drift and cables leave [N]."""
-_MOST: Final = {
+_LARGEST: Final = {
     "total_mass": LIMITS.MASS,
     "friction": LIMITS.FRICTION,
     "pusher_friction": LIMITS.FRICTION,
@@ -33,7 +33,7 @@ _MOST: Final = {
     "max_modes": LIMITS.CELLS,
     "feet": LIMITS.CELLS,
 }
-_MAPS: Final = ("mass_map_std", "pressure_map_std", "friction_map_std")
+_MAP_STDS: Final = ("mass_map_std", "pressure_map_std", "friction_map_std")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,11 +101,11 @@ class Prior:
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"Prior.{name} is {value}, expected a positive number.")
-        for name in ("total_mass_std", "camera_position_std", "camera_heading_std", "force_offset_std", *_MAPS):
+        for name in ("total_mass_std", "camera_position_std", "camera_heading_std", "force_offset_std", *_MAP_STDS):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"Prior.{name} is {value}, expected a number >= 0.")
-        for name, most in _MOST.items():
+        for name, most in _LARGEST.items():
             most.check(getattr(self, name), f"Prior.{name}", remedy="Give SI units.")
         if self.max_modes < 0:
             raise InputError(f"Prior.max_modes is {self.max_modes}, expected a number >= 0.")
@@ -131,7 +131,7 @@ class Prior:
 
     def at_amplitude(self, amplitude: float) -> Prior:
         """The same prior with the standard deviations of the maps multiplied by `amplitude`."""
-        return replace(self, **{name: amplitude * getattr(self, name) for name in _MAPS})
+        return replace(self, **{name: amplitude * getattr(self, name) for name in _MAP_STDS})
 
     def without_pressure(self) -> Prior:
         """The same prior where each cell bears its own weight: one map fewer, and the same products of mass and friction."""
