@@ -40,9 +40,9 @@ experiments: setup  ## the paper's experiments and those of pushing to goals (ho
 	$(call experiment,goals --seed 41000 --models 8)
 	$(call experiment,edge --seed 44000 --models 25)
 	$(call experiment,paths --seed 52000 --models 4)
-	$(call experiment,pusht --models 20 --goals 25)
 	$(call experiment,sensors --seed 5000 --models 1)
 	$(call experiment,demo --seed 8745 --models 5)
+	-$(call experiment,pusht --models 20 --goals 25)  # needs requirements/pusht.txt
 	$(VENV)/push-ident experiment report
 
 MINUTES ?= 60

@@ -1,0 +1,46 @@
+"""What README quotes of the results is what the files of the results say."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from helpers.paths import ROOT
+
+README = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+
+
+def result(name: str) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((ROOT / "docs" / "results" / f"{name}.json").read_text(encoding="utf-8"))
+    return content
+
+
+@pytest.mark.parametrize(
+    ("figure", "quoted"),
+    [
+        ("top1_detectable", "{} detectable single effects were named first"),
+        ("false_alarms", "{} null cases raised a false alarm"),
+        ("wrong_names", "{} was named wrongly with confidence"),
+        ("unknown_flagged", "{} were reported as unknown or not trustworthy"),
+        ("unknown_misnamed", "{} got a name"),
+    ],
+)
+def test_figures_of_the_blind_check(figure: str, quoted: str) -> None:
+    row = result("blind")["summary"]["figures"]["14-pushes"][figure]
+    hits = round(row["share"] * row["n"])
+    assert quoted.format(f"{ {0: 'none', 1: 'one'}.get(hits, hits) } of {row['n']}") in README
+
+
+def test_errors_of_predicted_pushes() -> None:
+    pushes = result("pushes")
+    later = [1e3 * error for error in pushes["errors_m"][2:]]
+    assert f"reach {1e3 * max(pushes['equal_errors_m']):.1f} mm" in README
+    assert f"{min(later):.1f} to {max(later):.1f} mm" in README
+
+
+def test_goals_and_push_t() -> None:
+    success = result("pusht")["summary"]["kinds"]["identified"]["success"]
+    assert f"{success['successes']} of {success['n']} starts" in README
+    assert "100 of 100 goals" in README and "100 of 100 goals" in result("goals")["remark"]
