@@ -114,7 +114,8 @@ def on_nav(nav: Navigation, config: MkDocsConfig, files: Files) -> Navigation:
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Entries of the navigation that end with a slash stand for all pages of that folder."""
     decisions = ["decisions/index.md", *sorted(f"decisions/{path.name}" for path in (ROOT / "docs" / "decisions").glob("[0-9]*.md"))]
-    folders = {"decisions/": decisions, "reference/python/": sorted(document_python.pages())}
+    pages = sorted(f"results/{path.name}" for path in (ROOT / "docs" / "results").glob("*.md") if path.name != "index.md")
+    folders = {"decisions/": decisions, "reference/python/": sorted(document_python.pages()), "results/": ["results/index.md", *pages]}
 
     def expand(entry: Any) -> Any:
         if isinstance(entry, dict):
