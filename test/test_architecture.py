@@ -39,7 +39,7 @@ ORDER = [
 """A stage imports what stands before it; `types`, `errors` and `limits` know each other; `files` and `checked_json` serve all."""
 ROOMS = {
     "perception": [
-        "kernels refusals settings work",
+        "kernels refusals settings",
         "shape_kernels",
         "frame",
         "known_object",

@@ -1,24 +1,24 @@
 """Measure how readable the structure of the code is: sizes of functions and modules, and the path of the pushes through a computation.
 
     python tools/measure_structure.py sizes [--root DIR]                       from the syntax trees of the sources
-    python tools/measure_structure.py walk [--bag BAG] [--entry MODULE:NAME]   from one run of `identify` and `diagnose`
+    python tools/measure_structure.py walk [--bag BAG] [--entry MODULE:NAME]   from one run of `identify`, `diagnose` and perception
 
 **Sizes.** Lines of a function run from its `def` to its last line, docstring included, decorators excluded. Parameters count positional,
-keyword and starred ones, `self` and `cls` excluded. Functions that numba compiles and commands of the command line (a parameter per
-option) are counted in the totals and again on their own, since they may be long. Lines of a module are all its lines.
+keyword and starred ones, `self` and `cls` excluded. Functions that numba compiles and commands of the command line (a parameter per option)
+are counted in the totals and again on their own, since they may be long. Lines of a module are all its lines.
 
 **Walk.** One run of the entry function records which function of the package calls which, in the order of the first call. Comprehensions,
-lambdas, nested functions and generated methods belong to the function around them; compiled kernels are not followed; threads run one
-after the other; values of `types.py` count as data. The reader's walk starts at the entry function and reads every function once, in the
-order of the calls, depth first. Reported are
+lambdas, nested functions and generated methods belong to the function around them; compiled kernels are not followed; threads run one after
+the other; values of `types.py` and `known_object.py` count as data. The reader's walk starts at the entry function and reads every function
+once, in the order of the calls, depth first. Reported are
 
 - `modules`: the different modules entered,
 - `stays`: the uninterrupted stretches of the walk in one module,
 - `returns`: stays minus modules, the times that the walk enters a module which it had left.
 
-`all` follows every call. `pushes` follows only calls that hand on a push: an argument is one of the records, a part of one (its shape,
-poses, pusher path ...), or a container or dataclass that holds such an object. Each is counted twice: through the whole package, and within
-the folder of the entry function, where calls that leave the folder are not followed.
+`all` follows every call. `pushes` follows only calls that hand on a push (perception: a depth frame): an argument is one of the records, a
+part of one (its shape, poses, pusher path ...), or a container or dataclass that holds such an object. Each is counted twice: through the
+whole package, and within the folder of the entry function, where calls that leave the folder are not followed.
 """
 
 from __future__ import annotations
@@ -36,13 +36,17 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import numpy
+
 ROOT = Path(__file__).resolve().parent.parent
 LONG, MANY, LARGE = 60, 8, 800
 """Lines of a function, parameters of a function, lines of a module."""
-ENTRIES = ("push_ident.identification.identify:identify", "push_ident.diagnosis.diagnose:diagnose")
+PERCEPTION = "push_ident.perception.pipeline:Perception.observe"
+"""The entry that takes the depth frames of the bag, one after the other."""
+ENTRIES = ("push_ident.identification.identify:identify", "push_ident.diagnosis.diagnose:diagnose", PERCEPTION)
 LOADERS = ("push_ident.offline.loading:load_pushes", "push_ident.bags.loading:load_pushes")
 """Where the pushes of a bag are loaded; the second place is that of older versions."""
-DATA = frozenset({"types.py"})
+DATA = frozenset({"types.py", "perception/known_object.py"})
 """Modules that hold values, not steps of a computation."""
 DEPTH = 4
 """Levels of containers that are searched for a push."""
@@ -226,8 +230,8 @@ def stays_of(modules: Iterable[str]) -> list[str]:
 
 def named(name: str) -> Any:
     """What MODULE:NAME names."""
-    module, _, attribute = name.partition(":")
-    return getattr(importlib.import_module(module), attribute)
+    module, _, attributes = name.partition(":")
+    return functools.reduce(getattr, attributes.split("."), importlib.import_module(module))
 
 
 def load_records(bag: Path) -> list[Any]:
@@ -240,6 +244,20 @@ def load_records(bag: Path) -> list[Any]:
     sys.exit(f"none of {', '.join(LOADERS)} is there")
 
 
+def frames_and_perception(bag: Path) -> tuple[list[Any], Callable[[list[Any]], None]]:
+    """The depth frames of a bag, and what processes them; the tool is where the recorded pusher was."""
+    content = named("push_ident.bags.reader:read_bag")(bag)
+    perception = named("push_ident.perception.pipeline:Perception")(content.camera_in_table)
+    cylinder, path = named("push_ident.perception.frame.robot:Cylinder"), content.pusher
+
+    def process(frames: list[Any]) -> None:
+        for frame in frames:
+            x, y = (float(numpy.interp(frame.stamp, path.time, path.value[:, axis])) for axis in (0, 1))
+            perception.observe(frame, [cylinder(x, y, content.pusher_radius or 0.0)])
+
+    return list(content.depth_frames()), process
+
+
 def walks(bag: Path, entries: Iterable[str], show: bool) -> None:
     """Run the entry functions on the pushes of a bag and print their walks."""
     concurrent.futures.ThreadPoolExecutor = SerialExecutor  # type: ignore[misc, assignment]
@@ -247,17 +265,18 @@ def walks(bag: Path, entries: Iterable[str], show: bool) -> None:
     package = Path(importlib.import_module("push_ident").__file__ or "").resolve().parent
     records = load_records(bag)
     print(f"{package}: {len(records)} pushes of {bag}")
-    print(f"{'':22}{'whole package':>25}   {'own folder':>25}")
-    print(f"{'':22}" + f"{'modules':>9}{'stays':>7}{'returns':>9}   " * 2)
+    print(f"{'':28}{'whole package':>25}   {'own folder':>25}")
+    print(f"{'':28}" + f"{'modules':>9}{'stays':>7}{'returns':>9}   " * 2)
     for entry in entries:
         function, name = named(entry), entry.partition(":")[2]
-        trace = Trace(package, records)
-        trace.run(functools.partial(function, records))
+        given, run = frames_and_perception(bag) if entry == PERCEPTION else (records, function)
+        trace = Trace(package, given)
+        trace.run(functools.partial(run, given))
         start = (Path(function.__code__.co_filename).relative_to(package).as_posix(), name)
         for title, pushes_only in (("all", False), ("pushes", True)):
             paths = [stays_of(walk(trace.calls, start, pushes_only=pushes_only, own_folder=own)) for own in (False, True)]
             (a, b, c), (d, e, f) = ((len(set(path)), len(path), len(path) - len(set(path))) for path in paths)
-            print(f"{name:14}{title:8}{a:9}{b:7}{c:9}   {d:9}{e:7}{f:9}")
+            print(f"{name:20}{title:8}{a:9}{b:7}{c:9}   {d:9}{e:7}{f:9}")
             if show:
                 print(*("    " + " > ".join(path) for path in paths), sep="\n")
 

@@ -15,7 +15,7 @@ from push_ident.perception.frame.robot import Cylinder
 from push_ident.perception.frame.table import fit_table
 from push_ident.perception.frame.view import FrameView, median_frame, points_in_table
 from push_ident.perception.known_object import SegmentedView, Template, TrackStatus
-from push_ident.perception.outline.fusion import fuse_views
+from push_ident.perception.outline.edges import fuse_views
 from push_ident.perception.outline.tracing import trace_object
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.recording import observe_offline

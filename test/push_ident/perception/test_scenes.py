@@ -17,7 +17,7 @@ from push_ident.geometry.se2 import compose, inverse, transform_points
 from push_ident.perception.frame.robot import Cylinder, in_robot
 from push_ident.perception.frame.view import OBJECT, ROBOT, FrameView, height_inside, median_frame, points_in_table
 from push_ident.perception.known_object import SegmentedView, TrackStatus
-from push_ident.perception.outline.fusion import fuse_views
+from push_ident.perception.outline.edges import fuse_views
 from push_ident.perception.outline.tracing import trace_object
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.refusals import Reason

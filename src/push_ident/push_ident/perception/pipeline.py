@@ -64,7 +64,8 @@ class BackgroundWork:
         As long as no object is known, each frame is searched at once.
         """
         if not self._objects:
-            self._search.run(view)
+            while self._search.step(view):
+                pass
             if self._occupancy.due(view):
                 self._occupancy.step(view)
             self._table.step(view)

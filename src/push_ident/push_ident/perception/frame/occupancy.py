@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from push_ident.perception.frame.view import OBJECT, TABLE, FrameView
 from push_ident.perception.kernels import project_down
-from push_ident.perception.work import is_due
 
 __all__ = ["FREE", "OCCUPIED", "UNOBSERVED", "OccupancyMap", "TopDownGrid", "top_down"]
 
@@ -72,7 +71,7 @@ class OccupancyMap:
 
     def due(self, view: FrameView) -> bool:
         """Once in an occupancy period."""
-        return is_due(view.frame.stamp, self._last, view.settings.occupancy_period)
+        return view.is_due(self._last, view.settings.occupancy_period)
 
     def step(self, view: FrameView) -> int:
         """Make the grid; the turns that took."""

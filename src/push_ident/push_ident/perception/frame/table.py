@@ -13,7 +13,6 @@ from push_ident.errors import PerceptionError
 from push_ident.perception.frame.robot import RobotPart
 from push_ident.perception.frame.view import FrameView, points_in_table
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.work import is_due
 from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["TableCamera", "TablePlane", "fit_table"]
@@ -183,7 +182,7 @@ class TableCamera:
 
     def due(self, view: FrameView) -> bool:
         """Once in an occupancy period."""
-        return is_due(view.frame.stamp, self._last, view.settings.occupancy_period)
+        return view.is_due(self._last, view.settings.occupancy_period)
 
     def step(self, view: FrameView) -> int:
         """Use another plane from now on if the table or the camera was moved; the turns that took. Smaller differences are noise and would

@@ -41,6 +41,8 @@ TABLE: Final = 0
 OBJECT: Final = 1
 ROBOT: Final = 2
 
+_ROUNDING: Final = 1e-3
+"""Tolerance of periods [s], so that a camera at exactly that rate does not miss every other turn by rounding."""
 _BELOW: Final = -0.02
 """Points below this height are beside the table [m]."""
 _AREA: Final = 3
@@ -110,6 +112,10 @@ class FrameView:
     def is_robot(self, points: NDArray[np.float32]) -> BoolArray:
         """Which points, shape (..., 3), table frame, lie in the robot."""
         return in_robot(points, self.robot, self.settings.mask_margin)
+
+    def is_due(self, last: float, period: float) -> bool:
+        """Whether something that was last done at `last` [s] is to be done in this frame: once in a period, not twice in one frame."""
+        return last < self.frame.stamp and self.frame.stamp - last >= period - _ROUNDING
 
     def with_pixels(self, depth: NDArray[np.float32], points: NDArray[np.float32], labels: NDArray[np.int8]) -> FrameView:
         """The same view with these depths, points and labels."""

@@ -20,11 +20,9 @@ import numpy as np
 from push_ident.geometry.outline import edge_normals
 from push_ident.geometry.se2 import inverse, rotation, transform_points
 from push_ident.perception.known_object import Refined, SegmentedView, Template, TracedObject
-from push_ident.perception.outline.edges import VARIANCE, EdgeLines, lines_near_edges, scatter_of
-from push_ident.perception.outline.fusion import dense, with_edges_moved, without_reversed
+from push_ident.perception.outline.edges import VARIANCE, EdgeLines, dense, lines_near_edges, scatter_of, with_edges_moved, without_reversed
 from push_ident.perception.outline.straighten import straighten
-from push_ident.perception.outline.tracing import trace_in_parts
-from push_ident.perception.work import InParts
+from push_ident.perception.outline.tracing import InParts, trace_in_parts
 from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["DISPLACED", "RestView", "refine"]

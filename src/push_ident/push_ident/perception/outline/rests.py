@@ -27,9 +27,9 @@ from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.frame.view import FrameView, median_frame
 from push_ident.perception.known_object import ON_OBJECT, PoseFit, Refined, Segment, SegmentedView, Template, TracedObject, TrackStatus
 from push_ident.perception.outline.refinement import DISPLACED, RestView, refine
+from push_ident.perception.outline.tracing import InParts
 from push_ident.perception.tracking.pose_fit import displaced_by_camera, fit_pose, frame_step
 from push_ident.perception.tracking.tracker import KnownObjects
-from push_ident.perception.work import InParts
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["RestingObject", "Rests", "cut_to", "with_cells"]

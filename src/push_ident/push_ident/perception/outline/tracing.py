@@ -8,9 +8,9 @@ are spread on a fine grid; the outline is where both have equal weight.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 import cv2
 import numpy as np
@@ -22,10 +22,9 @@ from push_ident.perception.frame.view import unmeasured_areas
 from push_ident.perception.known_object import SegmentedView, TracedObject
 from push_ident.perception.outline.straighten import straighten
 from push_ident.perception.shape_kernels import outline_distances
-from push_ident.perception.work import InParts, all_at_once
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
-__all__ = ["trace_in_parts", "trace_object"]
+__all__ = ["InParts", "trace_in_parts", "trace_object"]
 
 _GRID: Final = 0.001
 """Edge of a cell of the fine grid [m]."""
@@ -55,9 +54,23 @@ _PAD: Final = 16
 """Margin around a segment in which pixels are used [px]."""
 
 
+Result = TypeVar("Result")
+
+InParts = Generator[None, None, Result]
+"""Work that is done in parts, so that a frame need not wait for all of it: yields after each part but the last one, and returns the result.
+
+Nothing depends on the clock: the same parts give the same result, on a fast machine and on a slow one, live and in a replay."""
+
+
 def trace_object(views: Sequence[SegmentedView], *, min_height: float, cell_count: int) -> TracedObject:
     """As `trace_in_parts`, all at once."""
-    return all_at_once(trace_in_parts(views, min_height=min_height, cell_count=cell_count))
+    work = trace_in_parts(views, min_height=min_height, cell_count=cell_count)
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            traced: TracedObject = end.value
+            return traced
 
 
 def trace_in_parts(views: Sequence[SegmentedView], *, min_height: float, cell_count: int) -> InParts[TracedObject]:

@@ -21,7 +21,7 @@ from push_ident.perception.frame.robot import RobotPart
 from push_ident.perception.frame.table import fit_table
 from push_ident.perception.frame.view import FrameView, median_frame, points_in_table
 from push_ident.perception.known_object import ON_OBJECT, Segment, SegmentedView, Template, TracedObject, TrackStatus
-from push_ident.perception.outline.fusion import relative_size
+from push_ident.perception.outline.edges import relative_size
 from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking.pose_fit import fit_pose

@@ -16,7 +16,7 @@ from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.frame.robot import RobotPart
 from push_ident.perception.frame.view import FrameView, median_frame
 from push_ident.perception.known_object import NewObject, Segment, SegmentedView, TracedObject
-from push_ident.perception.outline.fusion import dense, fuse_views
+from push_ident.perception.outline.edges import dense, fuse_views
 from push_ident.perception.outline.tracing import trace_object
 from push_ident.perception.refusals import Reason, Refusal
 from push_ident.perception.search.further_camera import FurtherCamera

@@ -19,13 +19,13 @@ from push_ident.perception.frame.table import TableCamera
 from push_ident.perception.frame.view import ROBOT, TABLE, FrameView
 from push_ident.perception.known_object import ON_OBJECT, THIN, NewObject, Placed, PoseFit, Segment, area_from_above
 from push_ident.perception.outline.rests import RestingObject, Rests
+from push_ident.perception.outline.tracing import InParts
 from push_ident.perception.refusals import Reason, Refusal, Removal
 from push_ident.perception.search.hollows import Covered, cover_hollows
 from push_ident.perception.search.registration import Registration
 from push_ident.perception.search.segments import find_segments
 from push_ident.perception.tracking.separation import Separation
 from push_ident.perception.tracking.tracker import KnownObjects, Tracker
-from push_ident.perception.work import InParts, all_at_once, is_due
 from push_ident.types import BoolArray, ObjectShape
 
 __all__ = ["N_PARTS", "Search", "SearchResult"]
@@ -91,7 +91,7 @@ class Search:
 
     def due(self, view: FrameView) -> bool:
         """Once in a search period, unless a better outline has waited for a turn since the last search."""
-        return is_due(view.frame.stamp, self._last, view.settings.search_period) and not self._rests.waits
+        return view.is_due(self._last, view.settings.search_period) and not self._rests.waits
 
     def step(self, view: FrameView) -> int:
         """Do the next part; the turns that took. What the segments are is soon known: that takes none."""
@@ -105,11 +105,6 @@ class Search:
             return 0
         self._started = started
         return 1
-
-    def run(self, view: FrameView) -> None:
-        """A whole search in one frame."""
-        started = self._begin(view)
-        self._result = self._explain(started, all_at_once(started.work), view)
 
     def take_result(self) -> SearchResult:
         """What a search that ended since the last call found."""

@@ -23,7 +23,6 @@ from push_ident.perception.known_object import (
 )
 from push_ident.perception.tracking.pose_fit import fit_pose, relocate
 from push_ident.perception.tracking.separation import Separation, compare_upper_side
-from push_ident.perception.work import is_due
 from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["KnownObjects", "TrackedObject", "Tracker"]
@@ -195,7 +194,7 @@ class Tracker:
         period = view.settings.search_period
         share = elapsed / period if elapsed < period else 1.0
         wait = 2.0 * period if is_searching else period
-        due = [name for name, known in self._objects.items() if is_due(view.frame.stamp, known.checked, wait)]
+        due = [name for name, known in self._objects.items() if view.is_due(known.checked, wait)]
         return sorted(due, key=lambda name: self._objects[name].checked)[: int(np.ceil(share * len(self._objects)))]
 
     def _accept(self, name: str, fit: PoseFit, view: FrameView, others: Sequence[Placed], *, must_check: bool) -> PoseFit:
