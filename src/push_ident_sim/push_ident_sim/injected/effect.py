@@ -9,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from push_ident.physics.effects import EFFECTS
-
 __all__ = ["InjectedEffect", "InjectedParameter", "Part"]
 
 Part = Literal["table", "object", "pusher", "camera", "poses", "forces"]
@@ -62,11 +60,6 @@ class InjectedEffect:
     """How the simulation brings it about."""
     has_own_law: bool = True
     """Whether the engines have a law of their own for it; else they evaluate the equation of the core's catalogue."""
-
-    @property
-    def is_catalogued(self) -> bool:
-        """Whether the core's catalogue has it, so that a diagnosis can name it."""
-        return self.name in EFFECTS
 
     @property
     def acting(self) -> tuple[InjectedParameter, ...]:

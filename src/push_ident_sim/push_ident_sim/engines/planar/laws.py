@@ -13,7 +13,7 @@ from push_ident_sim.injected.contact import bearing_torque, friction_of_pusher, 
 from push_ident_sim.injected.table import push_height, tether_anchor
 from push_ident_sim.objects import SimObject
 
-__all__ = ["OUTSIDE", "Laws", "laws_of", "plain_laws"]
+__all__ = ["OUTSIDE", "Laws", "laws_of"]
 
 _CONTACT_STIFFNESS = 2e5
 """[N/m]"""
@@ -102,21 +102,6 @@ class Laws(NamedTuple):
     magnet: float
     gust: float
     gust_phase: float
-
-
-def plain_laws(*, pusher_radius: float, pusher_friction: float, gravity: float) -> Laws:
-    """The laws without any effect: `pusher_radius` [m], `pusher_friction` [-], `gravity` [m/s^2]."""
-    acting = {
-        "pusher_radius": pusher_radius,
-        "pusher_friction": pusher_friction,
-        "contact_stiffness": _CONTACT_STIFFNESS,
-        "damping_ratio": _damping_ratio(0.0),
-        "contact_travel": _CONTACT_TRAVEL,
-        "gravity": gravity,
-        "travel": _TRAVEL,
-        "level": 1.0,
-    }
-    return Laws(**(dict.fromkeys(Laws._fields, 0.0) | acting))
 
 
 def laws_of(
