@@ -46,8 +46,8 @@ experiments: setup  ## the paper's experiments and those of pushing to goals (ho
 	$(VENV)/push-ident experiment report
 
 MINUTES ?= 60
-fuzz: setup  ## mutated messages, bags and depth frames for nodes, commands and perception, MINUTES=60; then docs/results/fuzzing.md
-	$(VENV)/push-ident fuzz --minutes $(MINUTES) --cases test/push_ident_sim/fuzz/cases --page docs/results/fuzzing.md
+fuzz: setup  ## any message for every conversion and node, any bag, any depth frame, for about MINUTES=60; a failure becomes an @example
+	FUZZ_MINUTES=$(MINUTES) $(VENV)/pytest -vv -m fuzz $(call with_marker,fuzz)
 
 blind: setup  ## the diagnosis on sealed cases of two other engines (an hour and a half; the published seeds), then the page
 	$(call experiment,blind --seed 31000 --models 20)
@@ -61,8 +61,9 @@ STREAMS ?= 10000
 states: setup  ## pushes under STREAMS=10000 random streams of joint states that lie: no command may break a limit (an hour)
 	STREAMS=$(STREAMS) OMP_NUM_THREADS=1 $(VENV)/pytest -q -n 2 test/push_ident/pushing/test_corrupted_states.py
 
-faults: setup  ## the fault suite against live nodes (twenty minutes; root for full disks and the like), then docs/results/faults.md
-	$(VENV)/push-ident faults --out log/faults --json docs/results/faults.json
+faults: setup  ## the fault suite against a live cell (half an hour; root for full disks and the like), then docs/results/faults.md
+	@mkdir -p log
+	KILLS=20 FAULTS=docs/results/faults.json $(VENV)/pytest -vv --basetemp log/faults test/system/faults
 
 # Three runs at once (CONVENTIONS.md, Tests): `alone` first, `live` at a lower priority, all others and lint in the time that is left, at the
 # lowest, each in a session of its own: Linux schedules sessions against each other first, and niceness alone counts only within one.
@@ -73,18 +74,18 @@ test: setup  ## lint, types and tests
 	@mkdir -p log; \
 	$(call in_session,19,export OMP_NUM_THREADS=1; \
 	  $(MAKE) --no-print-directory lint >log/lint.log 2>&1 & \
-	  $(VENV)/pytest -m "not alone and not live and not long and not release" -n 2 --dist loadfile --no-loadscope-reorder; tests=$$?; \
+	  $(VENV)/pytest -m "not alone and not live and not long and not release and not faults" -n 2 --dist loadfile --no-loadscope-reorder; tests=$$?; \
 	  wait $$!; lint=$$?; exit $$((tests || lint))) \
 	  >log/tests.log 2>&1 & others=$$!; \
 	$(call in_session,10,$(VENV)/pytest -m "live and not alone and not long and not release" $(call with_marker,live)) >log/live.log 2>&1 & live=$$!; \
 	trap 'kill -- -$$others -$$live 2>/dev/null' EXIT; \
-	$(VENV)/pytest -m "alone and not long and not release" $(call with_marker,alone); status=$$?; \
+	$(VENV)/pytest -m "alone and not long and not release and not faults" $(call with_marker,alone); status=$$?; \
 	echo "Lint and the other tests (log/live.log, log/tests.log):"; \
 	wait $$live || status=1; wait $$others || status=1; cat log/lint.log log/live.log log/tests.log; \
 	exit $$status
 
 test-long: setup  ## the tests that `make test` leaves out since they take long
-	OMP_NUM_THREADS=1 $(VENV)/pytest -m "long and not release"
+	OMP_NUM_THREADS=1 $(VENV)/pytest -m "long and not release and not faults"
 
 test-release: setup  ## the tests that a release needs beside those: browser, wheel, strict site, notebook, SROS 2
 	OMP_NUM_THREADS=1 $(VENV)/pytest -m release $(call with_marker,release)

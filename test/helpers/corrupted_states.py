@@ -137,6 +137,8 @@ def shares_of_commands(commands: list[JointTrajectoryMsg], start: Float64Array, 
         if not now and len(times) == 1:
             path = np.array([followed.sample(t)[0] for t in np.linspace(last, followed.time[-1], 200)])
             aside = max(aside, float(np.min(np.max(np.abs(path - position[0]), axis=1))))
+            shares.append(largest_shares(followed, last, followed.time[-1], limits))
+            followed = Followed.hold(position[0])  # the next command finds the arm there
             continue
         now = now or last
         shares.append(largest_shares(followed, last, now, limits))

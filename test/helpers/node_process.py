@@ -74,6 +74,7 @@ class NodeProcess:
                 env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},
                 stdout=log,
                 stderr=subprocess.STDOUT,
+                cwd=folder,
                 preexec_fn=before,
             )
 
@@ -81,6 +82,11 @@ class NodeProcess:
     def runs(self) -> bool:
         """Whether the process has not ended."""
         return self._process.poll() is None
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
 
     @property
     def output(self) -> str:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import random
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 
-import numpy as np
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from hypothesis import given
+from hypothesis import strategies as st
 from rclpy.action import ActionClient, ActionServer
 from rclpy.action.server import ServerGoalHandle
 from rclpy.context import Context
@@ -21,14 +20,13 @@ from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from helpers.fuzzing import fuzzed
+from helpers.fuzzing.messages import messages_like
+from helpers.fuzzing.right import OBJECT, right_messages
 from push_ident.nodes.base.guard import is_guarded
 from push_ident.nodes.base.network import process_domain
 from push_ident.nodes.client.cell_client import CellClient, CellTimeout
-from push_ident.nodes.convert.messages import planar_pose_to_msg, stamp_to_msg
 from push_ident_msgs.action import ExecutePush
-from push_ident_msgs.msg import MassFrictionMap
-from push_ident_sim.fuzz.mutate_message import mutate_message
-from push_ident_sim.fuzz.traffic import OBJECT, shape_messages
 
 pytestmark = pytest.mark.live
 
@@ -163,22 +161,22 @@ def test_executor_that_was_started_again_meanwhile_has_no_such_push() -> None:
 def test_messages_of_any_content_end_no_client_and_are_one_line(
     client: CellClient, executor: Executor, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    status = DiagnosticStatus(name="identification", values=[KeyValue(key="streams", value="at rest")])
-    traffic = [
-        *shape_messages(),
-        (f"/objects/{OBJECT}/pose", planar_pose_to_msg(stamp_to_msg(1.0), np.zeros(3), 1e-6 * np.eye(3))),
-        (f"/objects/{OBJECT}/mass_friction_map", MassFrictionMap(mass=[0.1], friction=[0.3])),
-        ("/diagnostics", DiagnosticArray(status=[status])),
-    ]
+    names = ("pusher/shape", "/diagnostics", *(f"objects/{OBJECT}/{name}" for name in ("cells", "outline", "pose", "mass_friction_map")))
+    traffic = {name: right_messages()[name] for name in names}
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    publishers = [executor.create_publisher(type(msg), topic, latched) for topic, msg in traffic]
-    rng = random.Random(0)
+    publishers = {name: executor.create_publisher(type(msg), name, latched) for name, msg in traffic.items()}
     client.wait(client.object_ids, 10.0, "the object was not found")
-    client.wait(lambda: all(publisher.get_subscription_count() for publisher in publishers), 10.0, "not discovered")
-    for _ in range(60):
-        for publisher, (_, msg) in zip(publishers, traffic, strict=True):
-            publisher.publish(mutate_message(msg, rng)[0])
+    client.wait(lambda: all(publisher.get_subscription_count() for publisher in publishers.values()), 10.0, "not discovered")
+
+    @fuzzed(60)
+    @given(st.fixed_dictionaries({name: messages_like(msg) for name, msg in traffic.items()}))
+    def publish(changed: dict[str, object]) -> None:
+        for name, msg in changed.items():
+            with suppress(RuntimeError):  # nobody can send what cannot be written
+                publishers[name].publish(msg)
         time.sleep(0.005)
+
+    publish()
     client.wait(lambda: client.node.guard.refused > 60, 10.0, "fewer were refused")
     callbacks = [entity.callback for entity in (*client.node.subscriptions, *client.node.timers)]
     assert callbacks and all(is_guarded(callback) for callback in callbacks)

@@ -2,131 +2,160 @@
 
 from __future__ import annotations
 
-import random
+import copy
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
-from nav_msgs.msg import Path
-from sensor_msgs.msg import JointState
 
-from helpers.objects import hammer_shape
+from helpers.fuzzing import fuzzed
+from helpers.fuzzing.messages import messages_like
+from helpers.fuzzing.right import OBJECT, right_goals, right_messages
 from push_ident.errors import PushIdentError
-from push_ident.geometry.table import Table
 from push_ident.limits import LIMITS
-from push_ident.nodes.convert.messages import (
-    cylinder_radius_from_msg,
-    cylinder_to_msg,
-    depth_frame_from_msgs,
-    depth_frame_to_msgs,
-    force_from_msg,
-    force_to_msg,
-    joints_from_msg,
-    planar_pose_from_msg,
-    planar_pose_to_msg,
-    position_from_msg,
-    position_to_msg,
-    push_interval_from_msg,
-    shape_from_msgs,
-    shape_to_msgs,
-    stamp_to_msg,
-    transform_from_msg,
-)
-from push_ident.nodes.convert.model import pusher_path_from_msg
-from push_ident.nodes.convert.table import table_from_msg, table_to_msg
-from push_ident.types import CameraIntrinsics, DepthFrame
-from push_ident_msgs.msg import PushRecord
-from push_ident_sim.fuzz.mutate_message import mutate_message
+from push_ident.nodes.convert import messages
+from push_ident.nodes.convert.goal_markers import goal_markers_from_msg
+from push_ident.nodes.convert.model import posterior_from_msg, pusher_path_from_msg
+from push_ident.nodes.convert.refusals import refusals_from_msg
+from push_ident.nodes.convert.table import edge_from_msg, table_from_msg
+from push_ident.nodes.convert.tool_path import correction_from_msg, path_request_from_goal
+from push_ident.nodes.goal_pushing.convert_goal import request_from_msg
+from push_ident.nodes.goal_pushing.parameters import PARAMETERS
 
-STAMP = stamp_to_msg(12.5)
-CELLS, OUTLINE = shape_to_msgs(hammer_shape(), "o1", STAMP)
-IMAGE, INFO = depth_frame_to_msgs(DepthFrame(0.0, np.full((6, 8), 0.8, np.float32), CameraIntrinsics(8, 6, 9.0, 9.0, 3.5, 2.5)), STAMP)
+RIGHT = right_messages()
+STEERED = right_goals()["execute_push"][1]
+GOAL, PATH_GOAL, EDGE_GOAL = right_goals()["push_to_goal"]
+POSE, CELLS, OUTLINE = (RIGHT[f"objects/{OBJECT}/{name}"] for name in ("pose", "cells", "outline"))
+IMAGE, INFO = RIGHT["depth/image_rect"], RIGHT["depth/camera_info"]
+GOAL_DEFAULTS = {parameter.name: parameter.default for parameter in PARAMETERS}
 LARGEST = LIMITS.COORDINATE.value
 
 
-def a_pose(value: Any) -> bool:
+def finite(value: Any) -> bool:
+    return bool(np.isfinite(value).all())
+
+
+def near(value: Any) -> bool:
+    """Coordinates that a table can have [m]."""
+    return bool((np.abs(value) <= LARGEST).all())
+
+
+def is_pose(value: Any) -> bool:
     stamp, pose, covariance = value
-    return stamp >= 0 and bool(np.abs(pose).max() <= LARGEST) and bool(np.linalg.eigvalsh(covariance).min() > 0)
+    return stamp >= 0 and near(pose) and bool(np.linalg.eigvalsh(covariance).min() > 0)
 
 
-def a_position(value: Any) -> bool:
-    return value[0] >= 0 and bool(np.abs(value[1]).max() <= LARGEST)
+def is_shape(shape: Any) -> bool:
+    return 1 <= len(shape.cells) <= LIMITS.CELLS.value and len(shape.outline) >= 3 and near(shape.cells.centres)
 
 
-def a_shape(shape: Any) -> bool:
-    return 1 <= len(shape.cells) <= LIMITS.CELLS.value and len(shape.outline) >= 3 and bool(np.abs(shape.cells.centres).max() <= LARGEST)
+def is_rotation(matrix: Any) -> bool:
+    return bool(np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-6)) and near(matrix)
 
 
-def a_record() -> PushRecord:
-    record = PushRecord(push_id=1, object_id="o1", start=stamp_to_msg(11.0), end=STAMP)
-    record.header.frame_id = "table"
-    return record
+def is_posterior(value: Any) -> bool:
+    posterior = value[1]
+    return bool((posterior.model.mass >= 0).all()) and finite(posterior.z) and bool(np.linalg.eigvalsh(posterior.covariance).min() > -1e-9)
 
 
-def a_path() -> Path:
-    path = Path(poses=[position_to_msg(stamp_to_msg(t), [t, 0.0, 0.0]) for t in (1.0, 1.5, 2.0)])
-    path.header.frame_id = "table"
-    return path
+def is_request(request: Any) -> bool:
+    return len(request.object_id) <= LIMITS.STRING.value and request.goal is not None
 
 
-TABLE = Table.rectangle(np.array([-0.5, 0.15, -0.4, 0.4]))
 CONVERSIONS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any], bool]]] = {
-    "pose": (planar_pose_to_msg(STAMP, [0.1, 0.2, 0.3], 1e-6 * np.eye(3)), planar_pose_from_msg, a_pose),
-    "position": (position_to_msg(STAMP, [0.1, 0.2, 0.3]), position_from_msg, a_position),
-    "transform": (
-        position_to_msg(STAMP, [0.1, 0.2, 0.3]),
-        transform_from_msg,
-        lambda matrix: bool(np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-6)) and bool(np.abs(matrix).max() <= LARGEST),
+    "stamp": (POSE.header.stamp, messages.stamp_from_msg, lambda stamp: 0 <= stamp < 2**31),
+    "pose": (POSE, messages.planar_pose_from_msg, is_pose),
+    "position": (RIGHT["pusher/pose"], messages.position_from_msg, lambda value: value[0] >= 0 and near(value[1])),
+    "transform": (RIGHT["tool/pose"], messages.transform_from_msg, is_rotation),
+    "force": (RIGHT["pusher/wrench"], messages.force_from_msg, lambda value: finite(value[1])),
+    "pusher": (RIGHT["pusher/shape"], messages.cylinder_radius_from_msg, lambda radius: 0 <= radius < 1),
+    "camera accuracy": (
+        RIGHT["depth/camera_accuracy"],
+        messages.camera_accuracy_from_msg,
+        lambda accuracy: accuracy.position >= 0 and finite([accuracy.position, accuracy.heading]),
     ),
-    "force": (force_to_msg(STAMP, [1.0, 2.0]), force_from_msg, lambda value: bool(np.isfinite(value[1]).all())),
-    "pusher": (cylinder_to_msg(0.01, 0.1), cylinder_radius_from_msg, lambda radius: 0 <= radius < 1),
-    "cells": (CELLS, shape_from_msgs, a_shape),
-    "cells with outline": (CELLS, lambda msg: shape_from_msgs(msg, OUTLINE), a_shape),
-    "table": (
-        table_to_msg(Table.rectangle(np.array([-0.5, 0.15, -0.4, 0.4])), STAMP),
-        table_from_msg,
-        lambda table: np.isfinite(table.corners).all(),
-    ),
-    "outline": (OUTLINE, lambda msg: shape_from_msgs(CELLS, msg), a_shape),
-    "image": (IMAGE, lambda msg: depth_frame_from_msgs(msg, INFO), lambda frame: frame.depth.shape == (6, 8)),
-    "camera": (
-        INFO,
-        lambda msg: depth_frame_from_msgs(IMAGE, msg),
-        lambda frame: np.isfinite(frame.intrinsics.fx) and frame.intrinsics.fx > 0,
-    ),
-    "joints": (
-        JointState(name=["a", "b"], position=[0.1, 0.2]),
-        joints_from_msg,
-        lambda value: bool(np.isfinite(list(value[1].values())).all()),
-    ),
-    "record": (a_record(), push_interval_from_msg, lambda push: push.end - push.start <= LIMITS.PUSH_SECONDS.value),
-    "path": (
-        a_path(),
+    "cells": (CELLS, messages.shape_from_msgs, is_shape),
+    "cells with outline": (CELLS, lambda msg: messages.shape_from_msgs(msg, OUTLINE), is_shape),
+    "outline": (OUTLINE, lambda msg: messages.shape_from_msgs(CELLS, msg), is_shape),
+    "outline alone": (OUTLINE, messages.outline_from_msg, near),
+    "deviations of an outline": (RIGHT[f"objects/{OBJECT}/outline_std"], messages.outline_std_from_msg, lambda std: finite(std)),
+    "image": (IMAGE, lambda msg: messages.depth_frame_from_msgs(msg, INFO), lambda frame: frame.depth.shape == (6, 8)),
+    "camera": (INFO, lambda msg: messages.depth_frame_from_msgs(IMAGE, msg), lambda frame: frame.intrinsics.fx > 0),
+    "intrinsics": (INFO, messages.intrinsics_from_msg, lambda camera: camera.fx > 0 and finite([camera.fx, camera.fy])),
+    "joints": (RIGHT["joint_states"], messages.joints_from_msg, lambda value: finite(list(value[1].values()))),
+    "record": (RIGHT["push_record"], messages.push_interval_from_msg, lambda push: push.end - push.start <= LIMITS.PUSH_SECONDS.value),
+    "path of the pusher": (
+        RIGHT[f"objects/{OBJECT}/next_push"],
         lambda msg: pusher_path_from_msg(msg, 0.01),
-        lambda path: all(one < two for one, two in pairwise(path.time)) and bool(np.isfinite(path.position).all()),
+        lambda path: all(one < two for one, two in pairwise(path.time)) and finite(path.position),
     ),
+    "posterior": (RIGHT[f"objects/{OBJECT}/model"], posterior_from_msg, is_posterior),
+    "table": (RIGHT["workspace/table"], table_from_msg, lambda table: finite(table.corners)),
+    "edge": (RIGHT["workspace/edge"], edge_from_msg, lambda edge: near(edge.ends)),
+    "refusals": (RIGHT["workspace/refused"], refusals_from_msg, lambda found: all(near(line) for line, _ in found)),
+    "goal markers": (RIGHT["push_to_goal/markers"], goal_markers_from_msg, lambda drawing: drawing is None or near(drawing.goal)),
+    # Its numbers are checked where the push that it corrects is known.
+    "correction": (
+        RIGHT["push_correction"],
+        correction_from_msg,
+        lambda value: value.stamp >= 0 and len(value.time) == len(value.position),
+    ),
+    "push along a path": (STEERED, path_request_from_goal, lambda request: finite(request.path.position)),
+    "goal": (GOAL, lambda msg: request_from_msg(msg, GOAL_DEFAULTS), is_request),
+    "goal at an edge": (EDGE_GOAL, lambda msg: request_from_msg(msg, GOAL_DEFAULTS), is_request),
+    "goal along a path": (PATH_GOAL, lambda msg: request_from_msg(msg, GOAL_DEFAULTS), is_request),
 }
 
 
-@pytest.mark.parametrize("name", CONVERSIONS)
-@settings(max_examples=150, deadline=None, derandomize=True, database=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_any_message_is_converted_or_refused(name: str, seed: int) -> None:
-    base, convert, keeps = CONVERSIONS[name]
-    mutated, changed = mutate_message(base, random.Random(seed))
+def pose_whose_covariance_is(value: float) -> Any:
+    msg = copy.deepcopy(POSE)
+    msg.pose.covariance[0] = value
+    return msg
+
+
+@st.composite
+def changed_messages(draw: st.DrawFn) -> tuple[str, Any]:
+    name = draw(st.sampled_from(list(CONVERSIONS)))
+    return name, draw(messages_like(CONVERSIONS[name][0]))
+
+
+@pytest.mark.fuzz
+@fuzzed(4000)
+@example(("pose", pose_whose_covariance_is(np.nan)))  # eigenvalues did not converge
+@given(changed_messages())
+def test_any_message_is_converted_or_refused(changed: tuple[str, Any]) -> None:
+    name, msg = changed
+    _, convert, keeps = CONVERSIONS[name]
     try:
-        value = convert(mutated)
+        value = convert(msg)
     except PushIdentError as error:
         assert str(error) and len(str(error)) < 2000
     else:
-        assert keeps(value), f"{changed} of {name}"
+        assert keeps(value), name
 
 
 @pytest.mark.parametrize("name", CONVERSIONS)
 def test_the_message_itself_is_converted(name: str) -> None:
     base, convert, keeps = CONVERSIONS[name]
     assert keeps(convert(base))
+
+
+def test_changed_messages_are_wrong_in_every_way() -> None:
+    seen: list[Any] = []
+
+    @fuzzed(1500)
+    @given(messages_like(POSE))
+    def collect(msg: Any) -> None:
+        seen.append(msg)
+
+    collect()
+    positions, covariances = [msg.pose.pose.position.x for msg in seen], [np.array(msg.pose.covariance) for msg in seen]
+    assert any(np.isnan(x) for x in positions) and any(np.isinf(x) for x in positions) and any(x == 5e-324 for x in positions)
+    assert any(np.isnan(c).any() for c in covariances) and any((c == 0).all() for c in covariances)
+    assert any(msg.header.stamp.sec < 0 for msg in seen) and any(msg.header.stamp.nanosec >= 10**9 for msg in seen)
+    assert any(msg.pose.pose.orientation.w == msg.pose.pose.orientation.z == 0.0 for msg in seen)
+    assert any("[/x]" in msg.header.frame_id for msg in seen) and any(len(msg.header.frame_id) > 1000 for msg in seen)

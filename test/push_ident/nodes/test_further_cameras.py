@@ -40,14 +40,24 @@ def test_the_node_calibrates_all_its_cameras_and_writes_what_it_found(domain, tm
     other = own_domain()
     file = tmp_path / "camera.yaml"
     pose = ", ".join(str(value) for value in mark_pose)
-    parameters = ("extrinsics:=calibrate", f"mark_pose:=[{pose}]", "calibration_frames:=6", f"calibration_file:={file}")
+    parameters = (
+        "extrinsics:=calibrate",
+        f"mark_pose:=[{pose}]",
+        "calibration_frames:=6",
+        f"calibration_file:={file}",
+        "extrinsics_timeout:=1.0",
+    )
     with spinning(Camera, other) as camera:
         rng = np.random.default_rng(1)
         mark = [Prism(outline, 0.03).at(mark_pose)]
+        without_mark = [render([], rng=rng)]
         camera.frames = [render(mark, rng=rng) for _ in range(4)]
         camera.add("side", [render(mark, SIDE, rng=rng) for _ in range(4)])
+        right, camera.frames = camera.frames, without_mark
         process = start(other, *as_arguments(*parameters, "extra_cameras:=[side]"))
         try:
+            send_until(camera, lambda: camera.values().get("why_no_pose", "").startswith("still no extrinsics (calibrate)"))
+            camera.frames = right
             send_until(camera, lambda: {"note_extrinsics", "note_extrinsics_side"} <= set(camera.values()))
             assert "outline of the mark 0." in camera.values()["note_extrinsics"]
         finally:

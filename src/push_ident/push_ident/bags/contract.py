@@ -47,7 +47,8 @@ class Role(Enum):
 OBJECT_ROLES: Final = frozenset({Role.POSE, Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD})
 """Roles that exist once per object."""
 
-_PATTERNS: Final = {role: re.compile(r"(?:^|/)" + re.escape(role.value.name).replace(r"\{id\}", r"(?P<id>[^/]+)") + r"$") for role in Role}
+_ID: Final = r"(?P<id>[^/\r\n]+)"
+_PATTERNS: Final = {role: re.compile(r"(?:^|/)" + re.escape(role.value.name).replace(r"\{id\}", _ID) + r"\Z") for role in Role}
 
 
 @dataclass(frozen=True, slots=True)

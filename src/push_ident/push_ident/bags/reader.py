@@ -15,7 +15,7 @@ from push_ident.bags.contract import CAMERA_FRAME, OBJECT_ROLES, TABLE_FRAME, Ro
 from push_ident.bags.opening import Connection, OpenBag, open_bag
 from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
-from push_ident.limits import LIMITS
+from push_ident.limits import LIMITS, plain_text
 from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
@@ -195,7 +195,7 @@ def _contents(
 
 def _fail_for_missing(path: Path, topics: dict[str, int], missing: list[Role]) -> None:
     names = " and ".join(f"`{role.value.name.replace('{id}', '<id>')}` ({role.msgtype})" for role in missing)
-    present = ", ".join(f"{topic} ({count})" for topic, count in topics.items() if count)[:500]
+    present = ", ".join(f"{plain_text(topic)} ({count})" for topic, count in topics.items() if count)[:500]
     raise BagError(f"{path}: no usable messages of {names}; the bag has {present or 'no messages at all'}. Record or remap these topics.")
 
 

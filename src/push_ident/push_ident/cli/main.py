@@ -33,8 +33,6 @@ LazyGroup.lazy_subcommands = {
         ("experiment", "experiment:experiment_command", "Run an experiment on simulated ground truth"),
         ("simulate", "simulate:simulate_command", "Push an object in the simulated cell and write a bag"),
         ("bench", "bench:bench_command", "Measure time and error of the engine and of identification"),
-        ("faults", "faults:faults_command", "Inject faults into live nodes and check what holds"),
-        ("fuzz", "fuzz:fuzz_command", "Send mutated messages to every node"),
         ("demo", "demo:demo_command", "Push, identify and predict an object of the simulated cell"),
         ("doctor", "live:doctor_command", "Report packages, ROS, live topics, and what is missing"),
         ("salvage", "salvage:salvage_command", "Copy the readable messages of a damaged bag"),

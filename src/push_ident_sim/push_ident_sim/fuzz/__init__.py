@@ -1,1 +1,0 @@
-"""Fuzzing of the nodes with mutated messages, and of the commands with mutated bags."""

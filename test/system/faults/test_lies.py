@@ -1,0 +1,236 @@
+"""What sensors say is not true."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from system.faults.cell import IDENTIFICATION
+from system.faults.oracles import learned_pushes
+from system.faults.proxy import OBJECT_POSE
+from system.faults.suite import THE_PUSH, Trial, fault
+
+from push_ident.pushing.push import PushCode
+
+pytestmark = pytest.mark.alone
+
+COMPARED = "each state is compared with what the arm was told; a hold ends that"
+
+
+def push_under_false_states(trial: Trial, lie: Callable[[Any], None]) -> None:
+    """A push during which joint states are changed by `lie`: that ends it, and no joint is too fast."""
+    cell = trial.cell
+    sent = cell.begin()
+    since = cell.proxy.change("joint_states", lie)
+    result = cell.end(sent)
+    trial.expect_hold(since)
+    trial.expect_speed(since)
+    trial.expect_code(result, PushCode.TRACKING)
+
+
+def turn(msg: Any) -> None:
+    msg.position[0] += 0.3
+
+
+def repeating(*fields: str) -> Callable[[Any], None]:
+    """These fields stay as in the first message."""
+    kept: list[Any] = []
+
+    def repeat(msg: Any) -> None:
+        kept.append(msg)
+        for name in fields:
+            setattr(msg, name, getattr(kept[0], name))
+
+    return repeat
+
+
+def first(n: int, change: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Change so many messages, and then none."""
+    left = iter(range(n))
+    return lambda msg: None if next(left, None) is None else change(msg)
+
+
+@fault(
+    62,
+    "joint 1 is reported 0.3 rad off in four joint states in the middle of a push",
+    COMPARED,
+    "TRACKING; held, no joint beyond its limit",
+    lost=THE_PUSH,
+    within=0.05,
+)
+def test_states_offset(trial: Trial) -> None:
+    push_under_false_states(trial, first(4, turn))
+
+
+@fault(
+    63,
+    "the names of two joints are swapped in the middle of a push",
+    COMPARED,
+    "TRACKING; held, no joint beyond its limit",
+    lost=THE_PUSH,
+    within=0.05,
+)
+def test_states_swapped(trial: Trial) -> None:
+    def swap(msg: Any) -> None:
+        names = list(msg.name)
+        names[1], names[3] = names[3], names[1]
+        msg.name = names
+
+    push_under_false_states(trial, swap)
+
+
+@fault(
+    64,
+    "joint states repeat one posture with new stamps in the middle of a push",
+    "an arm that stands although it was told to go on gets nothing more until it has come to where its commands end",
+    "TRACKING; it stands on its path soon, and is not pulled back",
+    lost=THE_PUSH,
+    within=0.3,
+)
+def test_states_frozen(trial: Trial) -> None:
+    push_under_false_states(trial, repeating("position"))
+
+
+@fault(
+    65,
+    "pusher/wrench saturates at 1e6 N in the middle of a push, and stays so",
+    "a force that cannot be trusted is a fault",
+    "FORCE; held at once; the next push is refused",
+    lost=THE_PUSH,
+)
+def test_force_saturated(trial: Trial) -> None:
+    cell = trial.cell
+    sent = cell.begin()
+    since = cell.proxy.change("pusher/wrench", lambda msg: setattr(msg.wrench.force, "x", 1e6))
+    result = cell.end(sent)
+    trial.expect_hold(since)
+    trial.expect_code(result, PushCode.FORCE, says="cannot be trusted")
+    refused = cell.push()
+    assert refused.error_code == PushCode.FORCE and refused.push_id == 0, f"the next push gave {refused.error_code}"
+
+
+@fault(
+    66,
+    "the last wrench is repeated with its stamp",
+    "a stamp that was there before counts as silence",
+    "FORCE within the time-out of the wrench",
+    lost=THE_PUSH,
+    within=1.1,
+)
+def test_wrench_repeated(trial: Trial) -> None:
+    cell = trial.cell
+    sent = cell.begin()
+    since = cell.proxy.change("pusher/wrench", repeating("header", "wrench"))
+    result = cell.end(sent)
+    trial.expect_hold(since)
+    trial.expect_code(result, PushCode.FORCE)
+
+
+@fault(
+    67,
+    "SIGSTOP to the recorder for two pushes",
+    "the recorder says twice a second that it writes",
+    "RECORDING for both; pushes again when it goes on",
+    lost=THE_PUSH,
+)
+def test_recorder_stopped(trial: Trial) -> None:
+    cell = trial.cell
+    with cell.with_recorder(trial.folder / "bag") as recorder:
+        recorder.signal(signal.SIGSTOP)
+        ended = [cell.push() for _ in range(2)]
+        recorder.signal(signal.SIGCONT)
+        for result in ended:
+            trial.expect_code(result, PushCode.RECORDING)
+        time.sleep(1.5)
+        assert cell.push().error_code == PushCode.NONE, "no push was made after the recorder went on"
+
+
+@fault(
+    68,
+    "the covariance of the object's pose is 1 m²",
+    "the place of an object must be known to a third of the clearance",
+    "refused, saying so; nothing moves",
+)
+def test_pose_uncertain(trial: Trial) -> None:
+    cell = trial.cell
+
+    def doubt(msg: Any) -> None:
+        msg.pose.covariance[0] = msg.pose.covariance[7] = 1.0
+
+    cell.proxy.change(OBJECT_POSE, doubt)
+    time.sleep(0.5)
+    refused = cell.push()
+    cell.proxy.clear()
+    trial.expect_code(refused, PushCode.UNKNOWN_OBJECT, says="too uncertain")
+    assert refused.push_id == 0, "the arm moved"
+    time.sleep(0.5)
+    cell.whole_push()
+
+
+@fault(
+    69,
+    "joint 1 is reported 0.3 rad off from after one push until after the next was requested",
+    "the arm is told slowly to stand where its states say that it stands; they move, so they are not true",
+    "TRACKING; no joint beyond its limit; the next push is made once they are right",
+)
+def test_states_wrong_before(trial: Trial) -> None:
+    cell = trial.cell
+    cell.whole_push()
+    since = cell.proxy.change("joint_states", turn)
+    time.sleep(1.5)  # a jump is believed after a second: the arm may have been moved
+    result = cell.push()
+    trial.expect_speed(since)
+    trial.expect_code(result, PushCode.TRACKING, says="not believed")
+    cell.proxy.clear()
+    time.sleep(1.5)
+    assert cell.push().error_code == PushCode.NONE, "no push was made once the states were right again"
+
+
+def aside(distance: float) -> Callable[[Any], None]:
+    """The pose of the object, displaced [m]."""
+
+    def change(msg: Any) -> None:
+        msg.pose.pose.position.x += distance
+
+    return change
+
+
+@fault(
+    72,
+    "the object's pose is 25 cm aside from the middle of a push to its end",
+    "what a push can have made, by its pusher",
+    "OBJECT_LOST; not learned; the next push is",
+    lost=THE_PUSH,
+)
+def test_pose_aside(trial: Trial) -> None:
+    cell = trial.cell
+    sent = cell.begin()
+    since = cell.proxy.change(OBJECT_POSE, aside(0.25))
+    trial.expect_code(cell.end(sent), PushCode.OBJECT_LOST)
+    cell.proxy.clear()
+    assert learned_pushes(cell) == trial.learned, "the push was learned"
+    time.sleep(0.5)
+    cell.whole_push(cell.goal(-1))
+    trial.expect_learned()
+    worse = [report.message for report in cell.monitor.reports_of(IDENTIFICATION, since) if "far worse" in report.message]
+    assert not worse
+
+
+@fault(
+    73,
+    "the object's pose is 8 cm aside for 0.4 s in the middle of a push",
+    "poses that no object can follow are left out, and counted",
+    "the push is made and learned without them",
+)
+def test_pose_excursion(trial: Trial) -> None:
+    cell = trial.cell
+    sent = cell.begin(cell.goal(distance=0.08, speed=0.1))
+    since = cell.proxy.change(OBJECT_POSE, first(12, aside(0.08)))
+    result = cell.end(sent)
+    cell.proxy.clear()
+    trial.expect_code(result, PushCode.NONE)
+    trial.expect_learned()
+    trial.expect_report(IDENTIFICATION, "impossible poses, left out", since=since)

@@ -1,0 +1,207 @@
+"""Faults of the object, of its path, and of what is written while it is pushed."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point
+from system.faults.cell import IDENTIFICATION
+from system.faults.hold import ARM, STANDS
+from system.faults.oracles import learned_pushes
+from system.faults.proxy import OBJECT, OBJECT_POSE, drop
+from system.faults.suite import THE_PUSH, Trial, fault
+
+from push_ident.bags.reader import read_bag
+from push_ident.geometry.outline import signed_distance
+from push_ident.nodes.convert.tool_path import correction_to_msg, path_goal
+from push_ident.pushing.corridor import Corridor
+from push_ident.pushing.push import PushCode
+from push_ident.pushing.steering import PathRequest, ToolCorrection
+from push_ident.pushing.tool_path import ToolPath
+from push_ident_msgs.msg import MassFrictionMap
+from push_ident_sim.objects import make_object
+
+pytestmark = pytest.mark.alone
+
+ASIDE = 0.2
+"""Where the object seems to be, from where it is [m]: the tool comes down more than its width away."""
+CONFIDENT = 0.2
+"""Relative standard deviation of a cell below which a map claims to know it; that of the prior is about 1."""
+TOOL_SPEED = 0.05
+"""Along the path [m/s]."""
+CORRECTION_TIMEOUT = 1.0
+"""[s]: the executor of this cell allows no less than twice its `arm_timeout`."""
+CORRECTION_PERIOD = 1.0 / 30.0
+N_CORRECTIONS = 20
+STOPS = 0.2
+"""Motion that the arm is given ahead, and its braking [s]."""
+DISK, LEAST_FREE = 24, 8
+"""Size of the small disk, and `min_free_mib` of the recorder [MiB]."""
+
+
+@fault(
+    18,
+    f"poses {1e2 * ASIDE:.0f} cm beside the object: the push touches nothing",
+    "the executor compares the poses before and after",
+    "NO_CONTACT; the map does not change",
+)
+def test_push_misses(trial: Trial) -> None:
+    cell = trial.cell
+
+    def displace(msg: Any) -> None:
+        msg.pose.pose.position.y += ASIDE
+
+    cell.proxy.change(OBJECT_POSE, displace)
+    time.sleep(0.5)
+    goal = cell.goal(-1)
+    # In the frame of the table: given in that of the object, the executor would first bring it back from the edge.
+    goal.frame_id, goal.contact_point = "table", Point(x=-0.08, y=ASIDE - 0.02)
+    trial.expect_code(cell.push(goal), PushCode.NO_CONTACT)
+    time.sleep(1.5)
+    assert learned_pushes(cell) == trial.learned, "the model has changed"
+
+
+@fault(
+    19,
+    "poses stop in the middle of a push",
+    "the watch over the object, lost_timeout 3 s",
+    "OBJECT_LOST; stop, retreat on a checked path; the record says so",
+    lost=THE_PUSH,
+)
+def test_object_lost(trial: Trial) -> None:
+    cell = trial.cell
+    sent = cell.begin(cell.goal(distance=0.12, speed=0.02))
+    since = cell.proxy.set(OBJECT_POSE, drop)
+    trial.expect_code(cell.end(sent), PushCode.OBJECT_LOST)
+    cell_records = cell.monitor.records
+    assert [record.error_code for received, record in cell_records if received > since] == [PushCode.OBJECT_LOST]
+    time.sleep(0.5)
+    assert not cell.is_moving(), "the arm still moves"
+
+
+@fault(
+    23,
+    "poses that jump by 3 cm and claim 0.1 mm, during a whole push",
+    "what no object can follow is refused; the status of the fit",
+    "refused, or a status that is not success; never confident numbers",
+    lost=THE_PUSH,
+)
+def test_poses_that_jump(trial: Trial) -> None:
+    cell, rng = trial.cell, np.random.default_rng(0)
+
+    def jump(msg: Any) -> None:
+        msg.pose.covariance = (np.eye(6) * 1e-8).ravel()
+        dx, dy = rng.normal(0.0, 0.03, 2)
+        msg.pose.pose.position.x += dx
+        msg.pose.pose.position.y += dy
+
+    sent = cell.begin()
+    cell.proxy.change(OBJECT_POSE, jump)
+    cell.end(sent)
+    time.sleep(3.0)
+    for _, msg in cell.monitor.maps:
+        spread = float(np.median(np.array(msg.mass_friction_std) / np.array(msg.mass_friction)))
+        trial.note = f"status of the map: {msg.status_text}, deviations of {100 * spread:.0f} %"
+        assert msg.status != MassFrictionMap.STATUS_OK or spread > CONFIDENT, trial.note
+
+
+# ---- a push along a path
+
+
+def path_of_the_tool() -> PathRequest:
+    """Against the long side of the object in the middle, from positive y, for 12 cm."""
+    y = np.linspace(0.2, 0.0, 2001)
+    gap = signed_distance(np.column_stack([np.zeros_like(y), y]), make_object().outline) - 0.018  # default of pusher_radius
+    touch = float(y[int(np.argmax(gap <= 0.0))])
+    line = np.column_stack([np.zeros(3), [touch + 0.03, touch, touch - 0.12]])
+    return PathRequest(ToolPath(np.array([0.0, 0.03, 0.15]) / TOOL_SPEED, line), Corridor(line, 0.03), CORRECTION_TIMEOUT)
+
+
+@fault(
+    61,
+    "the corrections of a push along a path stop in the middle of it, some before were of another push",
+    "the watch over promised corrections; the last path that was usable",
+    "foreign ones refused and counted; stopped within the time-out, then home",
+    lost=THE_PUSH,
+)
+def test_corrections_stop(trial: Trial) -> None:
+    cell = trial.cell
+    sent = cell.begin(path_goal(OBJECT, path_of_the_tool()), after=0.03 / TOOL_SPEED)
+    since = time.monotonic()
+    for number in range(N_CORRECTIONS):
+        state = cell.monitor.states()[-1]
+        # Straight on from where the tool is, for longer than the executor waits for the next one. Every fifth one is of another push.
+        position = ARM.forward(state.q)[:2, 3] + np.outer([0.0, 1.5 * CORRECTION_TIMEOUT], [0.0, -TOOL_SPEED])
+        push_id = sent.push_id + 9 * (number % 5 == 4)
+        correction = ToolCorrection(push_id, state.stamp, False, np.array([0.0, 1.5 * CORRECTION_TIMEOUT]), position)
+        since = cell.monitor.publish("push_correction", correction_to_msg(correction))
+        time.sleep(CORRECTION_PERIOD)
+    result = cell.end(sent)
+    stood = next(state.received - since for state in cell.monitor.states(since) if state.speed < STANDS)
+    allowed = CORRECTION_TIMEOUT + CORRECTION_PERIOD + STOPS + cell.monitor.stalls.worst
+    assert stood <= allowed, f"the arm stood {stood:.2f} s after the last correction, allowed are {allowed:.2f} s"
+    trial.expect_code(result, PushCode.CORRECTION, says="FOREIGN")
+    assert result.corrections > 5, f"{result.corrections} corrections were made, expected most of {N_CORRECTIONS}"
+    trial.note = f"{result.corrections} made, {result.corrections_refused} refused, then none: stopped, and home"
+
+
+# ---- disks
+
+
+@contextmanager
+def mounted(folder: Path, *ways: tuple[str, ...]) -> Iterator[Path]:
+    """A folder under one mount or more, one after the other. Skips the test without the right to mount."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    try:
+        for arguments in ways:
+            done = subprocess.run(["mount", *arguments, str(folder)], check=False, capture_output=True, text=True)
+            if done.returncode:
+                pytest.skip(f"a disk of its own needs the right to mount: {done.stderr.strip()}; run it as root")
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=False, capture_output=True)
+
+
+@fault(
+    22,
+    "the disk fills up while a push is recorded",
+    "the recorder looks at the free disk; the executor listens to it",
+    "RECORDING; held; the bag is closed readable; the next push is refused",
+    lost=THE_PUSH,
+    within=0.5,  # the recorder looks twice a second
+)
+def test_disk_full(trial: Trial) -> None:
+    cell = trial.cell
+    with mounted(trial.folder / "disk", ("-t", "tmpfs", "-o", f"size={DISK}m", "tmpfs")) as disk:
+        with cell.with_recorder(disk / "bag", min_free_mib=LEAST_FREE):
+            sent = cell.begin(after=0.0)
+            since = time.monotonic()
+            (disk / "ballast").write_bytes(bytes((DISK - LEAST_FREE + 2) << 20))
+            result = cell.end(sent)
+            trial.expect_hold(since)
+            trial.expect_code(result, PushCode.RECORDING)
+            trial.expect_code(cell.push(), PushCode.RECORDING)
+        trial.note = f"{len(read_bag(disk / 'bag').pusher.time)} poses of the pusher in the bag"
+
+
+@fault(
+    53,
+    "the folder of the checkpoints is mounted read-only during a push",
+    "the guard around the worker of identification",
+    "refused and named; the model in memory is kept",
+)
+def test_state_read_only(trial: Trial) -> None:
+    cell = trial.cell
+    since, folder = time.monotonic(), cell.state_folder
+    with mounted(folder, ("--bind", str(folder)), ("-o", "remount,ro,bind")):
+        cell.whole_push()
+        trial.expect_report(IDENTIFICATION, "cannot write", since=since)
+    cell.whole_push(cell.goal(-1))
+    trial.expect_learned(2)
