@@ -132,13 +132,17 @@ def path_of_the_tool() -> PathRequest:
     lost=THE_PUSH,
 )
 def test_corrections_stop(trial: Trial) -> None:
-    cell = trial.cell
-    sent = cell.begin(path_goal(OBJECT, path_of_the_tool()), after=0.03 / TOOL_SPEED)
-    since = time.monotonic()
+    cell, request = trial.cell, path_of_the_tool()
+    sent, since = cell.begin(path_goal(OBJECT, request), after=0.03 / TOOL_SPEED), time.monotonic()
+    # On a slow machine fewer: the path must go on for longer than the executor waits for the next one.
+    nearest = request.path.position[-1, 1] + 1.6 * CORRECTION_TIMEOUT * TOOL_SPEED
     for number in range(N_CORRECTIONS):
         state = cell.monitor.states()[-1]
-        # Straight on from where the tool is, for longer than the executor waits for the next one. Every fifth one is of another push.
-        position = ARM.forward(state.q)[:2, 3] + np.outer([0.0, 1.5 * CORRECTION_TIMEOUT], [0.0, -TOOL_SPEED])
+        tip = ARM.forward(state.q)[:2, 3]
+        if tip[1] < nearest:
+            break
+        # Straight on from where the tool is. Every fifth one is of another push.
+        position = tip + np.outer([0.0, 1.5 * CORRECTION_TIMEOUT], [0.0, -TOOL_SPEED])
         push_id = sent.push_id + 9 * (number % 5 == 4)
         correction = ToolCorrection(push_id, state.stamp, False, np.array([0.0, 1.5 * CORRECTION_TIMEOUT]), position)
         since = cell.monitor.publish("push_correction", correction_to_msg(correction))
