@@ -24,7 +24,7 @@ from push_ident_sim.studies.common.timing import interleaved, statistics
 
 __all__ = ["STUDY"]
 
-_CELLS_ALONG: Final = (5, 10, 14)
+_CELLS_ALONG: Final = 10
 _CALLS: Final = ("single", "batch")
 _N_MODELS: Final = 9
 """Maps of one plate in a batch: as many as the planner's library has models."""
@@ -46,9 +46,9 @@ _STEPS: Final = {"objects": BATCH_STEP, "draws": DRAW_STEP}
 
 def _pieces(settings: Settings) -> list[Piece]:
     quick, seed = settings.quick, settings.seed
-    rounds, along = (1, (5, 10)) if quick else (9, _CELLS_ALONG)
+    rounds = 1 if quick else 9
     return [
-        *(Piece(f"{n**2} cells", _rates, (n, rounds, seed)) for n in along),
+        Piece("rates", _rates, (_CELLS_ALONG, rounds, seed)),
         Piece("threads", _threads, (2 if quick else 15, seed)),
         Piece("ends", _ends, (1 if quick else 10, 5 if quick else 30, seed)),
     ]
@@ -98,7 +98,7 @@ def _spread(errors: Sequence[float]) -> Json:
 
 def _threads(rounds: int, seed: int) -> Json:
     """One thread and two in turn, by both clocks: on a shared machine two threads seldom have two cores."""
-    models, paths = [plate(10, seed + i) for i in range(_N_MODELS)], plate_pushes(2 * _N_PUSHES, seed)
+    models, paths = [plate(_CELLS_ALONG, seed + i) for i in range(_N_MODELS)], plate_pushes(2 * _N_PUSHES, seed)
     n, calls = len(models) * len(paths), {k: _batch(models, paths, np.repeat(_END, len(paths)), k) for k in (1, 2)}
     wall: dict[int, list[float]] = {k: [] for k in calls}
     used: dict[int, list[float]] = {k: [] for k in calls}
@@ -191,10 +191,10 @@ STUDY = Benchmark(
     name="batches",
     title="Rollouts in batches",
     question=(
-        f"{_N_PUSHES} random pushes of 1 s of a square plate under {_N_MODELS} maps: each by a call of its own with the default step of "
+        f"{_N_PUSHES} pushes of 1 s of a square plate under {_N_MODELS} maps: each by a call of its own with the default step of "
         f"1/240 s, and all in one compiled call with the planner's step of 1/{1 / BATCH_STEP:.0f} s. Rates are per second of the "
-        "processor, one thread. Ends are those of the batch against those of the single calls, by cell error, for the plate and for pushes "
-        f"of random objects; also with the step of 1/{1 / DRAW_STEP:.0f} s of the models in the planner's library."
+        "processor. Ends: cell error against the single calls, also for random objects and for the step of the models in the "
+        "planner's library."
     ),
     pieces=_pieces,
     summarise=_summarise,

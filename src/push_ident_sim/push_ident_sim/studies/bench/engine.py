@@ -229,10 +229,9 @@ STUDY = Benchmark(
     name="engine",
     title="The compiled engine",
     question=(
-        f"One square plate cut into 16 to 10,000 cells, {_N_PUSHES} random pushes of 1 s in 240 steps; per push, median (quartiles). The "
-        "gradient is that of a loss of 31 poses with respect to mass and friction of every cell, by the adjoint method, with its error "
-        "against central differences; the Jacobian that of the poses. First call: start of Python, imports, a push with Jacobian and one "
-        "with gradient, kernels from the cache."
+        f"A square plate, {_N_PUSHES} random pushes of 1 s in 240 steps; per push, median (quartiles). The gradient is that of a "
+        "loss of 31 poses with respect to mass and friction of every cell, by the adjoint method, its error that against central "
+        "differences; the Jacobian that of the poses."
     ),
     pieces=_pieces,
     summarise=_summarise,

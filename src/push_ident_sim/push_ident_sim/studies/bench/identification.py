@@ -98,8 +98,8 @@ STUDY = Benchmark(
     name="identification",
     title="Identification to convergence",
     question=(
-        f"`identify` with its default method on {_N_TRAIN} pushes of a plate of {_CELLS_ALONG**2} cells with four different maps, made by "
-        "Bullet. Errors: mean cell error on six held-out pushes."
+        f"`identify` with its default method on {_N_TRAIN} pushes of a plate of {_CELLS_ALONG**2} cells, made by Bullet. Errors: "
+        "mean cell error on six held-out pushes."
     ),
     pieces=_pieces,
     summarise=_summarise,

@@ -44,9 +44,8 @@ _PUSHES: Final = """
 """
 _BENCHMARKS: Final = """# Benchmarks
 
-How long do engine, planning, perception and identification take? `make bench` makes this page. Every piece is measured in a fresh process
-with one thread; calls that are compared take turns. Times are processor seconds, medians with their quartiles, unless the wall clock is
-named.
+`make bench` makes this page. Every piece is measured in a fresh process with one thread; calls that are compared take turns. Times are
+processor seconds, medians with their quartiles, unless the wall clock is named.
 """
 
 
@@ -120,10 +119,10 @@ def _section(study: Study, run: Json, folder: Path, written: list[Path], origin:
 
 def _pushes(run: Json) -> str:
     rows = [
-        [label, *(f"{millimetres(value, 1)} mm" for value in run[key])]
+        [label, *(millimetres(value, 1) for value in run[key])]
         for label, key in (("identified from the pushes before", "errors_m"), ("equal cells, nominal values", "equal_errors_m"))
     ]
-    head = ["cell error at the end of push", *(str(number + 1) for number in range(len(run["errors_m"])))]
+    head = ["cell error [mm] at the end of push", *(str(number + 1) for number in range(len(run["errors_m"])))]
     return _PUSHES.format(table=markdown_table(head, rows))
 
 
