@@ -7,14 +7,12 @@ import pytest
 
 from helpers.objects import hammer, random_records
 from push_ident.errors import InputError
-from push_ident.identification.fitting.fit import Fit
-from push_ident.identification.fitting.levenberg_marquardt import minimise
 from push_ident.identification.fitting.problem import FitProblem, without_first_push
 from push_ident.identification.unknowns.mechanics import effects_at, mechanics_at, model_at
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import Block, Layout, UnknownsSpec, nuisance_effects
 from push_ident.physics.effects import EFFECTS
-from push_ident.types import CameraAccuracy, ObjectShape, SolveStatus
+from push_ident.types import CameraAccuracy, ObjectShape
 
 SHAPE = hammer(1).shape
 PRIOR = Prior(max_modes=4)
@@ -130,22 +128,6 @@ def test_amplitude_scales_the_maps_only(prior: Prior) -> None:
     assert model_at(small, z).pusher_friction == model_at(unknowns, z).pusher_friction
 
 
-def test_frozen_values_keep_their_nominal_value_and_cost_no_evidence() -> None:
-    records = random_records(hammer(1), 2, 1)
-    base, free, frozen = (
-        _fit(FitProblem(records, unknowns))
-        for unknowns in (
-            UnknownsSpec.of(SHAPE, PRIOR),
-            UnknownsSpec.of(SHAPE, PRIOR, effects=("tool_offset",)),
-            UnknownsSpec.of(SHAPE, PRIOR, effects=("tool_offset",), frozen_effects=(0, 1)),
-        )
-    )
-    assert frozen.effects.values == pytest.approx([0.0, 0.0], abs=1e-7)
-    assert frozen.log_evidence == pytest.approx(base.log_evidence, abs=0.05)
-    assert free.log_evidence != pytest.approx(base.log_evidence, abs=0.05)
-    assert frozen.status is SolveStatus.CONVERGED
-
-
 def test_another_layout_takes_over_the_blocks_that_it_shares() -> None:
     one = Layout.of([Block("a", np.ones(2)), Block("b", np.ones(1)), Block("c", np.ones(1))])
     other = Layout.of([Block("c", np.ones(1)), Block("a", np.ones(2)), Block("b", np.ones(2)), Block("d", np.ones(1))])
@@ -161,7 +143,3 @@ def test_unknowns_of_the_pushes_are_a_block_of_the_problem() -> None:
     shorter = without_first_push(x, 3, 3)
     assert problem.without([0]).push_unknowns(shorter).tolist() == problem.push_unknowns(x)[1:].tolist()
     assert problem.continued(np.zeros(problem.size), x[:-3])[:-3].tolist() == x[:-3].tolist()
-
-
-def _fit(problem: FitProblem) -> Fit:
-    return Fit(problem, *minimise(problem, np.zeros(problem.size)))

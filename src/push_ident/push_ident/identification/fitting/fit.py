@@ -109,7 +109,7 @@ class Fit:
     @property
     def log_evidence(self) -> float:
         """Up to a constant of the pushes [nat]: compare fits of the same pushes only."""
-        return -self.end.cost - _log_volume(self.problem, self.end)
+        return -self.end.cost - self.end.log_volume
 
     @property
     def covariance(self) -> Float64Array:
@@ -174,23 +174,15 @@ def fit_amplitudes(
     for i, amplitude in enumerate(AMPLITUDES):
         problem = problem_at(amplitude)
         x0 = problem.continued(start, warm_starts[i]) if i < len(warm_starts) else start
-        end = minimise(problem, x0, max_iterations, relative=True, needed_cost=_needed_cost(problem, fits))
+        end = minimise(problem, x0, max_iterations, relative=True, needed_cost=_needed_cost(fits))
         fits.append(Fit(problem, *end, amplitude))
     return fits
 
 
-def _needed_cost(problem: FitProblem, others: Sequence[Fit]) -> float | NeededCost:
+def _needed_cost(others: Sequence[Fit]) -> float | NeededCost:
     """Cost above which a fit is hopeless beside others; none where no other one explains the pushes to their noise.
 
     Steps then promise what they bring. Where a strong effect is missing, kinks make a fit gain hundreds of nat that no step promises.
     """
     least = max((fit.log_evidence for fit in others if poorness(fit.end) <= 1.0), default=-np.inf) - _HOPELESS
-    return np.inf if np.isinf(least) else lambda end: -least - _log_volume(problem, end)
-
-
-def _log_volume(problem: FitProblem, end: Evaluation) -> float:
-    """Logarithm of the share of the prior that the posterior leaves, with the sign of a cost [nat]."""
-    prior = np.eye(problem.unknowns.size)
-    if (frozen := problem.unknowns.frozen_cost) is not None:
-        prior = prior + frozen.hessian
-    return 0.5 * float(np.linalg.slogdet(end.hessian)[1] - np.linalg.slogdet(prior)[1])
+    return np.inf if np.isinf(least) else lambda end: -least - end.log_volume

@@ -8,7 +8,7 @@ are in units of their prior standard deviation, so that the cost is
     sum_frames (n + 3)/2 log(1 + |W (y - f(x) - s d)|^2 / n) + 1/2 |z|^2 + 1/2 |d|^2 + past(z),      n = `TAILS`
 
 Where forces are measured and the prior uses them, their means over windows are measurements too, of a like cost. The
-quadratic `past` replaces pushes that are no longer simulated. Frozen unknowns have a quadratic of their own.
+quadratic `past` replaces pushes that are no longer simulated.
 
 The noise of a frame is Student's t with n degrees of freedom: near the fit it counts like a normal one, and a wrong pose does not drag
 the maps with it.
@@ -67,6 +67,11 @@ class Evaluation:
     """Gauss-Newton approximation, prior included, shape (n_unknowns, n_unknowns)."""
     residual: Float64Array
     """Whitened, shape (n_frames of all pushes, 3)."""
+
+    @property
+    def log_volume(self) -> float:
+        """Logarithm of the share of the prior that the posterior leaves, with the sign of a cost [nat]."""
+        return 0.5 * float(np.linalg.slogdet(self.hessian)[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,9 +382,7 @@ class FitProblem:
 
     def _prior_cost(self, z: Float64Array) -> float:
         """Cost of the unknowns of the object by their prior and by earlier pushes."""
-        cost = 0.5 * float(z @ z) + self.past(z)
-        frozen = self.unknowns.frozen_cost
-        return cost if frozen is None else cost + frozen(z)
+        return 0.5 * float(z @ z) + self.past(z)
 
     def evaluate(self, x: Float64Array) -> Evaluation:
         """Cost and derivatives at `x`: one simulation per push, with its derivative."""
@@ -391,9 +394,6 @@ class FitProblem:
         gradient[:n_z] = z + self.past.slope(z)
         hessian = np.diag(self.unit_prior)
         hessian[:n_z, :n_z] += self.past.hessian
-        if (frozen := self.unknowns.frozen_cost) is not None:
-            gradient[:n_z] += frozen.slope(z)
-            hessian[:n_z, :n_z] += frozen.hessian
         residuals = []
         for push, terms in enumerate(self._of_pushes(partial(self._push_terms, mechanics, x))):
             if terms is None:

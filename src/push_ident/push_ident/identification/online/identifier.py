@@ -23,7 +23,6 @@ from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.physics.accuracy import quick_steps
-from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
 __all__ = ["FrameUpdate", "OnlineIdentifier", "OnlineState", "running_record"]
@@ -73,7 +72,6 @@ class OnlineIdentifier:
     Args:
         state: to continue from; see `OnlineIdentifier.new`.
         noise: of the observed poses.
-        settings: numerics of the simulation.
         method: solver, a name in `SOLVERS`. One without `Capabilities.takes_past` uses only the latest pushes.
         window: number of pushes that are simulated again at every solve.
         max_seconds: of the solve after a push [s].
@@ -85,7 +83,6 @@ class OnlineIdentifier:
         state: OnlineState,
         *,
         noise: NoiseModel | None = None,
-        settings: SimulationSettings | None = None,
         method: str = DEFAULT_SOLVER,
         window: int = 8,
         max_seconds: float = 30.0,
@@ -96,9 +93,9 @@ class OnlineIdentifier:
         """Of the last solve of this identifier."""
         self.posterior: ModelPosterior = state.posterior
         """The latest estimate, in the middle of a push too."""
-        self._options, self._solver, self._window = FitOptions(noise=noise, numerics=settings), solver_of(method), window
+        self._options, self._solver, self._window = FitOptions(noise=noise), solver_of(method), window
         # An update in the middle of a push must be quick, and nothing of it is kept.
-        self._frame_options = replace(self._options, noise=noise_at_rest(state.records, noise), numerics=quick_steps(settings))
+        self._frame_options = replace(self._options, noise=noise_at_rest(state.records, noise), numerics=quick_steps(None))
         self._budget, self._frame_budget = Budget(max_seconds=max_seconds), Budget(max_seconds=frame_seconds)
         self._under_way: tuple[float, Float64Array] | None = None
 

@@ -56,6 +56,8 @@ __all__ = [
     "reference_pushes",
 ]
 
+_REST = 0.5
+"""Time that a planned pusher stands still before and after the push [s]."""
 _SAMPLING = 100.0
 """Of planned pusher paths [Hz]."""
 CHATTER = 10.0
@@ -146,7 +148,6 @@ def candidate_pushes(
     settings: PushSettings,
     obstacles: Sequence[Float64Array] = (),
     *,
-    rest: float = 0.5,
     acceleration: float = np.inf,
 ) -> list[PlannedPush]:
     """Random safe pushes of an object at its present pose.
@@ -158,7 +159,6 @@ def candidate_pushes(
         n: how many.
         settings: limits and ranges of the pushes.
         obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
-        rest: time that the pusher stands still before and after the push [s].
         acceleration: of the pusher at both ends of its path [m/s^2]; by default it has its speed at once, which makes no difference where
             only friction decides.
 
@@ -167,7 +167,7 @@ def candidate_pushes(
     """
     pose = np.array(pose_object_in_table, dtype=np.float64)
     plans = [sample_push(shape, pose, rng, settings, obstacles) for _ in range(n)]
-    return [PlannedPush(pose, _pusher_path(plan, settings, rest, acceleration), plan) for plan in plans]
+    return [PlannedPush(pose, _pusher_path(plan, settings, acceleration), plan) for plan in plans]
 
 
 def reference_pushes(shape: ObjectShape, rng: np.random.Generator, n: int, settings: PushSettings | None = None) -> list[PlannedPush]:
@@ -363,14 +363,14 @@ def _freeze(owner: PlannedPush | PoseSensor, name: str, shape: tuple[int, ...]) 
     object.__setattr__(owner, name, array)
 
 
-def _pusher_path(plan: PushPlan2D, settings: PushSettings, rest: float, acceleration: float) -> PusherPath:
+def _pusher_path(plan: PushPlan2D, settings: PushSettings, acceleration: float) -> PusherPath:
     """Stand, drive straight through the contact to the end, stand."""
     length = settings.clearance + plan.distance
     speed = min(plan.speed, float(np.sqrt(acceleration * length)))
     ramp = speed / acceleration
     end = length / speed + ramp
-    time = np.arange(0.0, end + 2 * rest, 1.0 / _SAMPLING)
-    since, left = np.clip(time - rest, 0.0, end), np.clip(rest + end - time, 0.0, end)
+    time = np.arange(0.0, end + 2 * _REST, 1.0 / _SAMPLING)
+    since, left = np.clip(time - _REST, 0.0, end), np.clip(_REST + end - time, 0.0, end)
     # At constant speed from the middle of the first ramp to the middle of the last one; the ramps follow.
     travel = np.clip(speed * (since - 0.5 * ramp), 0.0, length)
     if ramp > 0:

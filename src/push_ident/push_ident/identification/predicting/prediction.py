@@ -139,7 +139,6 @@ def held_out_errors(
     records: Sequence[PushRecord],
     *,
     effects: EffectsLike | None = None,
-    noise: NoiseModel | None = None,
     settings: SimulationSettings | None = None,
     observed: Sequence[Observation] | None = None,
 ) -> Float64Array:
@@ -149,7 +148,7 @@ def held_out_errors(
     `observed` are the condensed records, where they are known. NaN where the simulation failed.
     """
     acting = effect_values(effects).of_poses
-    condensed = [observe_push(record, noise) for record in records] if observed is None else observed
+    condensed = [observe_push(record) for record in records] if observed is None else observed
     errors = []
     for record, push in zip(records, condensed, strict=True):
         scenario = PushScenario(record.pusher, true_pose(acting, push.pose[0]), push.time[-1:], record.order)

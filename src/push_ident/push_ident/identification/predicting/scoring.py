@@ -13,7 +13,7 @@ from push_ident.identification.predicting.prediction import CHI2_90, predict
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.unknowns.mechanics import uniform_model
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import SimulationSettings, simulate
+from push_ident.physics.simulation import simulate
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
 __all__ = ["PushScore", "RunningRecord", "ScoreSummary", "score_push", "summarise_scores"]
@@ -96,7 +96,6 @@ def score_push(
     number: int,
     *,
     noise: NoiseModel | None = None,
-    settings: SimulationSettings | None = None,
 ) -> PushScore:
     """Predict a finished push with the model of the pushes before it, and compare.
 
@@ -105,14 +104,11 @@ def score_push(
         record: the push.
         number: of the push, from 1.
         noise: of observed poses.
-        settings: numerics of the simulation.
     """
     observed = observe_push(record, before.noise(noise))
     scenario = PushScenario(record.pusher, observed.pose[0], observed.time[-1:], record.order)
-    prediction = predict(before, scenario, first_covariance=observed.first_covariance, noise=noise, settings=settings)
-    plain = simulate(
-        uniform_model(record.shape, before.prior), PushScenario(record.pusher, observed.pose[0], observed.time[-1:]), settings=settings
-    )
+    prediction = predict(before, scenario, first_covariance=observed.first_covariance, noise=noise)
+    plain = simulate(uniform_model(record.shape, before.prior), PushScenario(record.pusher, observed.pose[0], observed.time[-1:]))
     cells = record.shape.cells
     error = mahalanobis2 = np.nan
     if prediction.status is not SolveStatus.SIMULATION_FAILED:

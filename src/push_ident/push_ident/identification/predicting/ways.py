@@ -31,16 +31,16 @@ class Way:
     """Mean last pose, table frame, shape (3,)."""
 
 
-def ways_of(cells: CellGrid, prediction: Prediction, noise: NoiseModel | None = None) -> list[Way]:
+def ways_of(cells: CellGrid, prediction: Prediction) -> list[Way]:
     """One way, or two that are clearly apart, the likelier first; none where the prediction failed.
 
     The last poses under the drawn models are cut in two along the direction in which they differ most, where the variance within both
-    parts is least (Otsu's threshold, IEEE Trans. SMC 9, 1979). Distances are root mean squares over the cells.
+    parts is least (Otsu's threshold, IEEE Trans. SMC 9, 1979). Distances are root mean squares over the cells;
+    ways that poses cannot tell apart are one.
 
     Args:
         cells: of the object.
         prediction: with its draws.
-        noise: of poses; ways that these cannot tell apart are one.
     """
     ends = prediction.ends
     if len(ends) == 0:
@@ -58,7 +58,7 @@ def ways_of(cells: CellGrid, prediction: Prediction, noise: NoiseModel | None = 
     cut = min(cuts, key=lambda n: np.var(score[order[:n]]) * n + np.var(score[order[n:]]) * (len(ends) - n))
     parts = [order[:cut], order[cut:]]
     gap = float(np.mean(score[parts[1]]) - np.mean(score[parts[0]]))
-    floor = metric @ (noise or NoiseModel()).floor @ metric.T
+    floor = metric @ NoiseModel().floor @ metric.T
     reach = sum(float(np.sqrt(np.var(score[part]) + np.trace(floor))) for part in parts)
     if gap <= _APART * reach:
         return [Way(1.0, ends.mean(axis=0))]

@@ -6,7 +6,7 @@ variant of it. `mechanics` maps its vectors to the moving body.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -15,10 +15,9 @@ from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
 from push_ident.identification.unknowns.prior import Prior
-from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS, SENSOR_ERRORS
-from push_ident.types import BoolArray, Float64Array, ObjectShape
+from push_ident.types import Float64Array, ObjectShape
 
 __all__ = [
     "PREFERENCE_STD", "Block", "Layout", "UnknownsSpec", "leading_modes", "map_covariance", "measured_std", "nuisance_effects",
@@ -29,9 +28,6 @@ PREFERENCE_STD: Final = 0.7
 """Prior standard deviation of the logarithm of the load that a foot prefers [-]; statics alone gives that of three feet."""
 _GIVEN_STD: Final = 1e-3
 """Standard deviation of the logarithm of a total mass that counts as given [-]: no scale of a force sensor is better."""
-_FROZEN_PRECISION: Final = 1e8
-"""Precision about zero of a frozen unknown, in units of its prior: a standard deviation of 1e-4 prior standard deviations, below any
-effect on a motion. A finite number keeps one layout of the vector for free and frozen unknowns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +91,6 @@ class UnknownsSpec:
     given_effect_std: Mapping[str, ArrayLike]
     """Prior standard deviations of the parameters of an effect, by its name, where they are not those of `measured_std` or of the
     catalogue. Names of other effects are ignored."""
-    frozen_effects: tuple[int, ...]
-    """Numbers of values of the effects that keep their nominal value."""
     layout: Layout = field(init=False)
     """Position of each block."""
     blocks: Mapping[str, Block] = field(init=False)
@@ -105,8 +99,6 @@ class UnknownsSpec:
     """Number of unknowns. All three are those of `layout`."""
     maps: slice = field(init=False)
     """Position of the unknowns of all maps."""
-    frozen_cost: Quadratic | None = field(init=False)
-    """Cost that keeps the frozen unknowns at zero, beside the unit normal prior; None where none is frozen."""
 
     def __post_init__(self) -> None:
         if self.modes.ndim != 2 or len(self.modes) != len(self.shape.cells):
@@ -134,7 +126,6 @@ class UnknownsSpec:
             "slices": layout.slices,
             "size": layout.size,
             "maps": slice(layout.slices["mass_map"].start, layout.slices["friction_map"].stop),
-            "frozen_cost": _frozen_cost(layout, self.frozen_effects),
         }
         for name, value in derived.items():
             object.__setattr__(self, name, value)
@@ -149,7 +140,6 @@ class UnknownsSpec:
         modes: Float64Array | None = None,
         effects: Sequence[str] = (),
         effect_std: Mapping[str, ArrayLike] | None = None,
-        frozen_effects: Collection[int] = (),
     ) -> UnknownsSpec:
         """The unknowns of an object.
 
@@ -160,11 +150,10 @@ class UnknownsSpec:
             modes: of a map, where they are known already (from a file), shape (n_cells, n_modes).
             effects: names of effects whose parameters are unknown too.
             effect_std: see `given_effect_std`.
-            frozen_effects: numbers of values of the effects that keep their nominal value.
         """
         if modes is None:
             modes = leading_modes(shape, prior) if maps else np.zeros((len(shape.cells), 0))
-        return cls(shape, prior, modes, effect_values(effects), dict(effect_std or {}), tuple(frozen_effects))
+        return cls(shape, prior, modes, effect_values(effects), dict(effect_std or {}))
 
     def _effect_std(self) -> Float64Array:
         std = np.array([parameter.scale for parameter in self.effects.parameters], dtype=np.float64)
@@ -176,9 +165,9 @@ class UnknownsSpec:
                 std[self.effects.slice_of(name)] = given
         return std
 
-    def with_effects(self, names: Sequence[str], frozen_effects: Collection[int] = ()) -> UnknownsSpec:
+    def with_effects(self, names: Sequence[str]) -> UnknownsSpec:
         """The same object under the same prior with other effects."""
-        return replace(self, effects=effect_values(names), frozen_effects=tuple(frozen_effects))
+        return replace(self, effects=effect_values(names))
 
     def equal_cells(self) -> UnknownsSpec:
         """Without maps: only the scales and the effects are free."""
@@ -212,15 +201,6 @@ class UnknownsSpec:
         unit = np.ones(self.size)
         unit[self.maps] = amplitude
         return unit
-
-
-def _frozen_cost(layout: Layout, frozen_effects: Sequence[int]) -> Quadratic | None:
-    if not frozen_effects:
-        return None
-    frozen: BoolArray = np.zeros(layout.size, dtype=bool)
-    frozen[layout.slices["effects"].start + np.array(frozen_effects)] = True
-    zero = np.zeros(layout.size)
-    return Quadratic(zero, zero, np.diag(np.where(frozen, _FROZEN_PRECISION, 0.0)))
 
 
 def nuisance_effects(shape: ObjectShape, prior: Prior) -> tuple[str, ...]:
