@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from push_ident.errors import InputError
@@ -128,8 +128,7 @@ def _straight(push: PushPlan2D) -> Float64Array:
 
 def goal_markers_to_msg(drawing: GoalDrawing | None, stamp: Time) -> MarkerArray:
     """Markers that replace the earlier ones; None: no goal is pursued."""
-    cleared = Marker(action=Marker.DELETEALL)
-    cleared.header.frame_id, cleared.header.stamp = TABLE_FRAME, stamp
+    cleared = Marker(action=Marker.DELETEALL, header=Header(stamp=stamp, frame_id=TABLE_FRAME))
     if drawing is None:
         return MarkerArray(markers=[cleared])
     suffix = f"/{drawing.object_id}"

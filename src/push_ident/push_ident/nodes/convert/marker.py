@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from builtin_interfaces.msg import Time
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
 from push_ident.geometry.frames import TABLE_FRAME
@@ -35,7 +35,6 @@ MARKERS: Final = MarkerSettings()
 
 def marker(stamp: Time, name: str, kind: int, colour: ColorRGBA, number: int = 0) -> Marker:
     """A marker in the frame `table`, to be added; `kind` is a type of visualization_msgs/Marker."""
-    msg = Marker(ns=name, id=number, type=kind, action=Marker.ADD, color=colour)
-    msg.header.frame_id, msg.header.stamp = TABLE_FRAME, stamp
+    msg = Marker(ns=name, id=number, type=kind, action=Marker.ADD, color=colour, header=Header(stamp=stamp, frame_id=TABLE_FRAME))
     msg.pose.orientation.w = 1.0
     return msg

@@ -17,7 +17,7 @@ from nav_msgs.msg import OccupancyGrid
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from shape_msgs.msg import SolidPrimitive
-from std_msgs.msg import Float32MultiArray, MultiArrayDimension, MultiArrayLayout
+from std_msgs.msg import Float32MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
 from push_ident.bags.decode import camera_accuracy_of
 from push_ident.errors import FrameError, InputError
@@ -108,9 +108,7 @@ def planar_pose_to_msg(stamp: Time, pose: ArrayLike, covariance: ArrayLike, *, f
     x, y, yaw = (float(value) for value in np.asarray(pose, dtype=np.float64))
     full = np.eye(6) * PLANAR_POSE.fixed_variance
     full[np.ix_(_PLANAR, _PLANAR)] = np.asarray(covariance, dtype=np.float64)
-    msg = PoseWithCovarianceStamped()
-    msg.header.stamp = stamp
-    msg.header.frame_id = frame_id
+    msg = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=frame_id))
     msg.pose.pose.position.x, msg.pose.pose.position.y = x, y
     _set_yaw(msg.pose.pose.orientation, yaw)
     msg.pose.covariance = full.ravel()
@@ -147,9 +145,7 @@ def planar_pose_of(pose: Pose) -> Float64Array:
 def transform_to_msg(stamp: Time, transform: ArrayLike, *, frame_id: str = TABLE_FRAME) -> PoseStamped:
     """A homogeneous transform, shape (4, 4), from the frame that it describes to `frame_id`."""
     matrix = np.asarray(transform, dtype=np.float64)
-    msg = PoseStamped()
-    msg.header.stamp = stamp
-    msg.header.frame_id = frame_id
+    msg = PoseStamped(header=Header(stamp=stamp, frame_id=frame_id))
     msg.pose.position.x, msg.pose.position.y, msg.pose.position.z = (float(value) for value in matrix[:3, 3])
     turn = msg.pose.orientation
     turn.x, turn.y, turn.z, turn.w = quaternion_of_pose(matrix)
@@ -168,9 +164,7 @@ def transform_from_msg(msg: PoseStamped, *, frame_id: str = TABLE_FRAME) -> Floa
 
 def position_to_msg(stamp: Time, position: ArrayLike, *, yaw: float = 0.0, frame_id: str = TABLE_FRAME) -> PoseStamped:
     """Pose of the tool tip (or another point) [m], shape (3,), turned about z by `yaw` [rad]."""
-    msg = PoseStamped()
-    msg.header.stamp = stamp
-    msg.header.frame_id = frame_id
+    msg = PoseStamped(header=Header(stamp=stamp, frame_id=frame_id))
     x, y, z = (float(value) for value in np.asarray(position, dtype=np.float64))
     msg.pose.position.x, msg.pose.position.y, msg.pose.position.z = x, y, z
     _set_yaw(msg.pose.orientation, yaw)
@@ -193,9 +187,7 @@ def position_from_msg(msg: PoseStamped, *, frame_id: str = TABLE_FRAME) -> tuple
 
 def force_to_msg(stamp: Time, force: ArrayLike, *, frame_id: str = TABLE_FRAME) -> WrenchStamped:
     """Horizontal force of the pusher on the object [N], shape (2,)."""
-    msg = WrenchStamped()
-    msg.header.stamp = stamp
-    msg.header.frame_id = frame_id
+    msg = WrenchStamped(header=Header(stamp=stamp, frame_id=frame_id))
     x, y = (float(value) for value in np.asarray(force, dtype=np.float64))
     msg.wrench.force.x, msg.wrench.force.y = x, y
     return msg
@@ -238,8 +230,7 @@ def cylinder_radius_from_msg(msg: SolidPrimitive) -> float:
 
 def camera_accuracy_to_msg(accuracy: CameraAccuracy, stamp: Time) -> PoseWithCovarianceStamped:
     """The table frame that the camera sees in the true one: the identity, with its covariance."""
-    msg = PoseWithCovarianceStamped()
-    msg.header.stamp, msg.header.frame_id = stamp, TABLE_FRAME
+    msg = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=TABLE_FRAME))
     msg.pose.pose.orientation.w = 1.0
     variance = np.array([accuracy.position**2, accuracy.position**2, 0.0, 0.0, 0.0, accuracy.heading**2])
     msg.pose.covariance = np.diag(variance).ravel()
@@ -375,9 +366,7 @@ def occupancy_to_msg(
     data: NDArray[np.int8], resolution: float, origin: ArrayLike, stamp: Time, *, frame_id: str = TABLE_FRAME
 ) -> OccupancyGrid:
     """Grid of -1 (unknown), 0 (free) to 100 (occupied), shape (rows along y, columns along x); `origin` is its low corner [m]."""
-    msg = OccupancyGrid()
-    msg.header.stamp = stamp
-    msg.header.frame_id = frame_id
+    msg = OccupancyGrid(header=Header(stamp=stamp, frame_id=frame_id))
     msg.info.map_load_time = stamp
     msg.info.resolution = float(resolution)
     msg.info.height, msg.info.width = (int(n) for n in data.shape)
@@ -446,9 +435,14 @@ def depth_frame_to_msgs(frame: DepthFrame, stamp: Time, *, encoding: str = "16UC
     else:
         raise InputError(f"Depth encoding is {encoding!r}, expected 16UC1 or 32FC1.")
     height, width = pixels.shape
-    image = Image(encoding=encoding, height=int(height), width=int(width), step=int(width * pixels.itemsize), is_bigendian=0)
-    image.header.stamp = stamp
-    image.header.frame_id = frame.frame_id
+    image = Image(
+        encoding=encoding,
+        height=int(height),
+        width=int(width),
+        step=int(width * pixels.itemsize),
+        is_bigendian=0,
+        header=Header(stamp=stamp, frame_id=frame.frame_id),
+    )
     image.data = array("B", pixels.tobytes())
     camera = frame.intrinsics
     info = CameraInfo(height=int(camera.height), width=int(camera.width), distortion_model="plumb_bob", d=[0.0] * 5)

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point32, PolygonStamped
+from std_msgs.msg import Header
 
 from push_ident.errors import InputError
 from push_ident.geometry.table import Table
@@ -58,8 +59,7 @@ def edge_from_msg(msg: PolygonStamped) -> TableEdge:
 
 
 def _points_to_msg(points: Float64Array, stamp: Time) -> PolygonStamped:
-    msg = PolygonStamped()
-    msg.header.frame_id, msg.header.stamp = TABLE_FRAME, stamp
+    msg = PolygonStamped(header=Header(stamp=stamp, frame_id=TABLE_FRAME))
     msg.polygon.points = [Point32(x=float(x), y=float(y), z=0.0) for x, y in points]
     return msg
 
