@@ -20,6 +20,8 @@ from push_ident.cli.restart import Backoff, RestartPolicy
 from push_ident.cli.supervisor import NodeCommand, Supervisor, node_commands
 from push_ident.nodes.base.lifetime import stop_signals_blocked
 
+pytestmark = pytest.mark.live
+
 NODE = """
 import os, subprocess, sys, time
 from pathlib import Path

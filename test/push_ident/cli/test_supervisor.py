@@ -18,6 +18,8 @@ from helpers.processes import is_alive, wait_until
 from push_ident.cli.supervisor import NodeCommand, Supervisor, SupervisorError, config_file, node_commands
 from push_ident.errors import InputError
 
+pytestmark = pytest.mark.live
+
 SLEEP = "import time; print('ready'); time.sleep(60)"
 DIES = "import sys; print('no camera', file=sys.stderr); sys.exit(7)"
 ONCE_READY = """

@@ -34,6 +34,8 @@ from push_ident.nodes.recording.recording_port import REPEATED, RecordingPort
 from push_ident.nodes.recording.settings import RECORDING
 from push_ident_sim.cell.sim_hand_node import SimHandNode
 
+pytestmark = pytest.mark.live
+
 
 class Listener(CellNode):
     """A node that has the ports."""
