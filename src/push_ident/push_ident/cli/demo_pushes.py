@@ -13,8 +13,7 @@ import numpy as np
 from push_ident.cli.output import millimetres, say
 from push_ident.errors import PushIdentError
 from push_ident.geometry.cells import cell_error
-from push_ident.identification.predicting.prediction import predict
-from push_ident.identification.predicting.ways import Way, ways_of
+from push_ident.identification.predicting.prediction import Outcome, outcomes_of, predict
 from push_ident.identification.results.model_file import load_model
 from push_ident.identification.unknowns.mechanics import uniform_model
 from push_ident.physics.scenario import PushScenario
@@ -165,10 +164,11 @@ class DemoPushes:
         self._client.save_model(self._object_id, str(self._model.resolve()))
         _, posterior = load_model(self._model)
         prediction = predict(posterior, PushScenario(path, before, path.time))
-        ways = ways_of(posterior.unknowns.shape.cells, prediction)
-        # Where there is one way only, the prediction is where the mean model ends.
-        ways = ways if len(ways) > 1 else [Way(1.0, prediction.pose[-1])]
-        push.expected_m, push.ways = prediction.cell_error_std, [{"chance": way.chance, "end": way.end.tolist()} for way in ways]
+        outcomes = outcomes_of(posterior.unknowns.shape.cells, prediction)
+        # Where there is one outcome only, the prediction is where the mean model ends.
+        outcomes = outcomes if len(outcomes) > 1 else [Outcome(1.0, prediction.pose[-1])]
+        push.expected_m = prediction.cell_error_std
+        push.ways = [{"chance": outcome.chance, "end": outcome.end.tolist()} for outcome in outcomes]
         say(f"push {len(self.made) + 1} predicted, {push.expectation}")
         return prediction.pose[-1]
 

@@ -111,12 +111,14 @@ def why_no_object_ends_there(record: PushRecord, known: ModelPosterior, prior: P
     poses, shape, camera = record.poses, record.shape, record.poses.camera
     first, last = (np.median(poses.pose[frames], axis=0) for frames in (before, after))
     of_first, of_last = (np.median(poses.covariance[frames], axis=0) for frames in (before, after))
-    seen, pusher = float(np.median(poses.time[after])), record.pusher
-    if why := why_impossible(shape, pusher, first, last, covariance_before=of_first, covariance_after=of_last, camera=camera, seen=seen):
+    end_time, pusher = float(np.median(poses.time[after])), record.pusher
+    if why := why_impossible(
+        shape, pusher, first, last, covariance_before=of_first, covariance_after=of_last, camera=camera, seen=end_time
+    ):
         return why
     noise = float(np.linalg.norm(noise_allowance(shape, np.array([of_first, of_last]))))
     possible, nearest = _TRAVEL_SHARE * travel_in_contact(shape, pusher, first, of_first, camera) + noise, np.inf
-    time = np.maximum(seen + _CLOCKS, float(pusher.time[0]))
+    time = np.maximum(end_time + _CLOCKS, float(pusher.time[0]))
     for ends in _simulated(PushScenario(pusher, first, time, record.order), known, prior):
         nearest = min(nearest, float(np.min(displacement(shape, ends, last))))
         if nearest <= possible:

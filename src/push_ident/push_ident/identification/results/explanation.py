@@ -1,4 +1,4 @@
-"""Whether a fit explains its own training pushes: against the motion that was seen, the stated noise, and what contact allows.
+"""Whether a fit explains its own training pushes: against the observed motion, the stated noise, and what contact allows.
 
 Student's t lets a fit call frames outliers, first poses included, and converge while every push ends elsewhere. So the outcome is judged
 apart from its cost. Each training push is simulated from its first observed pose by the fitted model, and compared with three things:
@@ -201,9 +201,9 @@ def _evidence(mechanics: Mechanics, record: PushRecord, settings: SimulationSett
     motion = mechanics.simulate(scenario, settings=settings)
     error = np.inf if motion.status is SolveStatus.SIMULATION_FAILED else cell_error(cells, motion.pose[-1], last)
     noise = _noise(record)
-    # An object that is hidden at the end of a push is seen last while it moves: compared is where the pusher was then.
-    seen_last, pusher = float(np.median(poses.time[end])), record.pusher
-    tip = np.array([[np.interp(seen_last, pusher.time, pusher.position[:, axis]) for axis in (0, 1)]])
+    # An object that is hidden at the end of a push is last observed while it moves: compared is where the pusher was then.
+    end_time, pusher = float(np.median(poses.time[end])), record.pusher
+    tip = np.array([[np.interp(end_time, pusher.time, pusher.position[:, axis]) for axis in (0, 1)]])
     return PushEvidence(
         error=error if np.isfinite(error) else np.inf,
         motion=cell_error(cells, first, last),

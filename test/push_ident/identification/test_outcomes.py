@@ -1,0 +1,49 @@
+"""Two possible ends of a push are reported where the drawn models form two separate groups, and only there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from helpers.objects import hammer
+from push_ident.identification.predicting.prediction import Prediction, outcomes_of
+from push_ident.types import Float64Array, SolveStatus
+
+CELLS = hammer(3).shape.cells
+
+
+def prediction(ends: Float64Array) -> Prediction:
+    return Prediction(np.array([1.0]), ends[:1], np.eye(3)[None], 0.01, SolveStatus.CONVERGED, ends)
+
+
+def drawn(share: float, offset: Float64Array, spread: float, n: int = 32) -> Float64Array:
+    rng = np.random.default_rng(0)
+    left = np.arange(n) < round(share * n)
+    return np.array([0.5, 0.1, np.pi]) + np.where(left[:, None], 0.0, offset) + spread * rng.normal(size=(n, 3)) * [1.0, 1.0, 5.0]
+
+
+@pytest.mark.parametrize("offset", [np.array([0.0, 0.0, 0.6]), np.array([0.03, 0.02, 0.0]), np.array([0.01, -0.02, -0.5])])
+def test_separate_outcomes_are_reported_with_their_chances(offset: Float64Array) -> None:
+    ends = drawn(0.75, offset, 0.001)
+    first, second = outcomes_of(CELLS, prediction(ends))
+    assert (first.chance, second.chance) == (0.75, 0.25)
+    np.testing.assert_allclose(second.end - first.end, offset, atol=0.005)
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [drawn(1.0, np.zeros(3), 0.01), np.linspace([0.0, 0.0, -0.5], [0.02, 0.0, 0.5], 32), drawn(0.95, np.array([0.0, 0.0, 0.8]), 0.001)],
+    ids=["one heap", "evenly spread", "a rare one"],
+)
+def test_outcomes_that_are_not_separate_are_one(ends: Float64Array) -> None:
+    (outcome,) = outcomes_of(CELLS, prediction(ends))
+    assert outcome.chance == 1.0
+
+
+def test_difference_that_poses_do_not_show_is_one_outcome() -> None:
+    assert len(outcomes_of(CELLS, prediction(drawn(0.5, np.array([1e-4, 0.0, 0.0]), 1e-7)))) == 1
+
+
+def test_a_failed_prediction_has_no_outcome() -> None:
+    failed = Prediction(np.array([1.0]), np.full((1, 3), np.nan), np.eye(3)[None], np.nan, SolveStatus.SIMULATION_FAILED)
+    assert outcomes_of(CELLS, failed) == []
