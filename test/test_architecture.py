@@ -40,7 +40,6 @@ ORDER = [
 ROOMS = {
     "perception": [
         "kernels refusals settings",
-        "shape_kernels",
         "frame",
         "known_object",
         "observation tracking",

@@ -11,10 +11,19 @@ from push_ident.geometry.rod import Rod
 from push_ident.perception.frame.occupancy import top_down
 from push_ident.perception.frame.robot import Cylinder, in_robot
 from push_ident.perception.frame.view import OBJECT, ROBOT, TABLE, UNKNOWN, FrameView, median_frame
-from push_ident.perception.kernels import Grid, compare_lines, interpolate, nearest_values
+from push_ident.perception.kernels import (
+    Grid,
+    compare_lines,
+    edges_nearest,
+    grow_surfaces,
+    interpolate,
+    mark_folds,
+    mark_jumps,
+    nearest_values,
+    outline_distances,
+)
 from push_ident.perception.known_object import Template, TracedObject
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape_kernels import edges_nearest, grow_surfaces, mark_folds, mark_jumps, outline_distances
 from push_ident.types import CameraIntrinsics, CellGrid, DepthFrame, ObjectShape
 
 SETTINGS = PerceptionSettings()

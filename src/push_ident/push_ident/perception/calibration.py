@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.outline import cells_in_outline, points_in_polygon, polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points
+from push_ident.perception.frame.table import STRIDE
 from push_ident.perception.frame.view import FrameView, median_frame, points_in_table
 from push_ident.perception.known_object import PoseFit, Segment, SegmentedView, Template, TracedObject, TrackStatus
 from push_ident.perception.outline.tracing import trace_object
@@ -28,15 +29,13 @@ from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["Calibration", "Mark", "calibrate", "camera_over_table", "table_extent"]
 
-_STRIDE: Final = 4
-"""Every fourth pixel of every fourth row is used for the plane."""
-_HYPOTHESES: Final = 300
+_PLANES_IN_VIEW: Final = 300
 """Random planes tried."""
 _MIN_SHARE: Final = 0.15
 """Least fraction of all points that must lie on the plane of the table."""
 _DIFFERENT: Final = 0.004
 """Least mean distance between the outlines of the mark and of a turned copy [m]: below it the heading is ambiguous."""
-_AREA: Final = (0.6, 1.6)
+_MARK_AREA: Final = (0.6, 1.6)
 """Range of the area of a segment that may be the mark, relative to the area of the mark."""
 _MAX_RESIDUAL: Final = 0.003
 """A larger distance between measured and known outline means that something else was taken for the mark [m]."""
@@ -107,10 +106,10 @@ def camera_over_table(frame: DepthFrame, tilt_limit: float = np.deg2rad(80.0)) -
     Raises:
         PerceptionError: Too few valid pixels, or no plane with enough of them.
     """
-    points = points_in_table(frame, np.eye(4))[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(np.float64)
+    points = points_in_table(frame, np.eye(4))[::STRIDE, ::STRIDE].reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points[:, 2])]
     if len(points) < 200:
-        raise PerceptionError(f"Depth image has {len(points) * _STRIDE**2} valid of {frame.depth.size} pixels; check the camera.")
+        raise PerceptionError(f"Depth image has {len(points) * STRIDE**2} valid of {frame.depth.size} pixels; check the camera.")
     normal, offset = _largest_plane(points, np.cos(tilt_limit))
     # Noise grows with the square of the depth, so near points get more weight.
     weight = 1.0 / points[:, 2] ** 2
@@ -142,7 +141,7 @@ def camera_over_table(frame: DepthFrame, tilt_limit: float = np.deg2rad(80.0)) -
 
 def table_extent(frame: DepthFrame, camera_in_table: Float64Array, noise: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Low and high corner [m] of the box that holds 99 % of the plane's points along each axis."""
-    points = points_in_table(frame, camera_in_table)[::_STRIDE, ::_STRIDE].reshape(-1, 3)
+    points = points_in_table(frame, camera_in_table)[::STRIDE, ::STRIDE].reshape(-1, 3)
     with np.errstate(invalid="ignore"):
         flat = points[np.abs(points[:, 2]) < 4.0 * noise, :2].astype(np.float64)
     low, high = np.quantile(flat, [0.005, 0.995], axis=0)
@@ -166,7 +165,7 @@ def calibrate(frames: Sequence[DepthFrame], mark: Mark) -> Calibration:
     view = FrameView(frame, camera, settings=settings, noise=noise)
     segments, counts = find_segments(view)
     area = polygon_area(mark.outline)
-    similar = [segment for segment in segments if segment.whole and _AREA[0] * area < segment.area < _AREA[1] * area]
+    similar = [segment for segment in segments if segment.whole and _MARK_AREA[0] * area < segment.area < _MARK_AREA[1] * area]
     if not similar:
         raise PerceptionError(
             f"None of {counts['segments']} segments on the table is whole and of the area of the mark, {area * 1e4:.0f} cm^2 "
@@ -195,7 +194,7 @@ def _largest_plane(points: Float64Array, least_cosine: float) -> tuple[Float64Ar
     rng = np.random.default_rng(0)
     scored = points[rng.integers(len(points), size=min(len(points), 3000))]
     best, best_count = (np.array([0.0, 0.0, -1.0]), -1.0), -1
-    for triple in points[rng.integers(len(points), size=(_HYPOTHESES, 3))]:
+    for triple in points[rng.integers(len(points), size=(_PLANES_IN_VIEW, 3))]:
         normal = np.cross(triple[1] - triple[0], triple[2] - triple[0])
         length = float(np.linalg.norm(normal))
         if length < 1e-4 or abs(normal[2]) < least_cosine * length:

@@ -2,8 +2,9 @@
 
 Each kernel declares its argument types. Numba therefore compiles it, or reads it from its cache, when this module is imported: a node
 that subscribes never waits for the compiler. A kernel and what it calls stay in one file, because numba's cache detects changes of a
-kernel's own file only: here those of every frame, in `shape_kernels` those of segments and shapes. The loops stay whole: numba compiles
-each kernel for one set of types, and splitting the loops would cost speed.
+kernel's own file only. The loops stay whole: numba compiles each kernel for one set of types, and splitting the loops would cost speed.
+First come those of every frame, then those that divide pixels into surfaces and trace objects; each of these gives the same result as the
+operations on whole arrays that it replaces, to the last bit.
 """
 
 from __future__ import annotations
@@ -20,17 +21,22 @@ __all__ = [
     "Grid",
     "compare_lines",
     "displaced_scores",
+    "edges_nearest",
+    "grow_surfaces",
+    "highest_in_cells",
     "innermost_points",
     "interpolate",
     "intersect_object",
-    "kernel",
     "label_heights",
+    "mark_folds",
+    "mark_jumps",
     "nearest_values",
+    "outline_distances",
     "place_points",
     "points_in_rods",
     "project_down",
     "scores_of_squares",
-    "read_only",
+    "sort_columns",
 ]
 
 
@@ -45,21 +51,24 @@ class Grid(NamedTuple):
     """Distance between nodes [m]."""
 
 
-def read_only(element: Any, n_axes: int, layout: str = "C") -> Any:
+def _read_only(element: Any, n_axes: int, layout: str = "C") -> Any:
     """Type of an array that the kernel only reads."""
     return types.Array(element, n_axes, layout, readonly=True)
 
 
 _REAL: Final = types.float64
-_REALS: Final = read_only(types.float64, 1)
-_ROWS: Final = read_only(types.float64, 2)
+_REALS: Final = _read_only(types.float64, 1)
+_ROWS: Final = _read_only(types.float64, 2)
 _GRID: Final = types.NamedTuple((types.Array(types.float64, 2, "C"), types.Array(types.float64, 1, "C"), types.float64), Grid)
-_IMAGE: Final = read_only(types.float32, 2, "A")
-_MASK: Final = read_only(types.uint8, 2)
-_POINTS: Final = read_only(types.float32, 3)
+_IMAGE: Final = _read_only(types.float32, 2, "A")
+_MASK: Final = _read_only(types.uint8, 2)
+_POINTS: Final = _read_only(types.float32, 3)
+_DEPTH: Final = _read_only(types.float32, 2)
+_FLAGS: Final = _read_only(types.bool_, 2)
+_NUMBERS: Final = _read_only(types.int32, 2)
 
 
-def kernel(*arguments: Any) -> Any:
+def _kernel(*arguments: Any) -> Any:
     """Compile for these argument types; division by zero gives infinity, as in numpy."""
     return njit([arguments], cache=True, error_model="numpy")
 
@@ -136,7 +145,7 @@ def _expected(field: Any, upper: Any, lower: Any, pose: Any, cos: Any, sin: Any,
     return x, y, distance, expected, by_x, by_y, -steepness * (along_x * y - along_y * x)
 
 
-@kernel(_GRID, _ROWS)
+@_kernel(_GRID, _ROWS)
 def nearest_values(grid: Any, points: Any) -> Any:
     """Values, shape (n,), of the nodes nearest to points (n, 2)."""
     result = np.empty(len(points))
@@ -145,7 +154,7 @@ def nearest_values(grid: Any, points: Any) -> Any:
     return result
 
 
-@kernel(_GRID, _ROWS)
+@_kernel(_GRID, _ROWS)
 def interpolate(grid: Any, points: Any) -> Any:
     """Bilinear values, shape (n,), and gradients, shape (n, 2), at points (n, 2)."""
     value, gradient = np.empty(len(points)), np.empty((len(points), 2))
@@ -155,7 +164,7 @@ def interpolate(grid: Any, points: Any) -> Any:
     return value, gradient
 
 
-@kernel(_GRID, _ROWS, _ROWS, _REALS)
+@_kernel(_GRID, _ROWS, _ROWS, _REALS)
 def innermost_points(field: Any, upper: Any, lower: Any, pose: Any) -> Any:
     """For each line the end that lies further inside the outline at `pose`, object frame, shape (n, 2)."""
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -165,7 +174,7 @@ def innermost_points(field: Any, upper: Any, lower: Any, pose: Any) -> Any:
     return result
 
 
-@kernel(_GRID, _GRID, _IMAGE, _MASK, _POINTS, _REALS, _REALS, types.UniTuple(types.int64, 5), types.UniTuple(types.float64, 4))
+@_kernel(_GRID, _GRID, _IMAGE, _MASK, _POINTS, _REALS, _REALS, types.UniTuple(types.int64, 5), types.UniTuple(types.float64, 4))
 def intersect_object(field: Any, tops: Any, depth: Any, left_out: Any, rays: Any, centre: Any, pose: Any, box: Any, limits: Any) -> Any:
     """Intersect the lines of sight of the pixels in `box` with the heights of the object at `pose`.
 
@@ -220,7 +229,7 @@ def intersect_object(field: Any, tops: Any, depth: Any, left_out: Any, rays: Any
     return upper[:n], lower[:n], point[:n], stopped[:n], informative[:n]
 
 
-@kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, types.UniTuple(types.float64, 3))
+@_kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, types.UniTuple(types.float64, 3))
 def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, widths: Any) -> Any:
     """Compare the observed lines of sight with those expected at `pose`.
 
@@ -272,7 +281,7 @@ def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, w
     )
 
 
-@kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, _REAL, _REAL)
+@_kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, _REAL, _REAL)
 def scores_of_squares(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, width: Any, cell: Any) -> Any:
     """The sums of `compare_lines` over squares of the object instead of over all lines of sight.
 
@@ -301,7 +310,7 @@ def scores_of_squares(field: Any, upper: Any, lower: Any, stopped: Any, pose: An
     return normal, gradient
 
 
-@kernel(_GRID, _ROWS, _ROWS, _REALS, _REAL, _REALS, read_only(types.float64, 3))
+@_kernel(_GRID, _ROWS, _ROWS, _REALS, _REAL, _REALS, _read_only(types.float64, 3))
 def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, camera: Any, camera_positions: Any) -> Any:
     """J'd of a camera that displaces by one metre every edge whose wall it does not see, in this image and in the outline.
 
@@ -342,7 +351,7 @@ def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, 
     return scores
 
 
-@kernel(_IMAGE, _POINTS, _REALS)
+@_kernel(_IMAGE, _POINTS, _REALS)
 def place_points(depth: Any, rays: Any, centre: Any) -> Any:
     """centre + depth * ray of each pixel, shape (height, width, 3), single precision."""
     x, y, z = np.float32(centre[0]), np.float32(centre[1]), np.float32(centre[2])
@@ -356,7 +365,7 @@ def place_points(depth: Any, rays: Any, centre: Any) -> Any:
     return points
 
 
-@kernel(_POINTS, _IMAGE, types.UniTuple(_REAL, 4), types.UniTuple(_REAL, 4), types.UniTuple(types.int64, 4))
+@_kernel(_POINTS, _IMAGE, types.UniTuple(_REAL, 4), types.UniTuple(_REAL, 4), types.UniTuple(types.int64, 4))
 def label_heights(points: Any, smooth: Any, workspace: Any, heights: Any, codes: Any) -> Any:
     """Label every pixel by its height.
 
@@ -390,7 +399,7 @@ def label_heights(points: Any, smooth: Any, workspace: Any, heights: Any, codes:
     return labels, raised
 
 
-@kernel(read_only(types.float32, 2), _ROWS, _REAL)
+@_kernel(_read_only(types.float32, 2), _ROWS, _REAL)
 def points_in_rods(points: Any, rods: Any, margin: Any) -> Any:
     """Which points (n, 3) lie in a rod grown by `margin` [m]; each rod is a row of start, unit direction, length and radius."""
     inside = np.zeros(len(points), dtype=np.bool_)
@@ -405,7 +414,7 @@ def points_in_rods(points: Any, rods: Any, margin: Any) -> Any:
     return inside
 
 
-@kernel(_POINTS, read_only(types.int8, 2), types.int64, types.int64, _REALS, _REAL, types.int64, types.int64)
+@_kernel(_POINTS, _read_only(types.int8, 2), types.int64, types.int64, _REALS, _REAL, types.int64, types.int64)
 def project_down(points: Any, labels: Any, table: Any, target: Any, low: Any, size: Any, rows: Any, columns: Any) -> Any:
     """Project labelled points onto cells of edge `size` [m], the first of which has its low corner at `low`.
 
@@ -435,3 +444,195 @@ def project_down(points: Any, labels: Any, table: Any, target: Any, low: Any, si
                     height[i, j] = points[v, u, 2]
                 has_table[i, j] = True
     return has_table, has_target, height
+
+
+@_kernel(_ROWS, _ROWS)
+def outline_distances(points: Any, outline: Any) -> Any:
+    """`geometry.outline.signed_distance`, compiled: the same operations in the same order, so equal to the last bit.
+
+    Args:
+        points: Shape (n, 2) [m].
+        outline: Shape (n_vertices, 2) [m].
+    """
+    n = len(outline)
+    edge, square = np.empty((n, 2)), np.empty(n)
+    for k in range(n):
+        end = k + 1 if k + 1 < n else 0
+        edge[k, 0], edge[k, 1] = outline[end, 0] - outline[k, 0], outline[end, 1] - outline[k, 1]
+        square[k] = max(edge[k, 0] * edge[k, 0] + edge[k, 1] * edge[k, 1], 1e-300)
+    result = np.empty(len(points))
+    for i in range(len(points)):
+        px, py = points[i, 0], points[i, 1]
+        nearest2, inside = math.inf, False
+        above = outline[0, 1] > py
+        for k in range(n):
+            ex, ey = edge[k, 0], edge[k, 1]
+            x, y = px - outline[k, 0], py - outline[k, 1]
+            along = min(max((x * ex + y * ey) / square[k], 0.0), 1.0)
+            off_x, off_y = x - along * ex, y - along * ey
+            distance2 = off_x * off_x + off_y * off_y
+            if not distance2 >= nearest2:  # so that NaN stays NaN
+                nearest2 = distance2
+            end = k + 1 if k + 1 < n else 0
+            end_above = outline[end, 1] > py
+            if above != end_above and px < outline[k, 0] + y * ex / ey:
+                inside = not inside
+            above = end_above
+        result[i] = -math.sqrt(nearest2) if inside else math.sqrt(nearest2)
+    return result
+
+
+@_kernel(_ROWS, _ROWS)
+def edges_nearest(points: Any, outline: Any) -> Any:
+    """Index of the edge nearest to each point (n, 2), of several the first; and how far along that edge, or beyond it, the point lies [m].
+
+    Shapes (n,). `outline` has shape (n_vertices, 2).
+    """
+    n = len(outline)
+    edge, direction, length = np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
+    for k in range(n):
+        end = k + 1 if k + 1 < n else 0
+        edge[k, 0], edge[k, 1] = outline[end, 0] - outline[k, 0], outline[end, 1] - outline[k, 1]
+        length[k] = math.sqrt(edge[k, 0] * edge[k, 0] + edge[k, 1] * edge[k, 1])
+        direction[k, 0], direction[k, 1] = edge[k, 0] / length[k], edge[k, 1] / length[k]
+    index, position = np.zeros(len(points), dtype=np.int64), np.zeros(len(points))
+    for i in range(len(points)):
+        nearest, nearest2 = math.inf, math.inf
+        for k in range(n):
+            x, y = points[i, 0] - outline[k, 0], points[i, 1] - outline[k, 1]
+            along = (x * edge[k, 0] + y * edge[k, 1]) / length[k]
+            foot = min(max(along, 0.0), length[k])
+            off_x, off_y = x - foot * direction[k, 0], y - foot * direction[k, 1]
+            distance2 = off_x * off_x + off_y * off_y
+            # Two edges that share the nearest corner may differ in the last bit of the square: the first one counts.
+            if distance2 < nearest2 and math.sqrt(distance2) < nearest:
+                nearest, nearest2 = math.sqrt(distance2), distance2
+                index[i], position[i] = k, along
+    return index, position
+
+
+@_kernel(types.Array(types.float32, 2, "C"))
+def sort_columns(values: Any) -> Any:
+    """Sort each column of `values`, shape (n, m), in place, ascending; NaN is not allowed.
+
+    A network of compare-and-swap of whole rows (odd-even transposition), which the compiler turns into vector instructions.
+    """
+    n, m = values.shape
+    for turn in range(n):
+        for row in range(turn % 2, n - 1, 2):
+            for column in range(m):
+                a, b = values[row, column], values[row + 1, column]
+                values[row, column], values[row + 1, column] = (a if a < b else b), (b if a < b else a)
+
+
+@_kernel(_DEPTH, _read_only(types.float64, 1), _REAL, types.int64, types.int64)
+def highest_in_cells(points: Any, origin: Any, size: Any, rows: Any, columns: Any) -> Any:
+    """Height of the highest of the points in each cell, -infinity in cells without any [m], shape (rows, columns).
+
+    Args:
+        points: [m], shape (n, 3), all in the cells.
+        origin: Low corner of the first cell [m], shape (2,).
+        size: Edge of a cell [m].
+    """
+    heights = np.full((rows, columns), np.float32(-np.inf))
+    for i in range(len(points)):
+        column, row = int((points[i, 0] - origin[0]) / size), int((points[i, 1] - origin[1]) / size)
+        heights[row, column] = max(heights[row, column], points[i, 2])
+    return heights
+
+
+@_kernel(_DEPTH, _FLAGS, _REAL)
+def mark_jumps(depth: Any, mask: Any, step: Any) -> Any:
+    """Pixels of the mask whose depth differs by more than `step` [m] from a pixel of it one or two pixels away, straight or diagonally.
+
+    `depth` [m] and `mask` have shape (height, width), as has the result.
+    """
+    height, width = mask.shape
+    threshold = np.float32(step)
+    cut = np.zeros(mask.shape, dtype=np.bool_)
+    for v in range(height):
+        for u in range(width):
+            if not mask[v, u]:
+                continue
+            for lag in (1, 2):
+                for rows, columns in ((0, lag), (lag, 0), (lag, lag), (lag, -lag)):
+                    i, j = v + rows, u + columns
+                    if i < height and 0 <= j < width and mask[i, j] and abs(depth[i, j] - depth[v, u]) > threshold:
+                        cut[v, u] = cut[i, j] = True
+    return cut
+
+
+@_kernel(_DEPTH, _NUMBERS, types.UniTuple(types.UniTuple(types.int64, 2), 4), _REAL)
+def mark_folds(inverse: Any, patches: Any, legs: Any, sag: Any) -> Any:
+    """Pixels deeper than a chord by more than `sag` [m], whose two ends are on the same patch as the pixel.
+
+    Args:
+        inverse: Inverse depth [1/m], shape (height, width).
+        patches: Number of the patch of each pixel, 0 for none, same shape.
+        legs: From the middle to the end of each chord: rows, which are not negative, and columns.
+    """
+    height, width = patches.shape
+    least, one, two = np.float32(sag), np.float32(1.0), np.float32(2.0)
+    folded = np.zeros(patches.shape, dtype=np.bool_)
+    for v in range(height):
+        for u in range(width):
+            number = patches[v, u]
+            if number == 0:
+                continue
+            for rows, columns in legs:
+                top, left, bottom, right = v - rows, u - columns, v + rows, u + columns
+                if top < 0 or bottom >= height or min(left, right) < 0 or max(left, right) >= width:
+                    continue
+                if patches[top, left] == number and patches[bottom, right] == number:
+                    chord = two / (inverse[top, left] + inverse[bottom, right])
+                    if one / inverse[v, u] - chord > least:
+                        folded[v, u] = True
+                        break
+    return folded
+
+
+@_kernel(_NUMBERS, _DEPTH, _FLAGS, _REAL)
+def grow_surfaces(surfaces: Any, depth: Any, mask: Any, step: Any) -> Any:
+    """Grow numbered surfaces over the pixels of `mask`, one ring of pixels at a time.
+
+    Each pixel joins, of its four neighbours that belong to a surface, the one nearest in depth, if the difference is below `step` [m]. A
+    pixel that could not join is looked at again only when another neighbour has joined. All arrays have shape (height, width).
+    """
+    height, width = mask.shape
+    threshold = np.float32(step)
+    grown, looked_at = surfaces.copy(), np.zeros(mask.shape, dtype=np.int32)
+    border, following = np.empty(mask.size, dtype=np.int64), np.empty(mask.size, dtype=np.int64)
+    joined = np.empty(mask.size, dtype=np.int32)
+    n, turn = 0, 1
+    for v in range(height):
+        for u in range(width):
+            if mask[v, u] and grown[v, u] == 0:
+                border[n] = v * width + u
+                n += 1
+    while n > 0:
+        for k in range(n):
+            v, u = border[k] // width, border[k] % width
+            best, joined[k] = threshold, 0
+            for rows, columns in ((0, -1), (0, 1), (-1, 0), (1, 0)):
+                i, j = v + rows, u + columns
+                if 0 <= i < height and 0 <= j < width and grown[i, j] > 0:
+                    difference = abs(depth[i, j] - depth[v, u])
+                    if difference < best:
+                        best, joined[k] = difference, grown[i, j]
+        for k in range(n):
+            if joined[k] > 0:
+                grown[border[k] // width, border[k] % width] = joined[k]
+        n_following = 0
+        for k in range(n):
+            if joined[k] == 0:
+                continue
+            v, u = border[k] // width, border[k] % width
+            for rows, columns in ((0, -1), (0, 1), (-1, 0), (1, 0)):
+                i, j = v + rows, u + columns
+                if 0 <= i < height and 0 <= j < width and mask[i, j] and grown[i, j] == 0 and looked_at[i, j] != turn:
+                    looked_at[i, j] = turn
+                    following[n_following] = i * width + j
+                    n_following += 1
+        border, following = following, border
+        n, turn = n_following, turn + 1
+    return grown

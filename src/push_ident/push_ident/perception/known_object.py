@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.perception.frame.view import FrameView
-from push_ident.perception.kernels import Grid, interpolate, nearest_values
+from push_ident.perception.kernels import Grid, interpolate, nearest_values, outline_distances
 from push_ident.perception.refusals import Reason, Refusal
-from push_ident.perception.shape_kernels import outline_distances
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
 __all__ = [
@@ -41,7 +40,7 @@ ON_OBJECT: Final = 0.008
 """Points within this distance of the outline of an object belong to it [m]."""
 THIN: Final = np.ones((5, 5), np.uint8)
 """Pixels in strips thinner than this are the smeared border of a known object [px]."""
-_GRID: Final = 0.001
+_FIELD_STEP: Final = 0.001
 """Edge of a cell of the signed distance field [m]."""
 FIELD_MARGIN: Final = 0.04
 """Width of the field around the outline [m]; further out the distance is held."""
@@ -272,14 +271,14 @@ def area_from_above(points: Float64Array) -> float:
 def _distance_field(outline: Float64Array) -> Grid:
     """Signed distance to an outline, shape (n, 2): exact near it; further out every fourth node, interpolated linearly, is enough."""
     origin = outline.min(axis=0) - FIELD_MARGIN
-    columns, rows = (int(n) for n in np.ceil((outline.max(axis=0) + FIELD_MARGIN - origin) / (4 * _GRID)) * 4 + 1)
+    columns, rows = (int(n) for n in np.ceil((outline.max(axis=0) + FIELD_MARGIN - origin) / (4 * _FIELD_STEP)) * 4 + 1)
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-    nodes = origin + _GRID * np.stack([x, y], axis=-1)
+    nodes = origin + _FIELD_STEP * np.stack([x, y], axis=-1)
     coarse = outline_distances(nodes[::4, ::4].reshape(-1, 2), outline).reshape(nodes[::4, ::4].shape[:2])
     distance = _interpolated(_interpolated(coarse, 4).T, 4).T.copy()
     near = np.abs(distance) < 0.012
     distance[near] = outline_distances(nodes[near], outline)
-    return Grid(distance, origin, _GRID)
+    return Grid(distance, origin, _FIELD_STEP)
 
 
 def _interpolated(values: Float64Array, factor: int) -> Float64Array:

@@ -44,7 +44,7 @@ _HEIGHT_STEP: Final = 5e-4
 """To which `min_object_height` is rounded up [m]."""
 _UNDER_TOP: Final = 0.98
 """Quantile of the heights of an object that is its height: single pixels are outliers."""
-_BORDER: Final = 2000
+_OUTLINE_POINTS: Final = 2000
 """Points along an outline that measure it."""
 _TIP: Final = 0.01
 """Fraction of the border that may stick out at each end of a length [-]: the short side of a hammer's handle has three times that."""
@@ -289,7 +289,7 @@ def _edges(outline: Float64Array) -> tuple[float, float]:
     axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-9)
     steps = np.roll(outline, -1, axis=0) - outline
     lengths = np.linalg.norm(steps, axis=1)
-    at = np.linspace(0.0, lengths.sum(), _BORDER, endpoint=False)
+    at = np.linspace(0.0, lengths.sum(), _OUTLINE_POINTS, endpoint=False)
     edge = np.searchsorted(np.cumsum(lengths), at, side="right")
     share = (at - np.concatenate([[0.0], np.cumsum(lengths)])[edge]) / lengths[edge]
     along = (outline[edge] + share[:, None] * steps[edge]) @ axes.T

@@ -15,9 +15,9 @@ from push_ident.perception.frame.view import FrameView, points_in_table
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import DepthFrame, Float64Array
 
-__all__ = ["TableCamera", "TablePlane", "fit_table"]
+__all__ = ["STRIDE", "TableCamera", "TablePlane", "fit_table"]
 
-_STRIDE: Final = 4
+STRIDE: Final = 4
 """Every fourth pixel of every fourth row is used: enough for three unknowns."""
 _HYPOTHESES: Final = 60
 """Random planes tried."""
@@ -83,7 +83,7 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
         PerceptionError: No valid pixel, too few points on a plane, too many under it, or a correction larger than the error of usable
             extrinsics.
     """
-    sample = points[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(np.float64)
+    sample = points[::STRIDE, ::STRIDE].reshape(-1, 3).astype(np.float64)
     valid = sample[np.isfinite(sample[:, 2])]
     if len(valid) == 0:
         raise PerceptionError(f"Depth image has 0 valid of {points.shape[0] * points.shape[1]} pixels; check the camera and its range.")

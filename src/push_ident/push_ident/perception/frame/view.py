@@ -19,9 +19,8 @@ from push_ident.errors import FrameError
 from push_ident.geometry.outline import points_in_polygon
 from push_ident.perception.frame.depth_image import check_intrinsics, check_size
 from push_ident.perception.frame.robot import RobotPart, in_robot
-from push_ident.perception.kernels import label_heights, place_points
+from push_ident.perception.kernels import label_heights, place_points, sort_columns
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape_kernels import sort_columns
 from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame, Float64Array
 
 __all__ = [
@@ -43,9 +42,9 @@ ROBOT: Final = 2
 
 _ROUNDING: Final = 1e-3
 """Tolerance of periods [s], so that a camera at exactly that rate does not miss every other turn by rounding."""
-_BELOW: Final = -0.02
+_UNDER_TABLE: Final = -0.02
 """Points below this height are beside the table [m]."""
-_AREA: Final = 3
+_SHADOW_WIDTH: Final = 3
 """Least width of an unmeasured area that counts as a shadow [px]: wider than the pixels that are lost on both sides of an edge."""
 _BLOCK: Final = 8192
 """Pixels of all frames that are sorted at once."""
@@ -101,7 +100,7 @@ class FrameView:
             self.points,
             cv2.medianBlur(np.where(np.isfinite(heights), heights, np.float32(0.0)), 3),
             (low_x, high_x, low_y, high_y),
-            (_BELOW, 0.5 * settings.min_object_height, settings.min_object_height, settings.max_object_height),
+            (_UNDER_TABLE, 0.5 * settings.min_object_height, settings.min_object_height, settings.max_object_height),
             (UNKNOWN, TABLE, OBJECT, ROBOT),
         )
         if self.robot:
@@ -183,7 +182,7 @@ def unmeasured_areas(measured: BoolArray) -> NDArray[np.uint8]:
     They are the shadow that the projector or the second imager of a camera leaves beside an object. Single unmeasured pixels along an edge
     may belong to either side of it and prove nothing.
     """
-    return np.asarray(cv2.morphologyEx((~measured).astype(np.uint8), cv2.MORPH_OPEN, np.ones((_AREA, _AREA), np.uint8)))
+    return np.asarray(cv2.morphologyEx((~measured).astype(np.uint8), cv2.MORPH_OPEN, np.ones((_SHADOW_WIDTH, _SHADOW_WIDTH), np.uint8)))
 
 
 def height_inside(points: NDArray[np.float32], outline_in_table: Float64Array) -> float | None:

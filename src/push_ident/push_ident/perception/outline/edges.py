@@ -30,13 +30,14 @@ from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_centroid
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.perception.frame.view import FrameView
+from push_ident.perception.kernels import edges_nearest
 from push_ident.perception.known_object import Template, TracedObject, TrackStatus
 from push_ident.perception.outline.straighten import straighten
-from push_ident.perception.shape_kernels import edges_nearest
 from push_ident.perception.tracking.pose_fit import fit_pose, lines_of_sight
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
 __all__ = [
+    "SAME_CURVE",
     "VARIANCE",
     "EdgeLines",
     "PosedView",
@@ -64,9 +65,9 @@ _PRIOR: Final = 0.001
 """Prior standard deviation of the offset of an edge [m]."""
 VARIANCE: Final = 0.05
 """Variance of the measured (stopped 1, passing 0) about the expected near an edge."""
-_SAME_CURVE: Final = 0.35
+SAME_CURVE: Final = 0.35
 """Neighbouring edges whose headings differ by less belong to one curve and share their lines of sight [rad]."""
-_REACH: Final = 0.008
+_CURVE_REACH: Final = 0.008
 """Largest distance along a curve between edges that share their lines of sight [m]."""
 _DISPLACED: Final = 1.8
 """Deviation of the mean position of an edge where depth jumps, in units of the scatter about it [-]: the root mean square over the models
@@ -79,7 +80,7 @@ _LARGEST: Final = 0.003
 """Largest offset of an edge over all passes [m]."""
 _LEAST_SINE2: Final = 0.12
 """Two edges whose angle has a smaller squared sine meet too far away: their corner moves by the mean offset."""
-_PASSES: Final = 3
+_FIT_PASSES: Final = 3
 """Iterations of pose fit and edge fit."""
 
 
@@ -140,7 +141,7 @@ def same_curve(outline: Float64Array) -> Float64Array:
             while True:
                 j = (j + step) % n
                 turned = abs((heading[j] - heading[i] + np.pi) % (2 * np.pi) - np.pi)
-                if j == i or turned > _SAME_CURVE or travel > _REACH:
+                if j == i or turned > SAME_CURVE or travel > _CURVE_REACH:
                     break
                 shared[i, j] = 1.0
                 travel += length[j]
@@ -252,7 +253,7 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView], *, pose_known: 
         raise InputError("There are no views to fuse, expected at least the one in which the object was traced.")
     moved = np.zeros(len(traced.shape.outline))
     outline = np.array(traced.shape.outline)
-    for _ in range(_PASSES):
+    for _ in range(_FIT_PASSES):
         template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, outline)))
         fitted = _fitted(template, views, pose_known)
         gradient, curvature = _derivatives(template, outline, fitted)

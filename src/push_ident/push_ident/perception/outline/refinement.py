@@ -20,7 +20,16 @@ import numpy as np
 from push_ident.geometry.outline import edge_normals
 from push_ident.geometry.se2 import inverse, rotation, transform_points
 from push_ident.perception.known_object import Refined, SegmentedView, Template, TracedObject
-from push_ident.perception.outline.edges import VARIANCE, EdgeLines, dense, lines_near_edges, scatter_of, with_edges_moved, without_reversed
+from push_ident.perception.outline.edges import (
+    SAME_CURVE,
+    VARIANCE,
+    EdgeLines,
+    dense,
+    lines_near_edges,
+    scatter_of,
+    with_edges_moved,
+    without_reversed,
+)
 from push_ident.perception.outline.straighten import straighten
 from push_ident.perception.outline.tracing import InParts, trace_in_parts
 from push_ident.types import Float64Array, ObjectShape
@@ -31,14 +40,12 @@ DISPLACED: Final = 1.5
 """Deviation of the mean position of edges that were measured from several headings, in units of the scatter about it [-]. In models of a
 Kinect and of two RealSense the displacement is 1.2 to 1.4 of them; that of the models is an estimate itself."""
 
-_PRIOR: Final = 0.002
+_PRIOR_FROM_MEAN: Final = 0.002
 """Prior standard deviation of the offset of an edge from the mean offset [m]: a pixel on the table."""
 _PRIOR_POSE: Final = np.array([0.003, 0.003, 0.03])
 """Prior standard deviations of the pose in a view about the tracked one [m, m, rad]: tracked with an outline of that error."""
 _SMOOTH: Final = 0.0005
 """Standard deviation of the difference of the offsets of neighbouring edges of one curve [m]."""
-_SAME_CURVE: Final = 0.35
-"""Neighbouring edges whose headings differ by less belong to one curve [rad]."""
 _CORRELATED: Final = 0.02
 """Lines of sight so near to each other along an edge share what displaces it [m]: a window of a matcher is 7 to 9 px, 10 to 20 mm."""
 _LEAST_SCATTER: Final = 0.00015
@@ -190,12 +197,12 @@ def _sums(state: _State, lines: Sequence[EdgeLines], views: Sequence[RestView]) 
 def _add_prior_of_offsets(normal: Float64Array, gradient: Float64Array, state: _State) -> None:
     """No edge is far from where it was, unless all are; edges of one curve move together."""
     n = len(state.outline)
-    normal[:n, :n] += (np.eye(n) - 1.0 / n) / _PRIOR**2
-    gradient[:n] -= (state.moved - state.moved.mean()) / _PRIOR**2
+    normal[:n, :n] += (np.eye(n) - 1.0 / n) / _PRIOR_FROM_MEAN**2
+    gradient[:n] -= (state.moved - state.moved.mean()) / _PRIOR_FROM_MEAN**2
     edge = np.roll(state.outline, -1, axis=0) - state.outline
     heading = np.arctan2(edge[:, 1], edge[:, 0])
     turned = np.abs((np.roll(heading, -1) - heading + np.pi) % (2 * np.pi) - np.pi)
-    one = np.flatnonzero(turned < _SAME_CURVE)
+    one = np.flatnonzero(turned < SAME_CURVE)
     other = (one + 1) % n
     difference = (state.moved[other] - state.moved[one]) / _SMOOTH**2
     for i, j, pull in zip(one, other, difference, strict=True):

@@ -41,7 +41,7 @@ _DRIFT: Final = (0.001, 0.01)
 _NEW: Final = (0.02, 0.1)
 """A rest shows something new where the object moved or turned by more since each rest that is kept [m, rad]: a matcher displaces edges
 anew, and other lines of sight pass them."""
-_KEPT: Final = 6
+_KEPT_RESTS: Final = 6
 """Rests that are kept of an object: what bounds the time of a refinement."""
 _BETTER: Final = 0.9
 """An outline is replaced where the latest rest scatters less about the new one, by this factor [-]. Of 59 outlines in the check of
@@ -103,10 +103,10 @@ class _RestHistory:
         return all(_is_apart(pose, view.pose, _NEW) for view in self.views)
 
     def with_latest(self, view: RestView) -> list[RestView]:
-        """The views with one more; beyond `_KEPT` rests without the one whose heading is nearest to that of another one."""
+        """The views with one more; beyond `_KEPT_RESTS` rests without the one whose heading is nearest to that of another one."""
         views = [*self.views, view]
         rests = {kept.rest: float(kept.pose[2]) for kept in views}
-        if len(rests) > _KEPT:
+        if len(rests) > _KEPT_RESTS:
             inner = list(rests)[1:-1]  # the first one holds the frame, and the latest one is to be used
             alike = min(inner, key=lambda a: min(abs(float(wrap_angle(rests[a] - yaw))) for b, yaw in rests.items() if b != a))
             views = [kept for kept in views if kept.rest != alike]

@@ -22,7 +22,7 @@ _COARSE: Final = 0.0016
 """Distance within which a stretch of contour may be straight [m]."""
 _FINE: Final = 0.0007
 """Largest distance of the result from the contour where it is not straight [m]."""
-_CORNER: Final = 0.0025
+_ROUNDED: Final = 0.0025
 """Length beside a corner that tracing rounds off [m]."""
 _SHORTEST: Final = 0.008
 """Shorter stretches give no line [m]."""
@@ -101,7 +101,7 @@ def _open_simplified(points: Float64Array) -> list[int]:
 def _stretch(points: Float64Array, inwards: float) -> _Stretch:
     """Fit a line to a run of points if it is straight. `inwards` is 1 where the inside lies to the left of the contour, else -1."""
     arc_length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    inner = points[(arc_length >= _CORNER) & (arc_length <= arc_length[-1] - _CORNER)]
+    inner = points[(arc_length >= _ROUNDED) & (arc_length <= arc_length[-1] - _ROUNDED)]
     if arc_length[-1] < _SHORTEST or len(inner) < 5:
         return _Stretch(points, None)
     middle = inner.mean(axis=0)

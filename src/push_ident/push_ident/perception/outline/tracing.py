@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from push_ident.errors import PerceptionError
 from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_area, polygon_centroid
 from push_ident.perception.frame.view import unmeasured_areas
+from push_ident.perception.kernels import outline_distances
 from push_ident.perception.known_object import SegmentedView, TracedObject
 from push_ident.perception.outline.straighten import straighten
-from push_ident.perception.shape_kernels import outline_distances
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
 __all__ = ["InParts", "trace_in_parts", "trace_object"]
 
-_GRID: Final = 0.001
+_FINE: Final = 0.001
 """Edge of a cell of the fine grid [m]."""
 _SPREAD: Final = 0.0015
 """Standard deviation of the Gaussian that spreads one sample [m]: about the distance between pixels on the table."""
@@ -34,21 +34,21 @@ _MARGIN: Final = 0.015
 """Width of the fine grid around the object [m]."""
 _FINER: Final = 4
 """The fine grid is interpolated by this factor before it is cut at the half level."""
-_SMALLEST: Final = 40
+_SHORTEST_OUTLINE: Final = 40
 """Least number of points of a traced outline: a square of 2.5 mm."""
-_PASSES: Final = 3
+_TRACE_PASSES: Final = 3
 """Passes of tracing: the first decides for each line of sight which of its ends matters."""
-_REACH: Final = 10
+_PIXEL_REACH: Final = 10
 """Lines of sight up to this distance from the upper side are used [px]."""
 _BEFORE_WALL: Final = 0.004
 """Distance in front of a wall at which a lower level of the object is looked for [m]."""
 _SHADOW: Final = 13
 """Window around a passing line of sight in which a lower level may begin behind a higher one [px]."""
-_WINDOW: Final = 7
+_LEVEL_WINDOW: Final = 7
 """Window in which the levels of the upper side beside a pixel are looked for [px]."""
 _MEASURED: Final = 0.004
 """A view that measures anything in a square of that edge measures there [m]: two pixels on the table."""
-_RIM: Final = 0.003
+_EDGE_OF_VIEW: Final = 0.003
 """Nearer to the edge, what one of several views takes for the upper side may be the wall that another one sees [m]: two pixels."""
 _PAD: Final = 16
 """Margin around a segment in which pixels are used [px]."""
@@ -91,7 +91,7 @@ def trace_in_parts(views: Sequence[SegmentedView], *, min_height: float, cell_co
         yield
     centres = [segmented.view.camera_in_table[:2, 3] for segmented in views]
     outline, inner = None, None
-    for _ in range(_PASSES):
+    for _ in range(_TRACE_PASSES):
         full, empty = _points_of_views(lines, outline)
         yield
         inner = inner or [_inner_walls(walls, points, centre) for (_, _, walls), points, centre in zip(lines, full, centres, strict=True)]
@@ -102,10 +102,10 @@ def trace_in_parts(views: Sequence[SegmentedView], *, min_height: float, cell_co
     shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y))
     positions, levels = np.vstack(full), np.concatenate([stopped.level for stopped, _, _ in lines])
     if len(views) > 1:
-        inside = outline_distances(positions, np.ascontiguousarray(outline)) < -_RIM
+        inside = outline_distances(positions, np.ascontiguousarray(outline)) < -_EDGE_OF_VIEW
         positions, levels = (positions[inside], levels[inside]) if inside.any() else (positions, levels)
     grid, grid_origin = _height_grid(positions, levels, origin)
-    return TracedObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _GRID)
+    return TracedObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _FINE)
 
 
 def _points_of_views(
@@ -174,11 +174,11 @@ def _lines_of_sight(segmented: SegmentedView, *, min_height: float) -> tuple[_Li
     if np.count_nonzero(flat) < 20:
         raise PerceptionError(f"{np.count_nonzero(flat)} of {np.count_nonzero(body)} pixels show an upper side, expected at least 20.")
     smooth = _mean_of(filled, flat, 3)
-    window = np.ones((_WINDOW, _WINDOW), np.uint8)
+    window = np.ones((_LEVEL_WINDOW, _LEVEL_WINDOW), np.uint8)
     # Means over the highest and the lowest level nearby: the extremes themselves would be biased by noise.
     at_highest = flat & (smooth > cv2.dilate(np.where(flat, smooth, np.float32(-1.0)), window) - step)
     at_lowest = flat & (smooth < cv2.erode(np.where(flat, smooth, np.float32(1.0)), window) + step)
-    highest, lowest = _mean_of(smooth, at_highest, _WINDOW), _mean_of(smooth, at_lowest, _WINDOW, absent=1.0)
+    highest, lowest = _mean_of(smooth, at_highest, _LEVEL_WINDOW), _mean_of(smooth, at_lowest, _LEVEL_WINDOW, absent=1.0)
     near_highest, near_lowest = np.abs(z - highest) < step, np.abs(z - lowest) < step
     stopped = body & (flat | near_highest | near_lowest)
     # Level of the top beside the other pixels: the highest within the window, else that of the nearest flat pixel.
@@ -187,12 +187,12 @@ def _lines_of_sight(segmented: SegmentedView, *, min_height: float) -> tuple[_Li
     level_of[nearest[flat]] = smooth[flat]
     beside = np.where(highest > 0, highest, level_of[nearest])
     # A wall between two levels of the upper side lies inside the outline and does not constrain it.
-    foot = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8))
+    foot = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((2 * _PIXEL_REACH + 1, 2 * _PIXEL_REACH + 1), np.uint8))
     # Beside two levels a line of sight proves only its crossing of the lower one empty: the upper one may end earlier.
     lower = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((_SHADOW, _SHADOW), np.uint8))
-    passing = valid & ~stopped & (z < np.minimum(foot, beside) - step) & (distance < _REACH)
+    passing = valid & ~stopped & (z < np.minimum(foot, beside) - step) & (distance < _PIXEL_REACH)
     # The object ends where its shadow begins, since all of its upper side up to the edge is lit.
-    passing |= (unmeasured_areas(valid) > 0) & (distance < _REACH)
+    passing |= (unmeasured_areas(valid) > 0) & (distance < _PIXEL_REACH)
     beside = np.minimum(lower, beside)
 
     def lines(chosen: BoolArray, level: NDArray[np.float32]) -> _Lines:
@@ -211,12 +211,12 @@ def _inner_walls(walls: Float64Array, full: Float64Array, camera: Float64Array) 
     """Points on walls in front of which, towards the camera, the object continues at a lower level: they lie inside the outline."""
     to_camera = camera - walls
     before = walls + _BEFORE_WALL * to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True)
-    origin = np.vstack([full, before]).min(axis=0) - _GRID
-    columns, rows = (int(n) for n in np.ceil((np.vstack([full, before]).max(axis=0) + _GRID - origin) / _GRID))
+    origin = np.vstack([full, before]).min(axis=0) - _FINE
+    columns, rows = (int(n) for n in np.ceil((np.vstack([full, before]).max(axis=0) + _FINE - origin) / _FINE))
     # The object ends beside a wall along the line of sight, so only points well inside count.
     around = np.ones((5, 5), np.uint8)
     covered = cv2.erode(cv2.morphologyEx((_counted(full, origin, rows, columns) > 0).astype(np.uint8), cv2.MORPH_CLOSE, around), around) > 0
-    index = ((before - origin) / _GRID).astype(np.int64)
+    index = ((before - origin) / _FINE).astype(np.int64)
     return walls[covered[index[:, 1], index[:, 0]]]
 
 
@@ -230,7 +230,7 @@ def _mean_of(values: NDArray[np.float32], chosen: BoolArray, window: int, absent
 def _balance(full: Float64Array, empty: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Outline at which full and empty have equal weight, table frame, and the low corner of the fine grid."""
     origin = full.min(axis=0) - _MARGIN
-    columns, rows = (int(n) for n in np.ceil((full.max(axis=0) + _MARGIN - origin) / _GRID))
+    columns, rows = (int(n) for n in np.ceil((full.max(axis=0) + _MARGIN - origin) / _FINE))
     counted_full, counted_empty = (_counted(samples, origin, rows, columns) for samples in (full, empty))
     # Deep inside, empty points come only from steps of the upper side and do not constrain the outline.
     reach = lambda n: cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))  # noqa: E731
@@ -238,7 +238,7 @@ def _balance(full: Float64Array, empty: Float64Array) -> tuple[Float64Array, Flo
     counted_empty[core] = 0.0
     share = np.zeros((rows, columns), dtype=np.float32)
     for spread in (8.0 * _SPREAD, 3.0 * _SPREAD, _SPREAD):
-        a, b = (cv2.GaussianBlur(counted, (0, 0), spread / _GRID) for counted in (counted_full, counted_empty))
+        a, b = (cv2.GaussianBlur(counted, (0, 0), spread / _FINE) for counted in (counted_full, counted_empty))
         known = a + b > 0.02
         share[known] = a[known] / (a + b)[known]
     fine = cv2.resize(share, None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
@@ -246,9 +246,9 @@ def _balance(full: Float64Array, empty: Float64Array) -> tuple[Float64Array, Flo
     if not contours:
         raise PerceptionError("The outline of the object cannot be traced: no point of it is full.")
     contour = max(contours, key=cv2.contourArea)
-    if len(contour) < _SMALLEST:
+    if len(contour) < _SHORTEST_OUTLINE:
         raise PerceptionError(f"The outline of the object is {len(contour)} points long; it is too small for this camera.")
-    pixel = _GRID / _FINER
+    pixel = _FINE / _FINER
     # findContours walks through the centres of the outermost pixels, half a pixel inside the edge.
     outline = _grown(straighten(contour[:, 0].astype(np.float64) * pixel), 0.5 * pixel)
     return origin + outline + 0.5 * pixel, origin
@@ -256,7 +256,7 @@ def _balance(full: Float64Array, empty: Float64Array) -> tuple[Float64Array, Flo
 
 def _counted(samples: Float64Array, origin: Float64Array, rows: int, columns: int) -> NDArray[np.float32]:
     """Samples per cell of the fine grid, each distributed over the four nearest cells."""
-    position = (samples - origin) / _GRID - 0.5
+    position = (samples - origin) / _FINE - 0.5
     low = np.floor(position).astype(np.int64)
     part = position - low
     counted = np.zeros(rows * columns)
@@ -286,7 +286,7 @@ def _cell_size(outline: Float64Array, cell_count: int) -> float:
 
 def _height_grid(points: Float64Array, heights: Float64Array, origin: Float64Array) -> tuple[NDArray[np.float32], Float64Array]:
     """Mean height per cell of twice the fine grid, gaps and surroundings filled from the nearest cell; centre of the first cell."""
-    size = 2 * _GRID
+    size = 2 * _FINE
     index = np.floor((points - origin) / size).astype(np.int64)
     columns, rows = (int(n) for n in index.max(axis=0) + 1 + int(np.ceil(_MARGIN / size)))
     flat = index[:, 1] * columns + index[:, 0]

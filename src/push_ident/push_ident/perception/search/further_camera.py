@@ -29,7 +29,7 @@ from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["FurtherCamera"]
 
-_KEPT: Final = 20
+_KEPT_FRAMES: Final = 20
 """Number of latest frames that are kept."""
 
 
@@ -45,7 +45,7 @@ class FurtherCamera:
     """The latest frames of one camera that does not move."""
 
     def __init__(self) -> None:
-        self._shots: deque[_Shot] = deque(maxlen=_KEPT)
+        self._shots: deque[_Shot] = deque(maxlen=_KEPT_FRAMES)
         self._extrinsics = np.eye(4)
 
     def add(self, frame: DepthFrame, camera_in_table: ArrayLike, robot: Sequence[RobotPart] = ()) -> None:

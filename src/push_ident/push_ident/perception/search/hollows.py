@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.perception.frame.view import OBJECT, ROBOT, FrameView
+from push_ident.perception.kernels import highest_in_cells
 from push_ident.perception.known_object import Segment, TracedObject
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape_kernels import highest_in_cells
 from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["Covered", "cover_hollows", "with_hollow"]
 
-_CELL: Final = 0.002
+_CELL_FROM_ABOVE: Final = 0.002
 """Edge of a cell of the view from above [m]."""
-_RIM: Final = np.ones((7, 7), np.uint8)
+_BESIDE_OPENING: Final = np.ones((7, 7), np.uint8)
 """Window in which the cells beside an opening give the height of its rim [cells]."""
 _TORN: Final = np.ones((7, 7), np.uint8)
 """Pieces of a patch so near to each other belong together [px]."""
@@ -33,10 +33,10 @@ _LEVEL: Final = 0.01
 """Between two heights at which a rim is looked for [m]."""
 _BELOW_RIM: Final = 0.005
 """Points so far below the rim are in the hollow [m]: three times the noise of a height."""
-_INSIDE: Final = 1.5
+_INSIDE_RIM: Final = 1.5
 """Lines of sight that enter or end so far inside the outer edge of the rim have passed it [cells]: points of the outer wall scatter about
 the edge."""
-_SMALLEST: Final = 100
+_SMALLEST_RIM: Final = 100
 """Patches with fewer pixels are not looked at: a rim has more."""
 _MOST: Final = 0.5
 """Least fraction of the lines of sight through an opening that end below the rim [-]: an unmeasured spot is no hollow."""
@@ -74,7 +74,7 @@ class _Opening:
         """`within` at points [m], shape (n, 2); those not measured are outside."""
         rows, columns = self.within.shape
         with np.errstate(invalid="ignore"):
-            cell = np.floor((points - self.origin) / _CELL)
+            cell = np.floor((points - self.origin) / _CELL_FROM_ABOVE)
             inside = np.all((cell >= 0) & (cell < (columns, rows)), axis=1)
         index = np.where(inside[:, None], cell, 0).astype(np.int64)
         return np.where(inside, self.within[index[:, 1], index[:, 0]], 0.0)
@@ -96,7 +96,7 @@ def cover_hollows(view: FrameView) -> Covered:
     n, patches, boxes, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
     for index in range(1, n):
         left, top, columns, rows, size = (int(value) for value in boxes[index])
-        if size < _SMALLEST:
+        if size < _SMALLEST_RIM:
             continue
         box, part = (slice(v + top, v + top + rows), slice(u + left, u + left + columns)), np.s_[top : top + rows, left : left + columns]
         with np.errstate(invalid="ignore"):
@@ -110,8 +110,8 @@ def cover_hollows(view: FrameView) -> Covered:
             entry, end = opening.depth_within(crossing.reshape(-1, 2)), opening.depth_within(measured[:, :2])
             # A line of sight that enters inside the rim ends in the hollow; just at the rim, only where its end shows that.
             below = measured[:, 2] < opening.rim - _BELOW_RIM
-            ends_inside = below & ((entry > _INSIDE) | ((entry > 0) & (end > _INSIDE)))
-            unmeasured = ~np.isfinite(measured[:, 2]) & (entry > _INSIDE)
+            ends_inside = below & ((entry > _INSIDE_RIM) | ((entry > 0) & (end > _INSIDE_RIM)))
+            unmeasured = ~np.isfinite(measured[:, 2]) & (entry > _INSIDE_RIM)
             robot = labels[box].ravel() == ROBOT
             if np.count_nonzero(ends_inside) < _MOST * np.count_nonzero(ends_inside | unmeasured):
                 continue
@@ -133,19 +133,19 @@ def _openings(points: NDArray[np.float32], pixel: float, settings: PerceptionSet
     highest = float(np.quantile(points[:, 2], 0.98)) if len(points) else 0.0
     if highest < settings.min_step:
         return
-    reach = round(pixel / _CELL)
+    reach = round(pixel / _CELL_FROM_ABOVE)
     gap = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     origin, far_corner = (np.array([end(points[:, 0]), end(points[:, 1])], dtype=np.float64) for end in (np.min, np.max))
-    origin -= len(gap) * _CELL
-    columns, rows = (int(n) for n in np.floor((far_corner - origin) / _CELL) + len(gap) + 1)
-    heights = highest_in_cells(points, origin, _CELL, rows, columns)
+    origin -= len(gap) * _CELL_FROM_ABOVE
+    columns, rows = (int(n) for n in np.floor((far_corner - origin) / _CELL_FROM_ABOVE) + len(gap) + 1)
+    heights = highest_in_cells(points, origin, _CELL_FROM_ABOVE, rows, columns)
     known = np.zeros((rows, columns), dtype=bool)
     for level in np.arange(highest - _BELOW_RIM, settings.min_step, -_LEVEL):
         high = cv2.morphologyEx((heights > level).astype(np.uint8), cv2.MORPH_CLOSE, gap)
         contours, tree = cv2.findContours(high, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         for i, contour in enumerate(contours):
             outer = int(tree[0, i, 3])
-            if outer < 0 or cv2.contourArea(contour) * _CELL**2 < settings.min_object_area:
+            if outer < 0 or cv2.contourArea(contour) * _CELL_FROM_ABOVE**2 < settings.min_object_area:
                 continue
             hole, filled = (cv2.drawContours(np.zeros(high.shape, np.uint8), contours, k, 1, cv2.FILLED) for k in (i, outer))
             hole = (hole > 0) & (high == 0)
@@ -153,7 +153,7 @@ def _openings(points: NDArray[np.float32], pixel: float, settings: PerceptionSet
             floor = float(np.median(np.maximum(heights[hole], 0.0)))
             if (known & hole).any() or level - floor < settings.min_step - _BELOW_RIM:
                 continue
-            beside = (cv2.dilate(hole.astype(np.uint8), _RIM) > 0) & (heights > level)
+            beside = (cv2.dilate(hole.astype(np.uint8), _BESIDE_OPENING) > 0) & (heights > level)
             known |= hole
             yield _Opening(cv2.distanceTransform(filled, cv2.DIST_L2, 3), origin, float(np.median(heights[beside])))
 

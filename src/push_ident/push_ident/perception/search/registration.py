@@ -15,6 +15,7 @@ from push_ident.geometry.se2 import transform_points
 from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.frame.robot import RobotPart
 from push_ident.perception.frame.view import FrameView, median_frame
+from push_ident.perception.kernels import outline_distances
 from push_ident.perception.known_object import NewObject, Segment, SegmentedView, TracedObject
 from push_ident.perception.outline.edges import dense, fuse_views
 from push_ident.perception.outline.tracing import trace_object
@@ -22,12 +23,11 @@ from push_ident.perception.refusals import Reason, Refusal
 from push_ident.perception.search.further_camera import FurtherCamera
 from push_ident.perception.search.hollows import Covered, with_hollow
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.shape_kernels import outline_distances
 from push_ident.types import BoolArray, DepthFrame, Float64Array
 
 __all__ = ["Registration"]
 
-_WALL: Final = 0.01
+_COVERED_BESIDE: Final = 0.01
 """Points up to this distance outside the outline count as covered [m]: a wall's points scatter to both sides of it."""
 _CHECKED: Final = 2000
 """About so many of the points are compared with the outline; more do not change the fraction."""
@@ -177,7 +177,7 @@ def _check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> N
     """Raises PerceptionError unless the outline covers the points of its segment."""
     points = segment.measured_in(view.points)[:, :2].astype(np.float64)
     points = points[:: 1 + len(points) // _CHECKED]
-    covered = float(np.mean(signed_distance(points, transform_points(traced.pose, traced.shape.outline)) < _WALL))
+    covered = float(np.mean(signed_distance(points, transform_points(traced.pose, traced.shape.outline)) < _COVERED_BESIDE))
     least = view.settings.segments.min_covered
     if covered < least:
         raise PerceptionError(

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from push_ident.perception.frame.view import OBJECT, ROBOT, UNKNOWN, FrameView
+from push_ident.perception.kernels import grow_surfaces, mark_folds, mark_jumps
 from push_ident.perception.known_object import Segment, area_from_above
 from push_ident.perception.refusals import Reason
-from push_ident.perception.shape_kernels import grow_surfaces, mark_folds, mark_jumps
 from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["find_segments", "split_surfaces"]
@@ -31,7 +31,7 @@ _OWN_SHADOW: Final = 1.0 / 3.0
 distance, that of a structured-light scanner near its object; other depth cameras have a tenth or less."""
 _SKIRT: Final = 0.004
 """Distance from the border of the workspace at which a segment counts as cut by it [m]."""
-_SMALLEST: Final = 12
+_SMALLEST_PATCH: Final = 12
 """Patches with fewer pixels are noise."""
 _ACROSS: Final = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Directions (rows, columns) in which chords are drawn."""
@@ -150,7 +150,7 @@ def _surfaces(depth: NDArray[np.float32], mask: BoolArray, focal: float, step: f
     count = 0
     for index in range(1, n):
         left, top, columns, rows, size = (int(value) for value in boxes[index])
-        if size < _SMALLEST:
+        if size < _SMALLEST_PATCH:
             continue
         box = (slice(top, top + rows), slice(left, left + columns))
         divided = split_surfaces(depth[box], components[box] == index, focal, step)
@@ -170,14 +170,14 @@ def _boxes(surfaces: NDArray[np.int32], region: tuple[slice, slice]) -> list[tup
 
 def _behind_another(depth: NDArray[np.float32], inside: BoolArray, others: BoolArray, step: float) -> bool:
     """Whether another surface beside this one is nearer to the camera by more than a step and so may hide part of it."""
-    if np.count_nonzero(others) < _SMALLEST:
+    if np.count_nonzero(others) < _SMALLEST_PATCH:
         return False
     distance, nearest = cv2.distanceTransformWithLabels((~inside).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     depth_of = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
     depth_of[nearest[inside]] = depth[inside]
     with np.errstate(invalid="ignore"):
         hides = others & (distance <= _NEAR) & (depth < depth_of[nearest] - step)
-    return bool(np.count_nonzero(hides) >= _SMALLEST)
+    return bool(np.count_nonzero(hides) >= _SMALLEST_PATCH)
 
 
 def split_surfaces(depth: NDArray[np.float32], mask: BoolArray, focal: float, step: float) -> NDArray[np.int32]:

@@ -27,21 +27,21 @@ from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["Separation", "UpperSide", "compare_upper_side"]
 
-_INSIDE: Final = 0.005
+_INSIDE_OUTLINE: Final = 0.005
 """Only lines of sight that pass the top so far inside the outline count [m]: pixels at an edge may show either side of it."""
-_BORDER: Final = (0.0045, 0.0015)
+_BORDER_STRIP: Final = (0.0045, 0.0015)
 """Middle and half width of the strips on both sides of the outline [m]: pixels nearer to the edge cannot contradict a pose."""
-_BELOW: Final = 0.005
+_BELOW_UPPER_SIDE: Final = 0.005
 """What is so far below the upper side is not the upper side [m], as in pose fits, and ..."""
 _DEVIATIONS: Final = 4.0
 """... so many deviations of a height, as the least height of an object is [-]."""
-_CELL: Final = 0.004
+_VOTE_CELL: Final = 0.004
 """Edge of the cells in which missing area is counted [m]."""
-_WINDOW: Final = (3, 3)
+_VOTE_WINDOW: Final = (3, 3)
 """Cells around each in which lines of sight vote: 12 mm, more than the distance of the lines of a camera of 360 px at 1.5 m."""
 _TIE: Final = 1e-6
 """Where as many lines pass as are stopped nothing is missing; the mean of votes is exact to this."""
-_STRIDE: Final = 3
+_UPPER_SIDE_STRIDE: Final = 3
 """Of the pixels that are looked at."""
 _MISSING: Final = 4e-4
 """Least area that shows that a part is missing [m^2]: below `min_object_area`. Whole objects lack at most 2e-4 along the edges of their
@@ -51,7 +51,7 @@ _OPEN: Final = (0.1, 0.6)
 above, the object is gone."""
 _CROWDED: Final = (0.1, 0.7)
 """A fraction of crowded border between these, with none of it open, shows a thing that touches the object [-]."""
-_REACH: Final = 2.0
+_PARTS_REACH: Final = 2.0
 """The parts of an object are looked for within so many times its radius from where it was lost [-]."""
 _TOGETHER: Final = (0.75, 1.4)
 """Area of parts that still touch, relative to that of the object [-]: one may stand on the other in part."""
@@ -92,22 +92,24 @@ def compare_upper_side(template: Template, view: FrameView, pose: Float64Array, 
     Args:
         others: Other known objects; their pixels are left out.
     """
-    lines = lines_of_sight(template, view, pose, template.radius, _STRIDE, others)
+    lines = lines_of_sight(template, view, pose, template.radius, _UPPER_SIDE_STRIDE, others)
     if lines is None:
         return UpperSide(0.0, np.nan, 0.0, 0.0)
     positions, passed = lines.innermost_points(template, pose), lines.stopped < 0.5
     distance = template.nearest_distance(positions)
-    at_border = np.abs(np.abs(distance) - _BORDER[0]) < _BORDER[1]
+    at_border = np.abs(np.abs(distance) - _BORDER_STRIP[0]) < _BORDER_STRIP[1]
     is_open, is_crowded = _share(passed[at_border & (distance < 0)]), _share(~passed[at_border & (distance > 0)])
-    inside = distance < -_INSIDE
+    inside = distance < -_INSIDE_OUTLINE
     positions, height = positions[inside], lines.height[inside]
-    passed = height < template.least_top(positions) - max(_BELOW, _DEVIATIONS * view.noise)
-    n = int(np.ceil(2.0 * template.radius / _CELL)) + 1
-    cell = np.floor((positions + template.radius) / _CELL).astype(np.int64) @ np.array([1, n])
+    passed = height < template.least_top(positions) - max(_BELOW_UPPER_SIDE, _DEVIATIONS * view.noise)
+    n = int(np.ceil(2.0 * template.radius / _VOTE_CELL)) + 1
+    cell = np.floor((positions + template.radius) / _VOTE_CELL).astype(np.int64) @ np.array([1, n])
     votes = np.bincount(cell, weights=np.where(passed, 1.0, -1.0), minlength=n * n).reshape(n, n)
-    missing = cv2.blur(votes, _WINDOW, borderType=cv2.BORDER_CONSTANT) > _TIE
+    missing = cv2.blur(votes, _VOTE_WINDOW, borderType=cv2.BORDER_CONSTANT) > _TIE
     below = height[missing.ravel()[cell] & passed]
-    return UpperSide(float(np.count_nonzero(missing)) * _CELL**2, float(np.median(below)) if len(below) else np.nan, is_open, is_crowded)
+    return UpperSide(
+        float(np.count_nonzero(missing)) * _VOTE_CELL**2, float(np.median(below)) if len(below) else np.nan, is_open, is_crowded
+    )
 
 
 def _share(values: BoolArray) -> float:
@@ -134,7 +136,7 @@ class _Suspect:
 
     def is_near(self, position: Float64Array) -> bool:
         template, pose = self.placed
-        return bool(np.linalg.norm(position[:2] - pose[:2]) < _REACH * template.radius)
+        return bool(np.linalg.norm(position[:2] - pose[:2]) < _PARTS_REACH * template.radius)
 
     def is_apart(self, n_more: int = 0, more: float = 0.0) -> bool:
         """Whether the parts taken in, and as many more with that area [m^2], are separate and all of it."""
