@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.verdict import Verdict
 from push_ident.errors import InputError
 from push_ident.identification.observing.observation import observe_push
 from push_ident.identification.predicting.next_push import PlannedPush
@@ -104,15 +102,6 @@ def test_proposed_push_starts_at_the_pose_that_the_diagnosis_asked_for(model: in
     assert make_requested_record(draw_truth("book", model, filmed=True), "book", model, asked, 8, NOISE) is None
 
 
-@pytest.mark.long
-def test_diagnosis_rejects_an_effect_that_only_one_push_supports() -> None:
-    """Nothing is in this case; one of its pushes lies at an edge of sliding, and gains 40 nat for a friction of the pusher."""
-    truth = draw_truth("hammer", 6030)
-    found = diagnose(make_records(truth, "hammer", 6030, 14, NOISE))
-    assert truth.scenario.kind == "null" and found.verdict == Verdict.NO_GAP and found.effects == ()
-    assert "Only push" in found.sentence and "so that it is not reported" in found.sentence
-
-
 # --- figures
 
 
@@ -193,23 +182,6 @@ def test_case_is_diagnosed_and_compared_with_what_the_truth_would_have_closed(tm
     # Given the truth, the same machinery finds the same fit.
     assert values["oracle"]["gain"] == pytest.approx(values["effects"][0]["evidence"], abs=0.5)
     write_json(tmp_path / "case.json", values)
-
-
-def test_other_numbers_of_pushes_are_compared_in_the_same_cases() -> None:
-    def of(object_name: str, pushes: str, right: bool, gain: float = 20.0) -> CaseResult:
-        named = ["outline_error"] if right else []
-        values = outcome("single", ["outline_error"], "named" if right else "no_gap", named, [], gain, 60.0).values
-        return CaseResult(Case(object_name, 7, pushes), values)
-
-    results = [
-        *(of(name, "14-pushes", True) for name in ("book", "crimp", "hammer")),
-        of("book", "6-chosen", True, 1.0),  # Counted although few pushes do not detect it.
-        of("crimp", "6-chosen", False),
-        of("wrench", "6-chosen", True),  # Without a counterpart.
-    ]
-    compared = summarise_cases(results)["same_cases"]
-    assert (compared["14-pushes"]["top1"]["share"], compared["14-pushes"]["top1"]["n"]) == (1.0, 2)
-    assert (compared["6-chosen"]["top1"]["share"], compared["6-chosen"]["top1"]["n"]) == (0.5, 2)
 
 
 def test_causes_that_are_stated_surely_are_counted_with_their_twins() -> None:

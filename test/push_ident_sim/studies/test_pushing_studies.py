@@ -129,18 +129,6 @@ def test_absent_game_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -
         Game.new()
 
 
-def test_page_of_the_game_counts_starts_and_laws() -> None:
-    def run(seed: int, won: bool) -> dict[str, object]:
-        return {"seed": seed, "won": won, "coverage": 0.96, "ticks": 100, "pushes": 1, "end": "WON" if won else "TIME"}
-
-    values = {"law": "viscous", "errors_m": {"dry": 3e-3, "viscous": 5e-4}, "starts": [run(1, True), run(2, True), run(3, False)]}
-    study = EXPERIMENTS["pusht"]
-    summary = study.summarise([CaseResult(Case("T", 0, "identified"), values)])
-    assert summary["kinds"]["identified"]["success"]["successes"] == 2
-    table = study.tables(summary)
-    assert "2/3" in table and "1 TIME" in table and "0.50 mm" in table
-
-
 # --- demo
 
 

@@ -7,20 +7,15 @@ import pytest
 
 from push_ident.geometry.se2 import compose
 from push_ident.identification.fitting.budget import Budget
-from push_ident_sim.objects import OBJECT_NAMES, make_object
+from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings
 from push_ident_sim.studies.registry import EXPERIMENTS
 from push_ident_sim.studies.sensors import study
 from push_ident_sim.studies.sensors.filmed import FilmedObject
-from push_ident_sim.studies.sensors.study import outline_errors, unit_of
+from push_ident_sim.studies.sensors.study import outline_errors
 
 STUDY = EXPERIMENTS["sensors"]
-
-
-def test_no_two_cases_share_a_unit():
-    units = {unit_of(name, seed) for name in OBJECT_NAMES for seed in range(20)}
-    assert len(units) == 20 * len(OBJECT_NAMES)
 
 
 def test_placed_outline_has_the_error_of_its_form_alone():
