@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from push_ident.geometry.path import nearest_on_path
+from push_ident.pushing.arm_motion import nearest_on_path
 
 CORNER = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 2.0, 0.0]])
 

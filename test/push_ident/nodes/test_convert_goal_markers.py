@@ -23,8 +23,8 @@ from push_ident.planning.path_planner import PathPush, PathStatus
 from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush, PlanStatus
 from push_ident.planning.target import Target
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushPlan2D
+from push_ident.pushing.tool_path import Corridor
 
 OUTLINE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.05]])
 GOAL = Goal(np.array([0.2, 0.1, 0.5]), 0.01, np.radians(5.0))

@@ -16,9 +16,8 @@ from push_ident.nodes.goal_pushing.parameters import PARAMETERS
 from push_ident.planning.goal_code import GoalCode
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress
 from push_ident.planning.path_goal import PathGoal
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.steering import PathRequest, ToolCorrection
-from push_ident.pushing.tool_path import ToolPath
+from push_ident.pushing.tool_path import Corridor, ToolPath
 from push_ident_msgs.action import PushToGoal
 
 WAY = np.array([[0.0, 0.0], [0.03, 0.0], [0.08, 0.02]])

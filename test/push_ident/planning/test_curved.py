@@ -20,8 +20,8 @@ from push_ident.planning.model_weights import ModelWeights
 from push_ident.planning.path_follower import LOOK_AHEAD, FollowStatus
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathStatus
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.pushing.tool_path import Corridor
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 from push_ident_sim.studies.common.plate import plate
 from push_ident_sim.studies.common.random_objects import random_object

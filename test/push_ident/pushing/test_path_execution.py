@@ -12,12 +12,11 @@ import pytest
 from helpers.memory_cell import PARKED, SETTINGS, Bench, Cell, code_of
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.ports import Phase
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.push_request import Mode, PushRequest
 from push_ident.pushing.steering import PathRequest, ToolCorrection
-from push_ident.pushing.tool_path import ToolPath
+from push_ident.pushing.tool_path import Corridor, ToolPath
 from push_ident_sim.cell.robot import HOME, robot_description
 from push_ident_sim.cell.trajectory import JointTrajectory as Followed
 

@@ -9,11 +9,10 @@ import pytest
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.motion import MotionSettings, PathPlan, plan_path_push
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.steering import CorrectionFault, PathRequest, Steering, ToolCorrection
-from push_ident.pushing.tool_path import ToolMotion, ToolPath, rounded, stopping
+from push_ident.pushing.tool_path import Corridor, ToolMotion, ToolPath, rounded, stopping
 from push_ident.types import Float64Array
 from push_ident_sim.cell.robot import HOME, robot_description
 

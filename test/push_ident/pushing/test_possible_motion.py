@@ -80,8 +80,8 @@ def test_what_is_known_of_the_camera_counts() -> None:
 def test_pose_seen_soon_after_the_tool_stopped_may_be_older() -> None:
     behind, stopped = END - np.array([0.05, 0.0, 0.0]), 0.4 + 0.1 / 0.15
     stated = {"covariance_before": COVARIANCE, "covariance_after": COVARIANCE}
-    assert why_impossible(SHAPE, PUSH, FIRST, behind, **stated, seen=stopped + 0.1) == ""
-    assert "inside of it" in why_impossible(SHAPE, PUSH, FIRST, behind, **stated, seen=stopped + 0.6)
+    assert why_impossible(SHAPE, PUSH, FIRST, behind, **stated, observed_at=stopped + 0.1) == ""
+    assert "inside of it" in why_impossible(SHAPE, PUSH, FIRST, behind, **stated, observed_at=stopped + 0.6)
 
 
 def test_path_of_two_samples_is_looked_at_between_them() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from push_ident.pushing.resting import RestingPose, displacement
+from push_ident.pushing.executed_push import RestingPose, displacement
 
 COVARIANCE = np.diag([1e-3, 1e-3, np.radians(0.5)]) ** 2
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from push_ident.errors import InputError
-from push_ident.pushing.state_check import StateCheck
+from push_ident.pushing.state_intake import StateCheck
 
 
 def moving() -> StateCheck:

@@ -21,8 +21,8 @@ import numpy as np
 from push_ident.geometry.se2 import inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchClock, ModelBatch
 from push_ident.planning.path_goal import PathGoal
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushSettings
+from push_ident.pushing.tool_path import Corridor
 from push_ident.types import Float64Array
 
 __all__ = ["N_LIMITS", "N_SEGMENTS", "CurvedPushes", "Face", "Horizon", "PushStart", "RolledPushes", "face_of", "never_late"]

@@ -24,8 +24,8 @@ from push_ident.planning.model_weights import ModelWeights
 from push_ident.planning.path_follower import LOOK_AHEAD, PathFollower, guesses_around
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathStatus
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.pushing.tool_path import Corridor
 from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["CurvedPathPlanner", "CurvedPush"]

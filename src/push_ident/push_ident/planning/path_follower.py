@@ -18,8 +18,8 @@ from push_ident.planning.contact_tracking import ContactTracker
 from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Horizon, PushStart, never_late
 from push_ident.planning.model_weights import ModelWeights, touching
 from push_ident.planning.path_goal import PathGoal
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushSettings
+from push_ident.pushing.tool_path import Corridor
 from push_ident.types import Float64Array
 
 __all__ = ["LOOK_AHEAD", "Correction", "FollowStatus", "PathFollower", "guesses_around"]

@@ -7,12 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.geometry.path import nearest_on_path
 from push_ident.pushing.joint_limits import JointLimits
 from push_ident.pushing.trajectory import JointTrajectory
 from push_ident.types import Float64Array
 
-__all__ = ["ArmMotion"]
+__all__ = ["ArmMotion", "nearest_on_path"]
 
 _LEAD: Final = 0.05
 """How far the arm may appear to be ahead of the clock [s]: a simulated clock arrives late."""
@@ -23,7 +22,7 @@ class ArmMotion:
     """A checked motion of the arm. Times are in seconds from its start."""
 
     limits: JointLimits
-    """Of the arm, on every motion."""
+    """Limits of the arm on every motion."""
     trajectory: JointTrajectory
     tip: Float64Array
     """Tip at every sample of the trajectory [m], shape (n, 3), root frame."""
@@ -34,17 +33,17 @@ class ArmMotion:
         return self.trajectory.duration
 
     def deviation(self, tip: Float64Array, earliest: float, latest: float) -> float:
-        """Distance [m] of a measured `tip` (3,) to the part of the path between two times of the plan [s], and a little further.
+        """Distance [m] of a measured `tip` (3,) to the part of the path between two times of the plan [s], and `_LEAD` further.
 
-        An arm that follows with a delay has no deviation from the path that it should have made between the two.
+        An arm that follows with a delay within these times has no deviation.
         """
         return self._nearest(tip, earliest, latest + _LEAD)[0]
 
     def joint_deviation(self, q: Float64Array, earliest: float, latest: float) -> tuple[str, float]:
         """The joint that is farthest [rad] from that part of the path, of measured positions `q` [rad], shape (n_joints,)."""
         part = self._part(earliest, latest + _LEAD)
-        _, place = nearest_on_path(self.trajectory.position[part], q)
-        (on_path,), _ = self.trajectory.follow(np.array([self._time_of(place, part)]))
+        _, index = nearest_on_path(self.trajectory.position[part], q)
+        (on_path,), _ = self.trajectory.follow(np.array([self._time_of(index, part)]))
         i = int(np.argmax(np.abs(q - on_path)))
         return self.limits.names[i], float(abs(q[i] - on_path[i]))
 
@@ -55,15 +54,35 @@ class ArmMotion:
     def _nearest(self, tip: Float64Array, earliest: float, latest: float) -> tuple[float, float]:
         """Distance [m] of a tip to the path between two times of the plan, and the time of the nearest point [s]."""
         part = self._part(earliest, latest)
-        distance, place = nearest_on_path(self.tip[part], tip)
-        return distance, self._time_of(place, part)
+        distance, index = nearest_on_path(self.tip[part], tip)
+        return distance, self._time_of(index, part)
 
     def _part(self, earliest: float, latest: float) -> slice:
         """Samples of the trajectory between two times of the plan [s], and one to either side."""
         first, last = np.searchsorted(self.trajectory.time, [earliest, latest])
         return slice(max(int(first) - 1, 0), int(last) + 1)
 
-    def _time_of(self, place: float, part: slice) -> float:
-        """Time of the plan [s] of a place in a part of its samples, 2.25 for a quarter of the way from the third to the fourth."""
+    def _time_of(self, index: float, part: slice) -> float:
+        """Time of the plan [s] at a fractional index of a part of its samples."""
         time = self.trajectory.time[part]
-        return float(np.interp(place, np.arange(len(time)), time))
+        return float(np.interp(index, np.arange(len(time)), time))
+
+
+def nearest_on_path(path: Float64Array, point: Float64Array) -> tuple[float, float]:
+    """Distance of a point from a path of straight lines.
+
+    Args:
+        path: its corners [m], shape (n, d), n at least 1.
+        point: shape (d,) [m].
+
+    Returns:
+        The distance [m], and the nearest point as a fractional index of corners: 2.25 is a quarter of the way from the third to the fourth.
+    """
+    edge = np.diff(path, axis=0)
+    if len(edge) == 0:
+        return float(np.linalg.norm(path[0] - point)), 0.0
+    from_start = point - path[:-1]
+    share = np.clip(np.sum(from_start * edge, axis=1) / np.maximum(np.sum(edge * edge, axis=1), 1e-300), 0.0, 1.0)
+    distance = np.linalg.norm(from_start - share[:, None] * edge, axis=1)
+    k = int(np.argmin(distance))
+    return float(distance[k]), float(k + share[k])

@@ -1,4 +1,4 @@
-"""The only way to the arm: what it is told goes on from what it was told before, within the limits of its joints, or is not sent."""
+"""The only way to command the arm: each command continues the one before within the limits of the joints, or is not sent."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ __all__ = ["CommandLink", "Commanded"]
 
 
 class Commanded:
-    """What an arm was told last: its motion by that, whatever its states say. At rest between two motions."""
+    """The motion of an arm by its last command, whatever its states say. At rest between two motions."""
 
     def __init__(self) -> None:
         self._names: tuple[str, ...] = ()
         self._motion: JointTrajectory | None = None
 
     def posture(self, names: tuple[str, ...]) -> Float64Array | None:
-        """At which the joints with these names stand once they have done what they were told [rad]; None where they were told nothing."""
+        """Posture of the joints with these names at the end of the last command [rad]; None without one."""
         return None if self._motion is None or names != self._names else self._motion.position[-1].copy()
 
     def after(self, piece: JointTrajectory, start: float) -> JointTrajectory:
@@ -34,31 +34,31 @@ class Commanded:
         return JointTrajectory(time, np.vstack([position, piece.position]), np.vstack([velocity, piece.velocity]))
 
     def take(self, names: tuple[str, ...], motion: JointTrajectory) -> None:
-        """The arm was told this; times on the clock of the commands [s]."""
+        """The arm was commanded this; times on the clock of the commands [s]."""
         self._names, self._motion = names, motion
 
     def forget(self) -> None:
-        """Nobody knows where the arm is: it was told where to stand, and may not have come there."""
+        """The posture is unknown: the arm may not have reached its last command."""
         self._motion = None
 
     def rest(self, names: tuple[str, ...], posture: Float64Array) -> None:
-        """The arm stands at `posture` [rad]: it was told to before, or has shown that it does."""
+        """The arm stands at `posture` [rad], by its last command or by observation."""
         self.take(names, JointTrajectory(np.zeros(1), posture[None, :], np.zeros((1, len(posture)))))
 
     def _now(self, time: float) -> tuple[Float64Array, Float64Array]:
-        assert self._motion is not None, "an arm is told where it stands first"
+        assert self._motion is not None, "the takeover comes first"
         return self._motion.follow(np.array([time]))
 
 
 class CommandLink:
     """Sends the pieces of one motion; nothing moves the arm any more once it was held.
 
-    Each piece passes one last check: a controller that follows it from what it was told before keeps to the limits of every joint. A piece
-    that does not is not sent; the arm then stands at the end of the one before, which is at rest.
+    Each piece passes one last check: a controller that follows it from the command before keeps to the limits of every joint. Otherwise it
+    is not sent; the arm then stands at the end of the one before, which is at rest.
 
     Args:
         arm: that is moved.
-        commanded: what it was told before.
+        commanded: its last command.
         limits: of its joints.
     """
 
@@ -68,14 +68,14 @@ class CommandLink:
         self._is_held = False
 
     def move(self, piece: JointTrajectory, now: float, *, is_stamped: bool = False) -> bool:
-        """Start a piece `now` [s] in place of the one under way; false where it would break a limit. Raises PlanningError after `hold`."""
+        """Start a piece `now` [s] in place of the one under way; false where it would exceed a limit. Raises PlanningError after `hold`."""
         with self._lock:
             if self._is_held:
                 raise PlanningError(PushCode.CANCELED, "the arm is held; it is not moved any more.")
             return self._send(piece, now, now if is_stamped else None)
 
     def hold(self, piece: JointTrajectory, now: float) -> bool:
-        """End the motion with a piece; false where it would break a limit: the arm then stops at the end of the one before."""
+        """End the motion with a piece; false where it would exceed a limit: the arm then stops at the end of the one before."""
         with self._lock:
             self._is_held = True
             return self._send(piece, now, None)

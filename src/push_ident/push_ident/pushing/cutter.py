@@ -33,21 +33,30 @@ __all__ = ["LIVE_CAPACITY", "UNRECORDED", "CutPush", "PushCutter", "PushInterval
 
 LIVE_CAPACITY: Final = 20_000
 """Samples of a stream that a live cell keeps: ten minutes at 30 Hz."""
-_JUMP_BACK: Final = 1.0
-"""A stamp this much older than the latest of its own stream means that time was set back [s]."""
-_MAX_RECORDS: Final = 100
-"""Push records of a live cell that are kept for pusher samples still to come."""
-_SILENT_CALLS: Final = 3
-"""A stream without a sample between so many calls of `finished` has delivered all it had. A node handles one waiting message of each
-topic between two calls of a timer, so that no message can be waiting then."""
-_NEAREST: Final = 60.0
-"""Farthest pose before or after a push that shows the object at rest there [s]."""
-_RECORD_WITHIN: Final = 10.0
-"""A push record comes so much later than its push at the latest [s]: an executor may first take the arm home."""
 UNRECORDED: Final = "push without an end record: the executor ended in the middle"
 """Why such a run is no push."""
-_ROUNDING: Final = 5e-7
-"""Stamps and ends of intervals went through different roundings [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class CutterSettings:
+    """When a push is complete, and what belongs to it."""
+
+    clock_jump: float = 1.0
+    """A stamp this much older than the latest of its own stream means that time was set back [s]."""
+    n_records: int = 100
+    """Push records of a live cell that are kept for pusher samples still to come."""
+    silent_calls: int = 3
+    """A stream without a sample between so many calls of `finished` has delivered all it had. A node handles one waiting message of each
+    topic between two calls of a timer, so that no message can be waiting then."""
+    max_rest: float = 60.0
+    """Longest time from a push to a pose that shows the object at rest before or after it [s]."""
+    record_delay: float = 10.0
+    """Longest time from the end of a push to its record [s]: an executor may first take the arm home."""
+    rounding: float = 5e-7
+    """Difference of stamps and ends of intervals by different roundings [s]."""
+
+
+_SETTINGS: Final = CutterSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,20 +103,20 @@ class _Samples:
 
     def select(self, start: float, end: float) -> tuple[Float64Array, list[Any]]:
         """Times and values from `start` to `end`, both included."""
-        chosen = slice(bisect_left(self.time, start - _ROUNDING), bisect_right(self.time, end + _ROUNDING))
+        chosen = slice(bisect_left(self.time, start - _SETTINGS.rounding), bisect_right(self.time, end + _SETTINGS.rounding))
         return np.array(self.time[chosen], dtype=np.float64), self.value[chosen]
 
     def around(self, span: tuple[float, float], window: tuple[float, float], gap: float) -> tuple[Float64Array, list[Any]]:
         """Poses of a push: during it, at rest around it, and where there are none at rest the nearest one on that side; rules 2 and 3."""
         start, end = span
-        own_first, own_last = bisect_right(self.time, window[0]), bisect_right(self.time, window[1])
+        window_first, window_last = bisect_right(self.time, window[0]), bisect_right(self.time, window[1])
         first, last = bisect_left(self.time, start - gap), bisect_right(self.time, end + gap)
-        first = max(first, own_first)
-        last = max(min(last, own_last), first)
+        first = max(first, window_first)
+        last = max(min(last, window_last), first)
         # The pose nearest to an end may be far from it, but the simulation steps through all the time to it.
-        if bisect_right(self.time, start) <= first > own_first and self.time[first - 1] >= start - _NEAREST:
+        if bisect_right(self.time, start) <= first > window_first and self.time[first - 1] >= start - _SETTINGS.max_rest:
             first -= 1
-        if (first == last or bisect_left(self.time, end) >= last) and last < own_last and self.time[last] <= end + _NEAREST:
+        if (first == last or bisect_left(self.time, end) >= last) and last < window_last and self.time[last] <= end + _SETTINGS.max_rest:
             last += 1
         return np.array(self.time[first:last], dtype=np.float64), self.value[first:last]
 
@@ -171,7 +180,7 @@ class PushCutter:
         """Time when it was last set back [s]."""
         self._streams: dict[str, _Stream] = {}
         self._cuts: deque[float] = deque()
-        self._records: deque[PushInterval] = deque(maxlen=None if capacity is None else _MAX_RECORDS)
+        self._records: deque[PushInterval] = deque(maxlen=None if capacity is None else _SETTINGS.n_records)
         self.run = 1
         """Counts how often time was set back, from 1."""
         self.expects_records = False
@@ -235,7 +244,7 @@ class PushCutter:
             self._cuts.append(record.end)
 
     def _extend_run(self, stamp: float) -> None:
-        while self._cuts and stamp > self._cuts[0] + _ROUNDING:
+        while self._cuts and stamp > self._cuts[0] + _SETTINGS.rounding:
             self._cuts.popleft()
             self._end_run()
         if self._open is not None and stamp - self._open.end > self._gap:
@@ -255,7 +264,7 @@ class PushCutter:
         """Whether a sample is used: it is newer than the previous one, and not from before time was set back."""
         stream = self._streams.setdefault(name, _Stream())
         stream.silent = 0
-        if stamp < stream.latest - _JUMP_BACK:
+        if stamp < stream.latest - _SETTINGS.clock_jump:
             if not stream.is_behind:
                 self._set_back(stamp)
             stream.is_behind = False
@@ -263,7 +272,7 @@ class PushCutter:
             return False
         elif stream.is_behind:
             # What is left from before time was set back is not later than the time then: if this is, one message was late, not the clock.
-            stream.is_behind = self._now < stream.latest and stamp <= self._before + _JUMP_BACK
+            stream.is_behind = self._now < stream.latest and stamp <= self._before + _SETTINGS.clock_jump
         stream.latest = stamp
         if not stream.is_behind:
             self._now = max(self._now, stamp)
@@ -276,7 +285,7 @@ class PushCutter:
         self._now = stamp
         self.run += 1
         for stream in self._streams.values():
-            stream.is_behind = stream.latest > stamp + _JUMP_BACK
+            stream.is_behind = stream.latest > stamp + _SETTINGS.clock_jump
 
     def reset(self) -> None:
         """Drop everything that was buffered, keep the shapes."""
@@ -300,8 +309,8 @@ class PushCutter:
             return None
         interval = PushInterval(0, "", self._open.start, self._open.end, 0)
         before = self._interval(self._ended[-1]).end if self._ended else self._handed_out_until
-        found = self._cut(object_id, interval, (_midpoint(before, interval.start), math.inf))
-        return found if isinstance(found, PushRecord) else None
+        record = self._cut(object_id, interval, (_midpoint(before, interval.start), math.inf))
+        return record if isinstance(record, PushRecord) else None
 
     def finished(self, *, flush: bool = False) -> list[CutPush]:
         """Pushes that are complete, oldest first. Each is handed out once.
@@ -312,10 +321,10 @@ class PushCutter:
         """
         for stream in self._streams.values():
             stream.silent += 1
-        passed = math.inf if flush else self._passed
-        if self._open is not None and (passed > self._open.end + self._gap or (self._cuts and passed >= self._cuts[0] - _ROUNDING)):
+        passed, rounding = math.inf if flush else self._passed, _SETTINGS.rounding
+        if self._open is not None and (passed > self._open.end + self._gap or (self._cuts and passed >= self._cuts[0] - rounding)):
             self._end_run()
-        while self._cuts and passed > self._cuts[0] + _ROUNDING:
+        while self._cuts and passed > self._cuts[0] + rounding:
             self._cuts.popleft()
         pushes = []
         while self._ended:
@@ -327,7 +336,7 @@ class PushCutter:
                 break
             unrecorded = run.expects_record and not self._records_of(run)
             is_tail = self._is_tail(run, self._handed_out_until)
-            is_overdue = flush or passed > run.end + _RECORD_WITHIN or any(r.start >= run.end for r in self._records)
+            is_overdue = flush or passed > run.end + _SETTINGS.record_delay or any(r.start >= run.end for r in self._records)
             if unrecorded and not is_tail and not is_overdue:
                 break
             self._ended.popleft()
@@ -360,7 +369,7 @@ class PushCutter:
     @property
     def _passed(self) -> float:
         """Time up to which all samples have arrived [s]."""
-        return min((s.latest for s in self._streams.values() if s.silent <= _SILENT_CALLS and not s.is_behind), default=self._now)
+        return min((s.latest for s in self._streams.values() if s.silent <= _SETTINGS.silent_calls and not s.is_behind), default=self._now)
 
     def _observed_after(self, end: float) -> bool:
         return any(poses.time and poses.time[-1] >= end for poses in self._poses.values())
@@ -395,11 +404,11 @@ class PushCutter:
     def _cut_push(self, interval: PushInterval, window: tuple[float, float]) -> CutPush:
         push = CutPush(interval, [], {})
         for object_id in self._shapes:
-            found = self._cut(object_id, interval, window)
-            if isinstance(found, PushRecord):
-                push.records.append(found)
+            record = self._cut(object_id, interval, window)
+            if isinstance(record, PushRecord):
+                push.records.append(record)
             else:
-                push.left_out[object_id] = found
+                push.left_out[object_id] = record
         return push
 
     def _cut(self, object_id: str, interval: PushInterval, window: tuple[float, float]) -> PushRecord | str:

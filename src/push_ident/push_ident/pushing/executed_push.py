@@ -1,4 +1,4 @@
-"""A push that is made: when which part of its plan was reached, when it touched, and where its object rested before and after."""
+"""A push under way: when which part of its plan was reached, when it touched, and where its object rested before and after."""
 
 from __future__ import annotations
 
@@ -6,14 +6,59 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
+from scipy.special import chdtri
 
 from push_ident.errors import PlanningError
+from push_ident.geometry.se2 import wrap_angle
 from push_ident.pushing.motion import ArmPlan
 from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.ports import ArmState, TrackedObject
-from push_ident.pushing.resting import RestingPose
+from push_ident.types import Float64Array
 
-__all__ = ["ExecutedPush", "Purpose"]
+__all__ = ["ExecutedPush", "Purpose", "RestingPose", "displacement"]
+
+
+@dataclass(slots=True)
+class RestingPose:
+    """Mean of the poses of an object at rest, whose errors are independent."""
+
+    stamp: float = -np.inf
+    """Of the latest pose [s]."""
+    n: int = 0
+    """Number of poses."""
+    _first: Float64Array = field(default_factory=lambda: np.zeros(3))
+    _sum: Float64Array = field(default_factory=lambda: np.zeros(3))
+    _covariances: Float64Array = field(default_factory=lambda: np.zeros((3, 3)))
+
+    def add(self, stamp: float, pose: Float64Array, covariance: Float64Array) -> None:
+        """Take in (x, y, yaw) [m, m, rad] with its 3 x 3 covariance; one that is not newer than the latest is ignored."""
+        if stamp <= self.stamp:
+            return
+        if not self.n:
+            self._first = pose
+        offset = pose - self._first
+        offset[2] = wrap_angle(offset[2])
+        self.stamp, self.n, self._sum, self._covariances = stamp, self.n + 1, self._sum + offset, self._covariances + covariance
+
+    @property
+    def mean(self) -> Float64Array:
+        """(x, y, yaw) [m, m, rad]; the yaw is not wrapped."""
+        return self._first + self._sum / max(self.n, 1)
+
+    @property
+    def covariance(self) -> Float64Array:
+        """Of the mean, 3 x 3."""
+        return self._covariances / max(self.n, 1) ** 2
+
+
+def displacement(before: RestingPose, after: RestingPose, false_alarm: float = 1e-4) -> tuple[float, float, bool]:
+    """Shift [m] and turn [rad] between two rests, and whether they exceed the noise of the poses at a false alarm rate [1]."""
+    change = after.mean - before.mean
+    change[2] = wrap_angle(change[2])
+    # Poses that state no noise get a variance of 1e-12 m^2 and rad^2.
+    covariance = before.covariance + after.covariance + 1e-12 * np.eye(3)
+    distance2 = float(change @ np.linalg.solve(covariance, change))
+    return float(np.hypot(change[0], change[1])), abs(float(change[2])), distance2 > chdtri(3, false_alarm)
 
 
 class Purpose(IntEnum):
@@ -43,7 +88,7 @@ class ExecutedPush:
     pacing: PathPacing | None = None
     """Tells when which part of the plan was reached."""
     reached: float = 0.0
-    """Time of the plan that the arm had reached when it was looked at last [s]."""
+    """Time of the plan that the arm had reached at the last look [s]."""
     is_reported: bool = False
     """Whether its record was handed out."""
     rest_before: RestingPose = field(default_factory=RestingPose)

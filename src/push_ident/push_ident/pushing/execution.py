@@ -1,11 +1,10 @@
-"""Carrying out a push: choose it, plan it, move the arm under watch, detect the contact, retreat where it fails, and report it."""
+"""Execution of a push: choose it, plan it, move the arm under watch, detect the contact, retreat where it fails, and report it."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -13,33 +12,19 @@ from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.se2 import transform_points
 from push_ident.pushing.arm_motion import ArmMotion
-from push_ident.pushing.executed_push import ExecutedPush, Purpose
+from push_ident.pushing.executed_push import ExecutedPush, Purpose, displacement
 from push_ident.pushing.motion import ArmPlan, PathPlan, plan_path_push, plan_push, plan_retreat
 from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.ports import ArmState, Client, ExecutionPorts, Phase, TrackedObject
 from push_ident.pushing.possible_motion import why_impossible
 from push_ident.pushing.push import PushCode, PushPlan2D
 from push_ident.pushing.push_request import ExecutionSettings, Mode, PushOutcome, PushRequest
-from push_ident.pushing.resting import displacement
 from push_ident.pushing.sampling import is_near_edge, push_along_path, push_from_goal, recentring_pushes, sample_push
 from push_ident.pushing.steering import Steering, ToolCorrection
 from push_ident.pushing.watch import ArmWatch
 from push_ident.types import Float64Array, PusherPath
 
 __all__ = ["PushExecution", "phase_of"]
-
-_POLL: Final = 0.01
-"""[s] between two looks for the pose of an object."""
-_PLANS: Final = 20
-"""Pushes that are planned, random or recentring ones, before the request is refused as unreachable."""
-_FEEDBACK_PERIOD: Final = 0.1
-"""[s]"""
-_STANDSTILL: Final = 0.15
-"""[s] until an arm that was held stands."""
-_SURE: Final = 3.0
-"""Standard deviations of the place of an object between the tool and it [1], where the tool comes down: 1 in 370."""
-_DRIFT: Final = 0.002
-"""How much further out an object may move that was outside the workspace at the start [m]."""
 
 
 PlanFrom = Callable[[np.ndarray], ArmPlan]
@@ -85,7 +70,7 @@ class PushExecution:
             self._one_at_a_time.release()
 
     def start(self) -> None:
-        """Take requests again after `stop`; somebody has looked after the arm."""
+        """Take requests again after `stop`: an operator has checked the arm."""
         self._watch.trust()
         self._stopped.clear()
 
@@ -183,9 +168,12 @@ class _Execution:
             self._end_steering()
 
     def _target(self, object_id: str) -> TrackedObject:
-        """The object; raises PlanningError UNKNOWN_OBJECT where nobody knows well enough where it is."""
+        """The object; raises PlanningError UNKNOWN_OBJECT where its pose is not known well enough."""
         target = self.ports.objects.get(object_id, self.settings.pose_timeout)
-        std, limit = float(np.sqrt(np.linalg.eigvalsh(target.covariance[:2, :2])[-1])), self.settings.motion.clearance / _SURE
+        std, limit = (
+            float(np.sqrt(np.linalg.eigvalsh(target.covariance[:2, :2])[-1])),
+            self.settings.motion.clearance / self.settings.clearance_deviations,
+        )
         if std > limit:
             raise PlanningError(
                 PushCode.UNKNOWN_OBJECT,
@@ -197,14 +185,14 @@ class _Execution:
     # ---- recentring
 
     def _should_recentre(self, target: TrackedObject) -> bool:
-        """Only where the requested push is the same wherever the object lies."""
+        """Only if the requested push does not depend on the pose of the object in the table frame."""
         follows = self.request.mode == Mode.RANDOM or (
             self.request.mode == Mode.CONTACT and self.request.frame_id == object_frame(target.object_id)
         )
         return self.settings.recentre and follows and is_near_edge(target.shape, target.pose, self.settings.push)
 
     def _refuse_impossible(self, target: TrackedObject) -> None:
-        """Raise PlanningError INVALID_GOAL for a push that is impossible wherever the object lies: nothing may move for it."""
+        """Raise PlanningError INVALID_GOAL for a push that is impossible at any pose: nothing may move for it."""
         if self.request.mode != Mode.CONTACT:
             return
         try:
@@ -247,24 +235,24 @@ class _Execution:
             return plan_push(self.ports.arm.planner, q_now, self._requested_push(target), self.settings.motion)
         settings, obstacles = self.settings.push, self.ports.objects.outlines_of_others(target.object_id)
         rng = np.random.default_rng(self.request.seed)
-        draws = (sample_push(target.shape, target.pose, rng, settings, obstacles) for _ in range(_PLANS))
+        draws = (sample_push(target.shape, target.pose, rng, settings, obstacles) for _ in range(self.settings.n_plans))
         plan, refusal = self._first_plan(draws, q_now)
         if plan is None:
-            raise PlanningError(PushCode.UNREACHABLE, f"none of {_PLANS} random pushes fits the arm; the last: {refusal}")
+            raise PlanningError(PushCode.UNREACHABLE, f"none of {self.settings.n_plans} random pushes fits the arm; the last: {refusal}")
         return plan
 
     def _plan_path(self, target: TrackedObject, q_now: np.ndarray) -> PathPlan:
-        own, settings = self.request.path, self.settings
-        if own is None:
+        request, settings = self.request.path, self.settings
+        if request is None:
             raise PlanningError(PushCode.INVALID_GOAL, "MODE_PATH without a path; give tool_path and corridor.")
         obstacles = self.ports.objects.outlines_of_others(target.object_id)
-        push = push_along_path(target.shape, target.pose, own.path, settings.push, obstacles)
-        return plan_path_push(self.ports.arm.planner, q_now, push, own.path, own.corridor, settings.motion, settings.push)
+        push = push_along_path(target.shape, target.pose, request.path, settings.push, obstacles)
+        return plan_path_push(self.ports.arm.planner, q_now, push, request.path, request.corridor, settings.motion, settings.push)
 
     def _plan_recentring(self, target: TrackedObject, q_now: np.ndarray) -> ArmPlan:
         obstacles = self.ports.objects.outlines_of_others(target.object_id)
         pushes = recentring_pushes(target.shape, target.pose, self.settings.push, obstacles)
-        plan, refusal = self._first_plan((push for _, push in zip(range(_PLANS), pushes, strict=False)), q_now)
+        plan, refusal = self._first_plan((push for _, push in zip(range(self.settings.n_plans), pushes, strict=False)), q_now)
         if plan is None:
             why = refusal or "no contact allows a push towards the middle"
             raise PlanningError(PushCode.UNREACHABLE, f"`{target.object_id}` cannot be pushed towards the middle: {why}")
@@ -294,18 +282,18 @@ class _Execution:
 
     def _contact_in_table(self, target: TrackedObject) -> tuple[Float64Array, float]:
         """Contact point [m] and heading [rad] of the request in the table frame."""
-        request, own_frame = self.request, object_frame(target.object_id)
+        request, frame_of_object = self.request, object_frame(target.object_id)
         point = np.array(request.contact_point)
         if request.frame_id in ("", TABLE_FRAME):
             return point, float(request.direction)
-        if request.frame_id == own_frame:
+        if request.frame_id == frame_of_object:
             return transform_points(target.pose, point[None])[0], float(request.direction + target.pose[2])
-        raise PlanningError(PushCode.INVALID_GOAL, f"frame_id is `{request.frame_id}`, expected `{TABLE_FRAME}` or `{own_frame}`.")
+        raise PlanningError(PushCode.INVALID_GOAL, f"frame_id is `{request.frame_id}`, expected `{TABLE_FRAME}` or `{frame_of_object}`.")
 
     # ---- moving
 
     def _make(self, push: ExecutedPush, plan_from: PlanFrom, phase_at: Callable[[float], Phase]) -> None:
-        """Make one push, planned once more where the arm was moved, and report it once it has begun, however it ends.
+        """Make one push, planned again if the arm was moved, and report it if it has begun, however it ends.
 
         `phase_at` gives the phase to report for a time of the plan [s].
         """
@@ -350,7 +338,7 @@ class _Execution:
             elif elapsed > push.plan.rested:
                 self._observe_rest(push)
             phase = phase_at(elapsed)
-            if phase != reported[0] or elapsed - reported[1] > _FEEDBACK_PERIOD:
+            if phase != reported[0] or elapsed - reported[1] > self.settings.feedback_period:
                 reported = (phase, elapsed)
                 if push.pacing is not None and np.isfinite(start := push.pacing.time_of(push.plan.departure)):
                     self.client.began(push.push_id, start)
@@ -364,8 +352,8 @@ class _Execution:
             self._go_home(push, lambda: self._observe_rest(push))
 
     def _retreat(self, push: ExecutedPush) -> str:
-        """Leave after a push that was broken off, if a checked path leads home; the outcome as a sentence."""
-        self.ports.clock.sleep(_STANDSTILL)
+        """Go home after an interrupted push, if a checked path leads there; the outcome as a sentence."""
+        self.ports.clock.sleep(self.settings.standstill_time)
         try:
             self._go_home(push, lambda: None)
         except PlanningError as error:
@@ -375,7 +363,7 @@ class _Execution:
     def _go_home(self, push: ExecutedPush, on_look: Callable[[], None]) -> None:
         settings, heading = self.settings.motion, push.plan.push.heading
         if isinstance(push.plan, PathPlan):
-            # Where it was broken off, a path may lead another way than at its end: back off from the object, not into it.
+            # A path that was interrupted may have another heading than at its end: back off from the object, not into it.
             heading = push.plan.tool.heading(push.reached - push.plan.departure)
 
         def plan_from(q: np.ndarray) -> ArmMotion:
@@ -395,7 +383,7 @@ class _Execution:
         )
 
     def _observe_rest(self, push: ExecutedPush) -> None:
-        """A push is whole when the object was seen at rest after it; the way home is no part of it."""
+        """A push is complete when the object was observed at rest after it, before the way home."""
         push.observe_object(self.ports.objects.get(push.before.object_id, np.inf))
         if not push.is_reported and not self._why_no_contact(push) and not self._why_elsewhere(push):
             self._report(push)
@@ -403,11 +391,11 @@ class _Execution:
     # ---- corrections
 
     def _begin_steering(self, push_id: int, plan: PathPlan) -> None:
-        own, settings = self.request.path, self.settings
-        assert own is not None, "it was planned"
+        request, settings = self.request.path, self.settings
+        assert request is not None, "it was planned"
         object_id = self.outcome.object_id
-        timeout = settings.limits.patience(own.correction_timeout) if own.correction_timeout else 0.0
-        steering = Steering(own, settings.push, lambda: self.ports.objects.outlines_of_others(object_id), timeout)
+        timeout = settings.limits.patience(request.correction_timeout) if request.correction_timeout else 0.0
+        steering = Steering(request, settings.push, lambda: self.ports.objects.outlines_of_others(object_id), timeout)
         steering.begin(push_id, plan)
         self.owner.steering = steering
 
@@ -440,7 +428,7 @@ class _Execution:
         except PlanningError as error:
             raise PlanningError(PushCode.OBJECT_LOST, f"lost during the push: {error}") from None
         excess, before = (self.settings.push.excess(pose[None, :2]) for pose in (now.pose, push.before.pose))
-        if excess > before + _DRIFT:
+        if excess > before + self.settings.workspace_drift:
             x, y = now.pose[:2]
             raise PlanningError(PushCode.OBJECT_LOST, f"`{now.object_id}` left the workspace: it is at ({x:.3f}, {y:.3f}) m.")
 
@@ -454,13 +442,13 @@ class _Execution:
                 raise PlanningError(PushCode.NO_CONTACT, reason)
             if clock.monotonic() > deadline:
                 raise PlanningError(PushCode.OBJECT_LOST, f"no pose of `{push.before.object_id}` after the push.")
-            clock.sleep(_POLL)
+            clock.sleep(self.settings.limits.period)
             push.observe_object(self.ports.objects.get(push.before.object_id, np.inf))
         if not push.is_reported and (reason := self._why_elsewhere(push)):
             raise PlanningError(PushCode.OBJECT_LOST, f"`{push.before.object_id}` cannot be where its pose says after this push: {reason}")
 
     def _why_elsewhere(self, push: ExecutedPush) -> str:
-        """Why this push cannot have brought the object to where its poses are since; empty if it can."""
+        """Why this push cannot have caused the poses of the object after it; empty if it can."""
         time, tip = push.plan.tool_path
         before, after = push.rest_before, push.rest_after
         return why_impossible(
@@ -473,7 +461,7 @@ class _Execution:
         )
 
     def _why_no_contact(self, push: ExecutedPush) -> str:
-        """Why a push that was made did not move the object, as far as its poses tell; empty if it did."""
+        """Why a push did not move the object, by its poses; empty if it did."""
         if not push.rest_after.n:
             return "The object was not seen after the push."
         shift, turn, is_beyond_noise = displacement(push.rest_before, push.rest_after)

@@ -12,10 +12,6 @@ CLOSED: Final = 255
 """Position of closed fingers; 0 is open."""
 BASIC_MODE: Final = 0
 """Grasping mode in which three fingers close to a fist."""
-_READY: Final = 3
-"""Activation and change of mode are complete (gIMC)."""
-_MIN_REQUEST: Final = 240
-"""Least requested position of a closed fist."""
 
 
 class HandMotion(IntEnum):
@@ -43,18 +39,18 @@ class HandState:
     fault: int
     """Fault code; 0: none."""
     request: int
-    """Requested position, 0 open to 255 closed."""
+    """Requested position, 0 open to 255 closed; a fist needs 240 at least."""
 
     @property
     def why_no_fist(self) -> str:
         """Why the hand is not a closed fist; empty when it is one."""
         if self.fault:
             return f"the hand reports fault 0x{self.fault:02X}; reset it"
-        if not self.activated or self.readiness != _READY:
+        if not self.activated or self.readiness != 3:
             return "the hand is not activated; call close_hand"
         if self.mode != BASIC_MODE:
             return f"the hand is in grasping mode {self.mode}, expected basic mode ({BASIC_MODE}); call close_hand"
-        if not self.going or self.request < _MIN_REQUEST:
+        if not self.going or self.request < 240:
             return f"the hand is open (requested position {self.request} of {CLOSED}); call close_hand"
         if self.motion == HandMotion.MOVING:
             return "the fingers are moving"

@@ -10,30 +10,14 @@ from numpy.typing import ArrayLike
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
 from push_ident.pushing.arm_motion import ArmMotion
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.joint_limits import JointLimits, gentler
 from push_ident.pushing.posture_map import PostureMap
 from push_ident.pushing.push import PUSH_ACCELERATION, PushCode, PushPlan2D, PushSettings
-from push_ident.pushing.tool_path import ToolMotion, ToolPath, rounded
+from push_ident.pushing.tool_path import Corridor, ToolMotion, ToolPath, rounded
 from push_ident.pushing.trajectory import JointTrajectory, join, joint_move, path_at_speed, path_move, stand_still
 from push_ident.types import Float64Array
 
 __all__ = ["ArmPlan", "MotionSettings", "PathPlan", "joint_limits", "plan_path_push", "plan_push", "plan_retreat"]
-
-_STEP = 0.004
-"""Distance between the points of a straight line at which the inverse kinematics is solved [m]."""
-_POSTURE_RATE = 3.0
-"""Drift towards the neutral posture per metre of tool travel, as a fraction of the difference [1/m]: slow compared with the push."""
-_AT_HOME = 1e-3
-"""The arm is at home when every joint is within this [rad]."""
-_HEIGHT_NOISE = 5e-4
-"""Tolerance of the height of a level path [m]."""
-_LEAST_ACCELERATION = 0.5
-"""Of a tool that shall be corrected [m/s^2]: at 0.1 m/s it turns aside within 0.2 s and a centimetre."""
-_EASINGS, _EASED = 5, 0.98
-"""Attempts at ramps that all joints can follow, and the share of their limit that is aimed at [1]."""
-_LINE_TOLERANCE = 5e-4
-"""Largest distance of the tool from its straight line between two solved points [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +57,18 @@ class MotionSettings:
     MoveIt configurations of arms of its size (Universal Robots) set 5 to 10 (`max_acceleration` in their joint_limits.yaml)."""
     max_joint_acceleration: float = 5.0
     """Limit of every joint's acceleration on all moves except the push [rad/s^2]."""
+    line_spacing: float = 0.004
+    """Distance between the points of a straight line at which the inverse kinematics is solved [m]."""
+    posture_rate: float = 3.0
+    """Drift towards the neutral posture per metre of tool travel, as a fraction of the difference [1/m]: slow compared with the push."""
+    home_tolerance: float = 1e-3
+    """The arm is at home when every joint is within this [rad]."""
+    height_tolerance: float = 5e-4
+    """Tolerance of the height of a level path [m]."""
+    line_tolerance: float = 5e-4
+    """Largest distance of the tool from its straight line between two solved points [m]."""
+    least_tool_acceleration: float = 0.5
+    """Least acceleration of a tool whose path may be corrected [m/s^2]: at 0.1 m/s it turns aside within 0.2 s and a centimetre."""
 
     def __post_init__(self) -> None:
         if not 0 < self.min_height <= self.push_height < self.free_height <= self.safe_height:
@@ -123,7 +119,7 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
 
     # A spinning tool would drag the object along its face, so the spin is held during the push.
     x_axis = kinematics.forward(settle.position[-1])[:3, 0]
-    postures, length = _line(kinematics, settle.position[-1], _point(end, settings.push_height), TOOL_DOWN, x_axis)
+    postures, length = _line(kinematics, settle.position[-1], _point(end, settings.push_height), settings, TOOL_DOWN, x_axis)
     pushing, acceleration = _eased(kinematics, postures, length, push.speed, settings)
     ramp = push.speed / acceleration
     if 0.5 * push.speed * ramp > settings.clearance:
@@ -157,17 +153,19 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
 def _eased(
     kinematics: ArmKinematics, postures: Float64Array, length: float, speed: float, settings: MotionSettings
 ) -> tuple[JointTrajectory, float]:
-    """Motion of a push along its line, and the acceleration of the tool [m/s^2]: less than asked for where a joint needs longer ramps, as
-    long as the tool is at its speed when it touches the object, and the line is long enough."""
+    """Motion of a push along its line, and the acceleration of the tool [m/s^2].
+
+    That is less than requested where a joint needs longer ramps, as long as the tool reaches its speed before the contact.
+    """
     acceleration, limit = settings.acceleration, joint_limits(kinematics, settings).planned.acceleration
     least = speed**2 / min(2.0 * settings.clearance, length)
-    for _ in range(_EASINGS):
+    for _ in range(5):
         pushing = path_at_speed(postures, length, speed, acceleration)
         share = float(np.max(np.abs(pushing.acceleration) / limit))
         if share <= 1.0 or acceleration <= least:
             break
-        # The part that the bend of the line makes at speed stays.
-        acceleration = max(_EASED * acceleration / share, least)
+        # Aim at 98 % of the limit: the part of the joint acceleration that the bend of the line causes at speed stays.
+        acceleration = max(0.98 * acceleration / share, least)
     return path_at_speed(postures, length, speed, acceleration), acceleration
 
 
@@ -176,21 +174,21 @@ class PathPlan(ArmPlan):
     """Motion of the arm for a push along a path that may be corrected, up to the rest after it; the retreat begins where that ends."""
 
     postures: PostureMap
-    """For every place of the corridor."""
+    """Postures over the corridor."""
     tool: ToolMotion
-    """Of the push itself; times from the departure on."""
+    """Motion of the tool during the push itself; times from the departure on."""
     rest: float
     """Pause after the push [s]."""
     speed: float
-    """Largest of the tool in the corridor [m/s]."""
+    """Largest speed of the tool in the corridor [m/s]."""
     acceleration: float
-    """And its largest acceleration [m/s^2]."""
+    """Largest acceleration of the tool in the corridor [m/s^2]."""
 
     def corrected(self, path: ToolPath, begin: float) -> PathPlan:
-        """The same up to a time, and along another path from then on.
+        """The plan with another path of the tool from a time on.
 
         Args:
-            path: to be made; times from the departure on [s].
+            path: new path; times from the departure on [s].
             begin: when the motion begins to change, from the departure on [s].
 
         Raises:
@@ -205,13 +203,13 @@ class PathPlan(ArmPlan):
         tail = join([changed, stand_still(changed.position[-1], self.rest)])
         self.limits.planned.check_accelerations(changed, gentler(self.acceleration))
         before, at = self.trajectory, float(self.trajectory.time[first])
-        own = zip((before.time, before.position, before.velocity), (tail.time + at, tail.position, tail.velocity), strict=True)
-        places = np.vstack([later.position, np.tile(later.position[-1], (len(tail.time) - len(later.time), 1))])
-        tip = np.column_stack([places, np.full(len(places), self.tip[first, 2])])
+        parts = zip((before.time, before.position, before.velocity), (tail.time + at, tail.position, tail.velocity), strict=True)
+        tool_xy = np.vstack([later.position, np.tile(later.position[-1], (len(tail.time) - len(later.time), 1))])
+        tip = np.column_stack([tool_xy, np.full(len(tool_xy), self.tip[first, 2])])
         stop = self.departure + float(tool.time[-1])
         return replace(
             self,
-            trajectory=JointTrajectory(*(np.concatenate([old[:first], new]) for old, new in own)),
+            trajectory=JointTrajectory(*(np.concatenate([old[:first], new]) for old, new in parts)),
             tip=np.vstack([self.tip[:first], tip]),
             push=replace(self.push, distance=_travel(tool, self.push)),
             tool=tool,
@@ -232,7 +230,7 @@ def plan_path_push(
     """Plan up, home, above the start of the path, down, the push along it, with postures for all of its corridor, and the rest after it.
 
     `push` is its straight beginning; for the rest see `plan_push`, whose exceptions it raises. LIMIT and UNREACHABLE are raised for any
-    place of the corridor within the workspace that the tool cannot be in, or not move in at the largest speed of a push.
+    position in the corridor and workspace that the tool cannot reach, or not cross at the largest speed of a push.
     """
     q_now = kinematics.check_configuration(q_now)
     joints = joint_limits(kinematics, settings)
@@ -241,11 +239,11 @@ def plan_path_push(
     settle = stand_still(approach[-1].position[-1], settings.settle)
     postures = PostureMap(kinematics, settle.position[-1], corridor, limits.workspace)
     speed, acceleration = postures.allowed(limits.max_speed, settings.acceleration, joints.planned, settings.link_height)
-    if path.speed > speed or acceleration < _LEAST_ACCELERATION:
+    if path.speed > speed or acceleration < settings.least_tool_acceleration:
         raise PlanningError(
             PushCode.LIMIT,
             f"in this corridor the joints allow the tool {speed:.3f} m/s and {acceleration:.2f} m/s^2, needed are {path.speed:.3f} and "
-            f"{_LEAST_ACCELERATION:.2f}; go slower, or give a narrower corridor.",
+            f"{settings.least_tool_acceleration:.2f}; go slower, or give a narrower corridor.",
         )
     tool = rounded(path, 0.0, path.position[0], np.zeros(2), acceleration, speed)
     pushing = JointTrajectory(tool.time, *postures.joints(tool))
@@ -299,7 +297,7 @@ def plan_retreat(kinematics: ArmKinematics, q_now: ArrayLike, heading: ArrayLike
 
 
 def joint_limits(kinematics: ArmKinematics, settings: MotionSettings) -> JointLimits:
-    """What every joint of an arm keeps to. Raises InputError where there is not one acceleration for all, or one per joint."""
+    """Limits of the joints of an arm. Raises InputError unless there is one acceleration for all, or one per joint."""
     acceleration = np.array(settings.joint_acceleration_limits)
     if len(acceleration) not in (1, kinematics.n_joints):
         raise InputError(
@@ -329,7 +327,7 @@ def _approach(kinematics: ArmKinematics, q_now: Float64Array, start: Float64Arra
     """Up, home, above `start` (2,), and down to the height of the push."""
     parts, home = _up(kinematics, q_now, settings), kinematics.check_configuration(settings.home)
     q = parts[-1].position[-1] if parts else q_now
-    if np.max(np.abs(q - home)) > _AT_HOME:
+    if np.max(np.abs(q - home)) > settings.home_tolerance:
         parts.append(_free_move(kinematics, q, home, settings))
         q = home
     above = _reach(kinematics, _point(start, settings.safe_height), kinematics.neutral)
@@ -357,7 +355,7 @@ def _away(kinematics: ArmKinematics, q: Float64Array, heading: Float64Array, set
     parts += _up(kinematics, q, settings)
     q = parts[-1].position[-1] if parts else q
     home = kinematics.check_configuration(settings.home)
-    if np.max(np.abs(q - home)) > _AT_HOME:
+    if np.max(np.abs(q - home)) > settings.home_tolerance:
         parts.append(_free_move(kinematics, q, home, settings))
     return parts
 
@@ -365,22 +363,27 @@ def _away(kinematics: ArmKinematics, q: Float64Array, heading: Float64Array, set
 def _straight(
     kinematics: ArmKinematics, q: Float64Array, target: Float64Array, settings: MotionSettings, axis: Float64Array = TOOL_DOWN
 ) -> JointTrajectory:
-    postures, length = _line(kinematics, q, target, axis)
+    postures, length = _line(kinematics, q, target, settings, axis)
     return path_move(postures, length, settings.free_speed, settings.acceleration, *_free_limits(kinematics, settings))
 
 
 def _line(
-    kinematics: ArmKinematics, q: Float64Array, target: Float64Array, axis: Float64Array, x_axis: Float64Array | None = None
+    kinematics: ArmKinematics,
+    q: Float64Array,
+    target: Float64Array,
+    settings: MotionSettings,
+    axis: Float64Array,
+    x_axis: Float64Array | None = None,
 ) -> tuple[Float64Array, float]:
     """Postures at even steps along the straight line of the tip from `q` to `target`, shape (n, n_joints), and its length [m]."""
     start = kinematics.forward(q)[:3, 3]
     length = float(np.linalg.norm(target - start))
-    n_steps = max(int(np.ceil(length / _STEP)), 2)
+    n_steps = max(int(np.ceil(length / settings.line_spacing)), 2)
     postures = [q]
     for share in np.linspace(0.0, 1.0, n_steps + 1)[1:]:
         # The drift towards the neutral posture precedes the correction of minimum norm, which keeps only the part of it that does
         # not move the tool; it is proportional to the travel and thus smooth in time.
-        drift = _POSTURE_RATE * length / n_steps * (kinematics.neutral - postures[-1])
+        drift = settings.posture_rate * length / n_steps * (kinematics.neutral - postures[-1])
         postures.append(_reach(kinematics, start + share * (target - start), postures[-1] + drift, axis, x_axis, posture_gain=0.0))
     return np.array(postures), length
 
@@ -440,7 +443,7 @@ def _checked_tip(kinematics: ArmKinematics, trajectory: JointTrajectory, setting
 
 def _check_height(tip: Float64Array, settings: MotionSettings, start: float = np.inf) -> None:
     """Check the lowest of `tip` (n, 3) against the limit, or against the height [m] of a lower start."""
-    lowest, limit = float(np.min(tip[:, 2])), min(settings.min_height, start - _HEIGHT_NOISE)
+    lowest, limit = float(np.min(tip[:, 2])), min(settings.min_height, start - settings.height_tolerance)
     if lowest < limit:
         raise PlanningError(PushCode.LIMIT, f"the tip would be {lowest:.4f} m above the table, limit {limit:.4f} m.")
 
@@ -449,7 +452,7 @@ def _check_line(plan: ArmPlan, settings: MotionSettings) -> None:
     _, path = plan.tool_path
     across = np.array([-plan.push.heading[1], plan.push.heading[0]])
     deviation = np.hypot((path[:, :2] - plan.push.tool_at_contact) @ across, path[:, 2] - settings.push_height)
-    if float(np.max(deviation)) > _LINE_TOLERANCE:
+    if float(np.max(deviation)) > settings.line_tolerance:
         raise PlanningError(
             PushCode.UNREACHABLE, f"the tool would leave the push line by {1e3 * float(np.max(deviation)):.2f} mm; choose another push."
         )

@@ -1,8 +1,8 @@
-"""How far an arm may go on a planned path without news: a dead man's switch made of short pieces.
+"""Pacing of a motion: a dead man's switch made of short pieces.
 
 The arm never has the whole motion. It gets pieces of it, each in place of the one before: a short time at the planned speed, then braking
-to a halt on the path. While pieces arrive in time the arm moves as planned. When none arrives, whatever the reason, it stands soon, on the
-path that was checked; when they arrive again it speeds up and goes on from there.
+to a halt on the path. While pieces arrive in time the arm moves as planned. When none arrives, for any reason, it stops soon on the checked
+path; when they arrive again it speeds up and goes on from there.
 
 With path time s along the plan q(s) and the rate r = ds/dt between 0 and 1, the joints move as
 
@@ -16,11 +16,12 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from push_ident.pushing.trajectory import JointTrajectory
+from push_ident.pushing.trajectory import SAMPLE_PERIOD, JointTrajectory
 from push_ident.types import Float64Array
 
 __all__ = ["SPLICE", "PathPacing"]
@@ -28,14 +29,23 @@ __all__ = ["SPLICE", "PathPacing"]
 SPLICE: Final = 0.03
 """First point of a piece after its start [s]. The arm reaches it by a cubic from its own present state, which smooths what transport
 adds: a piece that is 1 ms late shifts the path by 1 ms, over this time rather than at once."""
-_STEP: Final = 0.01
-"""Of speeding up and braking [s]: a sample of the plan. The arm gets a point for each, so that its cubics are those of the schedule."""
-_SPEED_UP: Final = 0.1
-"""Shortest time from standstill to the planned speed [s]."""
-_BRAKE: Final = 0.02
-"""Shortest time from the planned speed to standstill [s]."""
-_SHORTEST: Final = 0.01
-"""Shortest piece [s]: an arm takes no point in no time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ramps:
+    """How quickly an arm changes its rate along a plan."""
+
+    step: float = SAMPLE_PERIOD
+    """Time step of speeding up and braking [s]. The arm gets a point for each, so that its cubics are those of the schedule."""
+    speed_up: float = 0.1
+    """Shortest time from standstill to the planned speed [s]."""
+    brake: float = 0.02
+    """Shortest time from the planned speed to standstill [s]."""
+    shortest_piece: float = 0.01
+    """[s]: an arm takes no point in no time."""
+
+
+_RAMPS: Final = Ramps()
 
 
 class PathPacing:
@@ -112,10 +122,10 @@ class PathPacing:
         s, r = self._cut(now)
         self._speed_up(now + self._horizon, s, r)
         self._brake()
-        end = max(self._t[-1] - now, splice, _SHORTEST)
+        end = max(self._t[-1] - now, splice, _RAMPS.shortest_piece)
         knots = np.array(self._t[bisect_right(self._t, now + splice) :]) - now
         times = np.concatenate([[splice], knots, [end]])
-        times = times[np.append(np.diff(times) > 0.5 * _STEP, True)]
+        times = times[np.append(np.diff(times) > 0.5 * _RAMPS.step, True)]
         if len(times) == 1:  # that is how an arm is held
             times = np.array([0.5 * end, end])
         s_r = np.array([self._at(now + t) for t in times])
@@ -134,7 +144,7 @@ class PathPacing:
         slope = self._brake()
         self._cut(now)
         self._brake(slope)
-        time = max(self._t[-1] - now, _SHORTEST)
+        time = max(self._t[-1] - now, _RAMPS.shortest_piece)
         position, _ = self._plan.follow(np.array([self._s[-1]]))
         return JointTrajectory(np.array([time]), position, np.zeros_like(position))
 
@@ -159,8 +169,8 @@ class PathPacing:
         """Forget what was planned after `now`; path time and rate there."""
         now = max(now, self._t[0])
         s, r = self._at(now)
-        keep = bisect_left(self._t, now)
-        del self._t[keep:], self._s[keep:], self._r[keep:]
+        n_kept = bisect_left(self._t, now)
+        del self._t[n_kept:], self._s[n_kept:], self._r[n_kept:]
         self._add(now, s, r)
         return s, r
 
@@ -173,12 +183,12 @@ class PathPacing:
         """Up to the planned speed and on, to the time `until` or the end of the plan."""
         t = self._t[-1]
         while r < 1.0 and t < until - 1e-9 and s < self.duration:
-            step = min(_STEP, until - t)
-            rate = min(r + step * min(1.0 / _SPEED_UP, self._allowed(s, r, 1.0)), 1.0)
+            step = min(_RAMPS.step, until - t)
+            rate = min(r + step * min(1.0 / _RAMPS.speed_up, self._allowed(s, r, 1.0)), 1.0)
             t, s, r = t + step, s + 0.5 * step * (r + rate), rate
             self._add(t, s, r)
         end = s + min(until - t, self.duration - s)
-        first, last = bisect_right(self._times, s + 0.5 * _STEP), bisect_left(self._times, end - 0.5 * _STEP)
+        first, last = bisect_right(self._times, s + 0.5 * _RAMPS.step), bisect_left(self._times, end - 0.5 * _RAMPS.step)
         for knot in (*self._times[first:last], end) if r >= 1.0 and end - s > 1e-9 else ():
             self._add(t + knot - s, knot, r)
         self._end_at_duration()
@@ -189,8 +199,8 @@ class PathPacing:
         while r > 0.0 and s < self.duration:
             slope = min(self._allowed(s, r, -1.0), evenly)
             least = min(least, slope)
-            step = _STEP if slope * _STEP < r else r / slope
-            rate = r - step * slope if step == _STEP else 0.0
+            step = _RAMPS.step if slope * _RAMPS.step < r else r / slope
+            rate = r - step * slope if step == _RAMPS.step else 0.0
             t, s, r = t + step, s + 0.5 * step * (r + rate), rate
             self._add(t, s, r)
         self._end_at_duration()
@@ -206,5 +216,5 @@ class PathPacing:
         i = min(bisect_right(self._times, s) - 1, len(self._bend) - 1)
         speed, bend = self._plan.velocity[i : i + 2], self._bend[i : i + 2]
         along = sign * r * r * np.sign(speed[0] + speed[1]) * bend
-        room = np.maximum(self._limit - np.max(along, axis=0, initial=0.0), 0.0) / np.maximum(np.max(np.abs(speed), axis=0), 1e-9)
-        return float(min(self._share * np.min(room), 1.0 / _BRAKE))
+        slopes = np.maximum(self._limit - np.max(along, axis=0, initial=0.0), 0.0) / np.maximum(np.max(np.abs(speed), axis=0), 1e-9)
+        return float(min(self._share * np.min(slopes), 1.0 / _RAMPS.brake))

@@ -1,4 +1,4 @@
-"""What the execution of a push needs from its surroundings: arm, hand, force sensor, recorder, tracked objects, client and clock.
+"""Interfaces of the execution of a push to its cell: arm, hand, force sensor, recorder, tracked objects, client and clock.
 
 The node implements these interfaces on ROS; tests implement them in memory, on a clock of their own.
 """
@@ -41,7 +41,7 @@ class ArmState:
     pose_tip_in_table: Float64Array
     """Homogeneous, shape (4, 4)."""
     received: float
-    """`Clock.monotonic` on receipt [s]: what a watchdog must look at, whatever the stamps are."""
+    """`Clock.monotonic` on receipt [s]: the time for a watchdog, whatever the stamps are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ class Arm(Protocol):
         ...
 
     def stamp_now(self) -> tuple[float, bool]:
-        """What the clock of the arm's stamps shows now [s], and whether that is known: it may have stopped.
+        """Present time of the clock of the arm's stamps [s], and whether it is known: the clock may have stopped.
 
         There must have been a state.
         """
@@ -165,7 +165,7 @@ class ForceSensor(Protocol):
 
     @property
     def is_there(self) -> bool:
-        """Whether somebody measures the force, or did: then no motion goes without it."""
+        """Whether the force is measured, or was: then no motion is made without it."""
         ...
 
     @property
@@ -188,7 +188,7 @@ class Recorder(Protocol):
 
     @property
     def fault(self) -> str:
-        """Why what was asked for is not recorded; empty while it is, or where nobody asked for it."""
+        """Why a requested recording fails; empty while it does not, or none was requested."""
         ...
 
 
@@ -208,7 +208,7 @@ class Objects(Protocol):
 
 
 class Client(Protocol):
-    """Who requested the push."""
+    """Client that requested the push."""
 
     @property
     def why_over(self) -> str:
@@ -226,7 +226,7 @@ class Client(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ExecutionPorts:
-    """All of them that belong to the cell."""
+    """All interfaces of the cell."""
 
     arm: Arm
     hand: Hand

@@ -1,12 +1,13 @@
-"""Postures of the arm for every place that the lowered tool may be steered to, found and checked before anything moves.
+"""Postures of the arm for every position that the lowered tool may be steered to, solved and checked before anything moves.
 
-A tool that is corrected while it touches an object leaves no time for inverse kinematics, nor for a refusal that could have been foreseen.
-So the postures are solved at the nodes of a grid, each from its neighbour's, and cubics go between them: over 2 cm they are right to some
-micrometres. Joints move as the map's derivative times the velocity of the tool.
+While a push is corrected there is no time for inverse kinematics, and a refusal would come too late. So the postures are solved at the
+nodes of a grid, each from that of its neighbour, and interpolated by cubics: over 2 cm they are exact to some micrometres. Joint velocities
+are the derivative of the map times the velocity of the tool.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -14,26 +15,33 @@ from scipy.interpolate import RectBivariateSpline
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.joint_limits import JointLimits
 from push_ident.pushing.push import PushCode
-from push_ident.pushing.tool_path import ToolMotion
+from push_ident.pushing.tool_path import Corridor, ToolMotion
 from push_ident.types import Float64Array
 
 __all__ = ["PostureMap"]
 
-_SPACING: Final = 0.02
-"""Of the nodes [m]."""
-_LEAST_NODES: Final = 5
-"""Along each side."""
-_MARGIN: Final = 0.01
-"""Of the grid around the corridor [m]: what rounds the corners of a path may lead so far out of it."""
-_DRIFT: Final = 3.0
-"""Towards the neutral posture per metre, as on straight pushes [1/m]."""
-_SPARE: Final = 0.9
-"""Share of the acceleration limits that is used [1]: between nodes, and between samples of a motion, it is a little more than there."""
-_TOLERANCE: Final = 1e-8
-"""Of a node [m, rad]: cubics amplify what is left."""
+
+@dataclass(frozen=True, slots=True)
+class PostureGrid:
+    """Grid of the postures of a corridor."""
+
+    spacing: float = 0.02
+    """Largest distance between nodes [m]."""
+    least_nodes: int = 5
+    """Least number of nodes along each side."""
+    margin: float = 0.01
+    """Margin of the grid around the corridor [m]: rounding the corners of a path may lead so far out of it."""
+    posture_rate: float = 3.0
+    """Drift towards the neutral posture per metre of tool travel, as on straight pushes [1/m]."""
+    acceleration_share: float = 0.9
+    """Share of the acceleration limits that is used [1]: between nodes and samples the acceleration is a little larger than at them."""
+    tolerance: float = 1e-8
+    """Tolerance of the inverse kinematics at a node [m, rad]: cubics amplify its errors."""
+
+
+_GRID: Final = PostureGrid()
 
 
 class PostureMap:
@@ -46,7 +54,7 @@ class PostureMap:
         workspace: x_min, x_max, y_min, y_max of the tool [m].
 
     Raises:
-        PlanningError: UNREACHABLE where the arm has no posture for a place in the corridor.
+        PlanningError: UNREACHABLE where the arm has no posture for a position in the corridor.
     """
 
     def __init__(
@@ -61,7 +69,7 @@ class PostureMap:
             np.maximum(corridor.line.min(axis=0) - corridor.half_width, low),
             np.minimum(corridor.line.max(axis=0) + corridor.half_width, high),
         )
-        first, last = np.minimum(inner[0], start) - _MARGIN, np.maximum(inner[1], start) + _MARGIN
+        first, last = np.minimum(inner[0], start) - _GRID.margin, np.maximum(inner[1], start) + _GRID.margin
         self._x, self._y = (_nodes(*ends) for ends in zip(first, start, last, strict=True))
         postures, self._low_links = self._solved(q_start, start)
         self._splines = [RectBivariateSpline(self._x, self._y, joint) for joint in np.moveaxis(postures, -1, 0)]
@@ -79,8 +87,8 @@ class PostureMap:
         """Largest speed [m/s] and acceleration [m/s^2] that the tool may have anywhere in the corridor, in any direction.
 
         Args:
-            speed: of the tool, that is wanted at most.
-            acceleration: of it, that is wanted at most.
+            speed: requested speed of the tool.
+            acceleration: requested acceleration of the tool.
             limits: of the joints.
             link_height: least height of a moving joint [m].
 
@@ -101,39 +109,39 @@ class PostureMap:
         bends = [np.sqrt(s(*at, dx=2) ** 2 + 2.0 * s(*at, dx=1, dy=1) ** 2 + s(*at, dy=2) ** 2)[inside] for s in self._splines]
         speed = min(speed, float(np.min(limits.velocity / np.maximum(slope, 1e-9))))
         # At speed, joints accelerate where the posture bends over the table.
-        room = np.maximum(_SPARE * limits.acceleration - speed**2 * np.stack(bends, axis=-1), 0.0)
-        return speed, min(acceleration, float(np.min(room / np.maximum(slope, 1e-9))))
+        available = np.maximum(_GRID.acceleration_share * limits.acceleration - speed**2 * np.stack(bends, axis=-1), 0.0)
+        return speed, min(acceleration, float(np.min(available / np.maximum(slope, 1e-9))))
 
     def _distance(self) -> Float64Array:
-        """Of the nodes out of the corridor [m], shape (n_x, n_y)."""
+        """Distance of the nodes from the corridor [m], shape (n_x, n_y); 0 inside."""
         return self._corridor.excess(np.stack(np.meshgrid(self._x, self._y, indexing="ij"), axis=-1))
 
     def _solved(self, q_start: Float64Array, start: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Postures at the nodes, shape (n_x, n_y, n_joints), and the height of the lowest moving joint there [m], shape (n_x, n_y)."""
-        found, low = np.empty((len(self._x), len(self._y), len(q_start))), np.empty((len(self._x), len(self._y)))
-        far = self._distance() > 2.0 * _SPACING
+        postures, low = np.empty((len(self._x), len(self._y), len(q_start))), np.empty((len(self._x), len(self._y)))
+        far = self._distance() > 2.0 * _GRID.spacing
         i0, j0 = int(np.argmin(np.abs(self._x - start[0]))), int(np.argmin(np.abs(self._y - start[1])))
         for i in _outwards(i0, len(self._x)):
             before = i0 if i == i0 else i - int(np.sign(i - i0))
             for j in _outwards(j0, len(self._y)):
                 from_node = (before, j0) if j == j0 else (i, j - int(np.sign(j - j0)))
-                q = q_start if (i, j) == (i0, j0) else found[from_node]
-                found[i, j], is_there = self._posture(q, i, j, from_node)
-                if not (is_there or far[i, j]):
+                q = q_start if (i, j) == (i0, j0) else postures[from_node]
+                postures[i, j], converged = self._posture(q, i, j, from_node)
+                if not (converged or far[i, j]):
                     raise PlanningError(
                         PushCode.UNREACHABLE,
                         f"the tool cannot reach ({self._x[i]:.3f}, {self._y[j]:.3f}) m, in the corridor of the push or beside it; "
                         "give a narrower corridor, or a path further inside.",
                     )
-                self._kinematics.forward(found[i, j])
+                self._kinematics.forward(postures[i, j])
                 low[i, j] = self._kinematics.lowest_joint()[1]
-        return found, low
+        return postures, low
 
     def _posture(self, q: Float64Array, i: int, j: int, from_node: tuple[int, int]) -> tuple[Float64Array, bool]:
         step = float(np.hypot(self._x[i] - self._x[from_node[0]], self._y[j] - self._y[from_node[1]]))
-        q = q + _DRIFT * step * (self._kinematics.neutral - q)
-        place = np.array([self._x[i], self._y[j], self._height])
-        return self._kinematics.inverse(place, q, axis=TOOL_DOWN, x_axis=self._x_axis, posture_gain=0.0, tolerance=_TOLERANCE)
+        q = q + _GRID.posture_rate * step * (self._kinematics.neutral - q)
+        position = np.array([self._x[i], self._y[j], self._height])
+        return self._kinematics.inverse(position, q, axis=TOOL_DOWN, x_axis=self._x_axis, posture_gain=0.0, tolerance=_GRID.tolerance)
 
 
 def _outwards(middle: int, n: int) -> list[int]:
@@ -142,5 +150,5 @@ def _outwards(middle: int, n: int) -> list[int]:
 
 def _nodes(first: float, start: float, last: float) -> Float64Array:
     """Ascending, with both ends and the start among them [m]."""
-    n = [max(2, int(np.ceil((b - a) / _SPACING)) + 1, (_LEAST_NODES + 1) // 2) for a, b in ((first, start), (start, last))]
+    n = [max(2, int(np.ceil((b - a) / _GRID.spacing)) + 1, (_GRID.least_nodes + 1) // 2) for a, b in ((first, start), (start, last))]
     return np.unique(np.concatenate([np.linspace(first, start, n[0]), np.linspace(start, last, n[1])]))

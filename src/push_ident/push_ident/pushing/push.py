@@ -61,6 +61,18 @@ class PushSettings:
     """Highest speed that a goal may request [m/s]."""
     edge_margin: float = 0.03
     """An object whose outline comes nearer to the edge of the workspace than this is pushed back to the middle [m]."""
+    n_draws: int = 1000
+    """Random pushes that are tried."""
+    max_angle: float = float(np.radians(80.0))
+    """Largest angle between a push and the inward normal [rad]: a flatter pusher slides along the outline."""
+    n_recentring_contacts: int = 120
+    """Contacts along the outline that are tried for a push back to the middle."""
+    max_recentring_angle: float = float(np.radians(60.0))
+    """Largest angle between a push back to the middle and the direction to the middle [rad]."""
+    contact_rounding: float = 1e-4
+    """Overlap with the outline that still counts as the planned contact [m]."""
+    contact_tolerance: float = 5e-3
+    """Distance of a tool from its planned contact [m]: error of a pose that was observed some frames after the one of the plan."""
 
     def __post_init__(self) -> None:
         x_min, x_max, y_min, y_max = self.workspace

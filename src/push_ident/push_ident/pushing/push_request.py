@@ -1,4 +1,4 @@
-"""What a client requests of the executor, by which settings it is carried out, and what became of it."""
+"""Request of a client to the executor, the settings of its execution, and its outcome."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class PushRequest:
 
 @dataclass(frozen=True, slots=True)
 class ExecutionSettings:
-    """Numbers of the execution. Fields, and those of the parts, are parameters of the executor."""
+    """Settings of the execution. Fields up to `min_object_turn`, and those of the parts, are parameters of the executor."""
 
     push: PushSettings
     motion: MotionSettings
@@ -69,11 +69,21 @@ class ExecutionSettings:
     """Smaller shifts of the object count as no contact [m]."""
     min_object_turn: float = 0.0175
     """Smaller turns of the object count as no contact [rad]."""
+    n_plans: int = 20
+    """Pushes that are planned, random or recentring ones, before the request is refused as unreachable."""
+    feedback_period: float = 0.1
+    """Longest time between two reports to the client [s]."""
+    standstill_time: float = 0.15
+    """Time that an arm needs to come to rest once it is held [s]."""
+    clearance_deviations: float = 3.0
+    """Standard deviations of the object's position that `clearance` must cover, where the tool comes down [1]: 1 in 370 is beyond."""
+    workspace_drift: float = 0.002
+    """Largest further motion outward of an object that was outside the workspace at the start [m]."""
 
 
 @dataclass(slots=True)
 class PushOutcome:
-    """What became of a request."""
+    """Outcome of a request."""
 
     plan: ArmPlan | None = None
     push_id: int = 0
@@ -81,9 +91,9 @@ class PushOutcome:
     recentre_push_id: int = 0
     """Of the recentring push before it; 0: none."""
     object_id: str = ""
-    """That is pushed."""
+    """Object that is pushed."""
     n_corrections: int = 0
-    """That were made of a push along a path."""
+    """Corrections of a push along a path that were applied."""
     n_refused: int = 0
-    """And that were refused."""
+    """Corrections that were refused."""
     error: PlanningError | None = None

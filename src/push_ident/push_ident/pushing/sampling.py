@@ -17,19 +17,6 @@ from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["check_push", "is_near_edge", "push_along_path", "push_from_goal", "recentring_pushes", "sample_push"]
 
-_MAX_DRAWS = 1000
-"""Random pushes that are tried."""
-_GRAZING = np.radians(80.0)
-"""Largest angle between a push and the inward normal [rad]: a flatter pusher slides along the outline."""
-_N_RECENTRING = 120
-"""Number of contacts along the outline that are tried for a push back to the middle."""
-_MAX_DEVIATION = np.radians(60.0)
-"""Largest angle between a push back to the middle and the direction to the middle [rad]."""
-_EARLY_TOUCH = 1e-4
-"""Overlap with the outline that still counts as the planned contact [m]."""
-_TOUCH = 5e-3
-"""Of a tool at the planned contact [m]: the error of a pose that was observed some frames after that which was planned from."""
-
 
 def push_from_goal(
     shape: ObjectShape,
@@ -57,11 +44,11 @@ def push_from_goal(
     heading = np.array([np.cos(direction), np.sin(direction)])
     contact, normal = _nearest_on_outline(point, outline, heading)
     inward = float(np.arctan2(-normal[1], -normal[0]))
-    if abs(float(wrap_angle(direction - inward))) > _GRAZING:
+    if abs(float(wrap_angle(direction - inward))) > settings.max_angle:
         raise PlanningError(
             PushCode.INVALID_GOAL,
             f"direction {direction:.2f} rad does not push into the object at ({contact[0]:.3f}, {contact[1]:.3f}) m; "
-            f"the inward normal there is {inward:.2f} rad, stay within {_GRAZING:.2f} rad of it.",
+            f"the inward normal there is {inward:.2f} rad, stay within {settings.max_angle:.2f} rad of it.",
         )
     push = PushPlan2D(contact, contact + settings.pusher_radius * normal, float(direction), float(distance), float(speed))
     check_push(push, outline, settings, obstacles)
@@ -81,26 +68,30 @@ def push_along_path(
     ahead = second - first
     direction = float(np.arctan2(ahead[1], ahead[0]))
     gap = float(signed_distance(second[None], outline)[0]) - settings.pusher_radius
-    if abs(gap) > _TOUCH:
+    tolerance = settings.contact_tolerance
+    if abs(gap) > tolerance:
         raise PlanningError(
             PushCode.INVALID_GOAL,
-            f"the tool would be {1e3 * gap:.1f} mm from the object at the second point of tool_path, expected {1e3 * _TOUCH:.0f} at most; "
-            "plan from the latest pose.",
+            f"the tool would be {1e3 * gap:.1f} mm from the object at the second point of tool_path, expected {1e3 * tolerance:.0f} "
+            "at most; plan from the latest pose.",
         )
     if path.speed > settings.max_speed:
         raise PlanningError(PushCode.INVALID_GOAL, f"tool_path has {path.speed:.3f} m/s, expected {settings.max_speed:.3f} at most.")
     if (excess := settings.excess(path.position)) > 0.0:
         raise PlanningError(PushCode.LIMIT, f"tool_path leaves the workspace {settings.workspace} m by {1e3 * excess:.1f} mm.")
     # Until it touches, the tool keeps clear of the object, as far as its pose is known; of others all the way.
-    ways = [(_line(first, second), outline, _TOUCH), *((path.dense(), other, _EARLY_TOUCH) for other in obstacles)]
-    for way, other, deepest in ways:
-        gaps = signed_distance(way, other) - settings.pusher_radius
-        if gaps[0] < settings.lowering_gap or float(np.min(gaps)) < -deepest:
+    checks = [
+        (_line(first, second), outline, tolerance),
+        *((path.dense(), other, settings.contact_rounding) for other in obstacles),
+    ]
+    for points, other, overlap in checks:
+        gaps = signed_distance(points, other) - settings.pusher_radius
+        if gaps[0] < settings.lowering_gap or float(np.min(gaps)) < -overlap:
             k = 0 if gaps[0] < settings.lowering_gap else int(np.argmin(gaps))
+            x, y = points[k]
             raise PlanningError(
                 PushCode.UNREACHABLE,
-                f"on tool_path the pusher would be {1e3 * gaps[k]:.1f} mm from an object at ({way[k][0]:.3f}, {way[k][1]:.3f}) m; choose "
-                "another contact.",
+                f"on tool_path the pusher would be {1e3 * gaps[k]:.1f} mm from an object at ({x:.3f}, {y:.3f}) m; choose another contact.",
             )
     contact, _ = _nearest_on_outline(second, outline, ahead)
     length = float(np.sum(np.linalg.norm(np.diff(path.position[1:], axis=0), axis=1)))
@@ -121,7 +112,7 @@ def sample_push(
     """
     outline = transform_points(pose_object_in_table, shape.outline)
     refused: Counter[str] = Counter()
-    for _ in range(_MAX_DRAWS):
+    for _ in range(settings.n_draws):
         contact, normal = _point_on_outline(rng.uniform(), outline)
         direction = float(wrap_angle(np.arctan2(-normal[1], -normal[0]) + rng.uniform(-settings.cone, settings.cone)))
         distance, speed = float(rng.uniform(*settings.distance_range)), float(rng.uniform(*settings.speed_range))
@@ -136,7 +127,9 @@ def sample_push(
             continue
         return push
     counts = ", ".join(f"{n} {why}" for why, n in refused.most_common())
-    raise PlanningError(PushCode.UNREACHABLE, f"none of {_MAX_DRAWS} random pushes is possible ({counts}); move the object to the middle.")
+    raise PlanningError(
+        PushCode.UNREACHABLE, f"none of {settings.n_draws} random pushes is possible ({counts}); move the object to the middle."
+    )
 
 
 def is_near_edge(shape: ObjectShape, pose_object_in_table: ArrayLike, settings: PushSettings) -> bool:
@@ -164,12 +157,12 @@ def recentring_pushes(
     to_middle = float(np.arctan2(offset[1], offset[0]))
     size = float(np.max(np.linalg.norm(outline - centroid, axis=1)))
     candidates: list[tuple[float, PushPlan2D]] = []
-    for share in (np.arange(_N_RECENTRING) + 0.5) / _N_RECENTRING:
+    for share in (np.arange(settings.n_recentring_contacts) + 0.5) / settings.n_recentring_contacts:
         contact, normal = _point_on_outline(float(share), outline)
         inward = float(np.arctan2(-normal[1], -normal[0]))
         direction = inward + float(np.clip(wrap_angle(to_middle - inward), -settings.cone, settings.cone))
         deviation = abs(float(wrap_angle(direction - to_middle)))
-        if deviation > _MAX_DEVIATION:
+        if deviation > settings.max_recentring_angle:
             continue
         distance = min(float(np.linalg.norm(offset) * np.cos(deviation)), settings.max_distance)
         if distance < 0.5 * settings.distance_range[0]:
@@ -177,7 +170,7 @@ def recentring_pushes(
         push = PushPlan2D(
             contact, contact + settings.pusher_radius * normal, float(wrap_angle(direction)), distance, settings.speed_range[0]
         )
-        # A push beside the centroid turns the object instead of moving it.
+        # A push that passes the centroid at a distance turns the object instead of moving it.
         across = np.array([-push.heading[1], push.heading[0]])
         candidates.append((deviation + abs(float((contact - centroid) @ across)) / size, push))
     for _, push in sorted(candidates, key=lambda candidate: candidate[0]):
@@ -215,8 +208,8 @@ def check_push(push: PushPlan2D, outline: Float64Array, settings: PushSettings, 
     sweep = np.vstack([approach, _line(push.tool_at_contact, end)])
     for path, other in ((approach, outline), *((sweep, obstacle) for obstacle in obstacles)):
         gaps = signed_distance(path, other) - settings.pusher_radius
-        if float(np.min(gaps)) < -_EARLY_TOUCH:
-            x, y = path[int(np.argmax(gaps < -_EARLY_TOUCH))]
+        if float(np.min(gaps)) < -settings.contact_rounding:
+            x, y = path[int(np.argmax(gaps < -settings.contact_rounding))]
             raise PlanningError(
                 PushCode.UNREACHABLE,
                 f"the pusher of radius {settings.pusher_radius:.3f} m would touch an object at ({x:.3f}, {y:.3f}) m, before or beside "

@@ -1,7 +1,7 @@
-"""Corrections of a push along a path while it is made: which are refused, what the tool does then, and when it stops for want of them.
+"""Corrections of a push along a path under way: their checks, and the timeout after which the tool stops without them.
 
-A correction that cannot be used changes nothing: the last one that could goes on. It was within the corridor and led to rest at its end, so
-it is safe without further news, and the next frame brings another. Only when none comes for as long as was promised the tool stops.
+A refused correction changes nothing: the last accepted one continues. It is within the corridor and ends at rest, so it is safe without
+further messages, and the next frame brings another. The tool stops only when no accepted correction arrives within the timeout.
 """
 
 from __future__ import annotations
@@ -17,30 +17,34 @@ import numpy as np
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.outline import signed_distance
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.motion import PathPlan
 from push_ident.pushing.pacing import SPLICE
 from push_ident.pushing.push import PushCode, PushSettings
-from push_ident.pushing.tool_path import ToolPath, stopping
+from push_ident.pushing.tool_path import Corridor, ToolPath, stopping
 from push_ident.types import Float64Array
 
 __all__ = ["CorrectionFault", "PathRequest", "Steering", "ToolCorrection"]
 
-_AHEAD: Final = SPLICE + 0.01
-"""From now to where a motion may change [s]: the arm has pieces up to the splice, and the next one is sent within 10 ms."""
-_JUMP: Final = 0.01
-"""A path that begins further from where the tool should be then is of something else [m]: twice what a tool at 0.25 m/s does in 20 ms."""
-_INSIDE: Final = 1e-6
-"""Rounding of places [m]."""
-_FASTER: Final = 1.02
-"""Rounding of times, which makes speeds seem larger [1]."""
-_LEAST_TIMEOUT, _LARGEST_TIMEOUT = 0.05, 5.0
-"""Of corrections [s]: a camera of 20 frames a second, and longer than any frame takes."""
+
+@dataclass(frozen=True, slots=True)
+class CorrectionLimits:
+    """Which corrections are accepted."""
+
+    delay: float = SPLICE + 0.01
+    """Time from now to where a motion may change [s]: the arm has pieces up to the splice, and the next one is sent within 10 ms."""
+    jump: float = 0.01
+    """Largest distance of the beginning of a path from the tool [m]: twice what a tool at 0.25 m/s travels in 20 ms."""
+    duration: float = 10.0
+    """Longest correction [s]: planning its motion takes 8 ms for as long, and the next piece of the arm waits meanwhile."""
+    timeout: tuple[float, float] = (0.05, 5.0)
+    """Range of the timeout of corrections [s]: a camera of 20 frames a second, and longer than any frame takes."""
+    rounding: float = 1e-6
+    """Excess of a position that is rounding [m]."""
+    speed_rounding: float = 1.02
+    """Ratio of speeds that is rounding of times [1]."""
 
 
-_LONGEST: Final = 10.0
-"""Duration of a correction [s]: making a motion of it takes 8 ms for as long, and the arm's next piece waits meanwhile. Another correction
-comes long before its end."""
+_LIMITS: Final = CorrectionLimits()
 
 
 class CorrectionFault(Enum):
@@ -77,24 +81,25 @@ class PathRequest:
     def __post_init__(self) -> None:
         if abs(float(self.path.time[0])) > 1e-6:
             raise InputError(f"tool_path begins at {self.path.time[0]:.3f} s, expected 0.")
-        if (excess := float(np.max(self.corridor.excess(self.path.dense())))) > _INSIDE:
+        if (excess := float(np.max(self.corridor.excess(self.path.dense())))) > _LIMITS.rounding:
             raise InputError(f"tool_path leaves its corridor by {1e3 * excess:.1f} mm; widen the corridor, or lead it along the path.")
-        if not (self.correction_timeout == 0.0 or _LEAST_TIMEOUT <= self.correction_timeout <= _LARGEST_TIMEOUT):
+        least, largest = _LIMITS.timeout
+        if not (self.correction_timeout == 0.0 or least <= self.correction_timeout <= largest):
             raise InputError(
-                f"correction_timeout is {self.correction_timeout} s, expected {_LEAST_TIMEOUT} to {_LARGEST_TIMEOUT} s, or 0 for a push "
+                f"correction_timeout is {self.correction_timeout} s, expected {least} to {largest} s, or 0 for a push "
                 "that is not corrected."
             )
 
 
 @dataclass(frozen=True, slots=True)
 class ToolCorrection:
-    """A correction as it comes, not yet checked."""
+    """A correction as received, not yet checked."""
 
     push_id: int
     stamp: float
     """When its path begins [s], clock of the cell."""
     stop: bool
-    """The tool stops; there need be no path."""
+    """The tool stops; no path is needed."""
     time: Float64Array
     """From the stamp on [s], shape (n,)."""
     position: Float64Array
@@ -102,7 +107,7 @@ class ToolCorrection:
 
 
 class Steering:
-    """What one push along a path is corrected by. Corrections may come in another thread.
+    """Corrections of one push along a path. They may arrive in another thread.
 
     Args:
         request: of the client.
@@ -124,9 +129,9 @@ class Steering:
         self._offset = self._now = 0.0
         self._is_stopping = False
         self.n_made = 0
-        """Corrections that were made, or gave way to a newer one before."""
+        """Corrections that were applied, or replaced by a newer one first."""
         self.refused: Counter[CorrectionFault] = Counter()
-        """How many were not."""
+        """Number of refused corrections by fault."""
 
     def begin(self, push_id: int, plan: PathPlan) -> None:
         """The push begins."""
@@ -141,7 +146,7 @@ class Steering:
         """
         with self._lock:
             if correction.stop and self._is_stopping and correction.push_id == self._push_id:
-                return  # said again, lest it was lost
+                return  # sent again in case it was lost
             self._check(correction)
             self._pending, self._latest = correction, correction.stamp
             self._heard = np.inf if correction.stop else self._heard_at
@@ -149,7 +154,7 @@ class Steering:
             self.n_made += 1
 
     def look(self, elapsed: float, time: float, wall: float) -> PathPlan | None:
-        """What is to be made from now on, if that changes.
+        """The plan from now on, if it changes.
 
         Args:
             elapsed: time of the plan that the arm has reached [s].
@@ -189,7 +194,7 @@ class Steering:
 
     def _motion(self, plan: PathPlan, correction: ToolCorrection) -> tuple[ToolPath, float]:
         """Path from the departure on, and when it begins to act [s]."""
-        begin = self._now + self._offset + _AHEAD
+        begin = self._now + self._offset + _LIMITS.delay
         if not correction.stop:
             return ToolPath(correction.stamp + self._offset + correction.time, correction.position), begin
         return stopping(plan.tool, begin, plan.acceleration), begin
@@ -219,19 +224,19 @@ class Steering:
             path = ToolPath(correction.time, correction.position)
         except InputError as error:
             raise self._count(CorrectionFault.MALFORMED, str(error)) from None
-        if (duration := float(path.time[-1] - path.time[0])) > _LONGEST:
-            raise self._count(CorrectionFault.LONG, f"{duration:.1f} s, limit {_LONGEST:.0f} s")
+        if (duration := float(path.time[-1] - path.time[0])) > _LIMITS.duration:
+            raise self._count(CorrectionFault.LONG, f"{duration:.1f} s, limit {_LIMITS.duration:.0f} s")
         plan, begin = self._plan, correction.stamp + self._offset
         assert plan is not None, "it has begun"
         now = np.array([np.interp(begin, plan.tool.time, column) for column in plan.tool.position.T])
-        if (jump := float(np.linalg.norm(path.position[0] - now))) > _JUMP:
-            raise self._count(CorrectionFault.JUMP, f"{1e3 * jump:.1f} mm away, limit {1e3 * _JUMP:.0f} mm")
+        if (jump := float(np.linalg.norm(path.position[0] - now))) > _LIMITS.jump:
+            raise self._count(CorrectionFault.JUMP, f"{1e3 * jump:.1f} mm away, limit {1e3 * _LIMITS.jump:.0f} mm")
         points = path.dense()
-        if (excess := float(np.max(self._request.corridor.excess(points)))) > _INSIDE:
+        if (excess := float(np.max(self._request.corridor.excess(points)))) > _LIMITS.rounding:
             raise self._count(CorrectionFault.CORRIDOR, f"by {1e3 * excess:.1f} mm")
-        if (excess := self._settings.excess(points)) > _INSIDE:
+        if (excess := self._settings.excess(points)) > _LIMITS.rounding:
             raise self._count(CorrectionFault.WORKSPACE, f"by {1e3 * excess:.1f} mm")
-        if path.speed > _FASTER * plan.speed:
+        if path.speed > _LIMITS.speed_rounding * plan.speed:
             raise self._count(CorrectionFault.SPEED, f"{path.speed:.3f} m/s, limit {plan.speed:.3f} m/s")
         for outline in self._obstacles():
             gap = float(np.min(signed_distance(points, outline))) - self._settings.pusher_radius

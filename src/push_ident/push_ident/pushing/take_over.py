@@ -1,9 +1,8 @@
-"""The moment before a motion: whether the arm stands where its states say, found out within its limits wherever it really stands."""
+"""Takeover of an arm before a motion: a test, within its joint limits, of whether it stands where its states say."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
 
 import numpy as np
 
@@ -14,74 +13,67 @@ from push_ident.pushing.joint_limits import JointLimits
 from push_ident.pushing.pacing import SPLICE
 from push_ident.pushing.ports import Arm, ArmState, Clock
 from push_ident.pushing.push import PushCode
-from push_ident.pushing.trajectory import JointTrajectory
+from push_ident.pushing.trajectory import SAMPLE_PERIOD, JointTrajectory
 from push_ident.pushing.watch_limits import WatchLimits
 from push_ident.types import Float64Array
 
 __all__ = ["TakeOver", "joint_distance", "stand_at"]
 
-_PERIOD: Final = 0.01
-"""[s] between two looks at the states."""
-_WATCHED: Final = 0.125
-"""Share of the time to a posture for which an arm is watched that was told nothing before. A cubic has made 4.3 % of its way then: an arm
-more than 23 start tolerances away has moved by more than one."""
-
 
 class TakeOver:
     """Brings the arm to where a motion begins.
 
-    An arm that is told to stand where its states say that it stands does not move. Where its states move all the same, they are not true,
-    and nobody knows what would hold the arm: nothing more is sent, and no motion begins until they say what the arm was told, or until
-    somebody says that it may.
+    An arm that is commanded to its measured posture does not move. If its states change all the same, they are wrong, and no command is
+    known to hold the arm: nothing more is sent, and no motion begins until the states agree with the command, or an operator confirms.
     """
 
     def __init__(self, arm: Arm, clock: Clock, commanded: Commanded) -> None:
         self._arm, self._clock, self._commanded = arm, clock, commanded
-        self._lie, self._lied_to = "", np.zeros(0)
+        self._contradiction, self._commanded_then = "", np.zeros(0)
 
     def check(self, limits: WatchLimits) -> None:
-        """Raise PlanningError TRACKING where the states were not true, and nothing shows that they are now."""
-        if not self._lie:
+        """Raise PlanningError TRACKING while states contradict the last command."""
+        if not self._contradiction:
             return
         q = self._arm.next_state(limits.arm_timeout).q
-        if q.shape != self._lied_to.shape or joint_distance(q, self._lied_to) > limits.start_tolerance:
-            raise PlanningError(PushCode.TRACKING, self._lie)
-        self._lie = ""
+        if q.shape != self._commanded_then.shape or joint_distance(q, self._commanded_then) > limits.start_tolerance:
+            raise PlanningError(PushCode.TRACKING, self._contradiction)
+        self._contradiction = ""
 
     def trust(self) -> None:
-        """Believe the states again."""
-        self._lie = ""
+        """Accept the states again."""
+        self._contradiction = ""
 
     def at(self, motion: ArmMotion, limits: WatchLimits, check_wanted: Callable[[], None]) -> ArmState:
-        """Let the arm stand where `motion` begins; its state then. Nothing is sent where it stands there, as it was told before.
+        """Command the arm to the start of `motion`; its state then. Nothing is sent if it stands there by its last command.
 
         Raises:
-            PlanningError: TRACKING where its states are not true, and those of `check_wanted`.
+            PlanningError: TRACKING where its states contradict the command, and those of `check_wanted`.
         """
         joints, start = motion.limits, motion.trajectory.position[0]
-        told, state = self._commanded.posture(joints.names), self._arm.next_state(limits.arm_timeout)
-        if told is None:
+        commanded, state = self._commanded.posture(joints.names), self._arm.next_state(limits.arm_timeout)
+        if commanded is None:
             arrives = joints.time_to_move(joints.upper - joints.lower)
-            self._stand(joints, start, arrives, _WATCHED * arrives, limits, check_wanted)
-            unseen = limits.start_tolerance / (_WATCHED**2 * (3.0 - 2.0 * _WATCHED))
-            arrives = joints.time_to_move(np.full(len(start), unseen))
+            self._stand(joints, start, arrives, limits.takeover_share * arrives, limits, check_wanted)
+            unnoticed = limits.start_tolerance / (limits.takeover_share**2 * (3.0 - 2.0 * limits.takeover_share))
+            arrives = joints.time_to_move(np.full(len(start), unnoticed))
         else:
-            # It has done what it was told, whatever clock that was timed by.
-            self._commanded.rest(joints.names, told)
-            arrives = joints.time_to_move(np.maximum(np.abs(start - told), np.abs(start - state.q)))
+            # The last command has ended, whatever clock it was timed by.
+            self._commanded.rest(joints.names, commanded)
+            arrives = joints.time_to_move(np.maximum(np.abs(start - commanded), np.abs(start - state.q)))
         return self._stand(joints, start, arrives, arrives, limits, check_wanted) if arrives > SPLICE else state
 
     def _stand(
         self, joints: JointLimits, q: Float64Array, arrives: float, watched: float, limits: WatchLimits, check_wanted: Callable[[], None]
     ) -> ArmState:
-        """Tell the arm to be at `q` [rad] after `arrives` [s], where it is by its states, which are `watched` [s]; the last of them."""
+        """Command the arm to `q` [rad], its measured posture, to arrive after `arrives` [s]; its state after `watched` [s]."""
         before = joint_distance(self._arm.next_state(limits.arm_timeout).q, q)
         self._arm.take_states()
         self._arm.send(joints.names, stand_at(q, arrives), None)
         self._commanded.forget()
         sent = self._clock.monotonic()
         while True:
-            self._clock.sleep(_PERIOD)
+            self._clock.sleep(limits.period)
             check_wanted()
             state = self._arm.fresh_state(limits.arm_timeout)
             farthest = max((joint_distance(s.q, q) for s in self._arm.take_states()), default=0.0)
@@ -89,22 +81,22 @@ class TakeOver:
             if farthest > before + limits.start_tolerance:
                 why = why or f"by them it moved {farthest:.3f} rad away."
             if why:
-                self._lie = (
+                self._contradiction = (
                     f"joint_states are not believed: the arm was told to stand where they said that it stands, and {why} "
                     "Check its driver, then deactivate and activate the executor."
                 )
-                self._lied_to = q
-                raise PlanningError(PushCode.TRACKING, self._lie)
+                self._commanded_then = q
+                raise PlanningError(PushCode.TRACKING, self._contradiction)
             if self._clock.monotonic() - sent >= watched:
                 self._commanded.rest(joints.names, q)
                 return state
 
 
 def joint_distance(q: Float64Array, other: Float64Array) -> float:
-    """Of the joint that is farthest apart [rad]."""
+    """Largest distance of a joint between two postures [rad]."""
     return float(np.max(np.abs(q - other)))
 
 
 def stand_at(q: Float64Array, arrives: float) -> JointTrajectory:
-    """Be at `q` [rad] after `arrives` [s], and stay. Two points: one alone is how an arm is held."""
-    return JointTrajectory(np.array([arrives, arrives + _PERIOD]), np.tile(q, (2, 1)), np.zeros((2, len(q))))
+    """Be at `q` [rad] after `arrives` [s], and stay. Two points: a single one means hold."""
+    return JointTrajectory(np.array([arrives, arrives + SAMPLE_PERIOD]), np.tile(q, (2, 1)), np.zeros((2, len(q))))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -12,10 +13,10 @@ from push_ident.errors import PlanningError
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array
 
-__all__ = ["JointTrajectory", "cubics", "join", "joint_move", "path_at_speed", "path_move", "stand_still"]
+__all__ = ["JointTrajectory", "cubics", "SAMPLE_PERIOD", "join", "joint_move", "path_at_speed", "path_move", "stand_still"]
 
-_PERIOD = 0.01
-"""Time between samples [s]."""
+SAMPLE_PERIOD: Final = 0.01
+"""Time between the samples of a motion, and between looks at a moving arm [s]."""
 _MIN_JERK_SPEED = 1.875
 """Highest speed of the minimum-jerk profile over unit length and time (Flash & Hogan 1985)."""
 _MIN_JERK_ACCELERATION = 5.774
@@ -54,9 +55,9 @@ class JointTrajectory:
         i = np.clip(np.searchsorted(t, time, side="right") - 1, 0, len(t) - 2)
         span = (t[i + 1] - t[i])[:, None]
         u = np.clip((time - t[i])[:, None] / span, 0.0, 1.0)
-        m0, m1, way = span * v[i], span * v[i + 1], q[i + 1] - q[i]
-        position = q[i] + u * (m0 + u * (3.0 * way - 2.0 * m0 - m1 + u * (m0 + m1 - 2.0 * way)))
-        velocity = (m0 + u * (6.0 * way - 4.0 * m0 - 2.0 * m1 + 3.0 * u * (m0 + m1 - 2.0 * way))) / span
+        m0, m1, change = span * v[i], span * v[i + 1], q[i + 1] - q[i]
+        position = q[i] + u * (m0 + u * (3.0 * change - 2.0 * m0 - m1 + u * (m0 + m1 - 2.0 * change)))
+        velocity = (m0 + u * (6.0 * change - 4.0 * m0 - 2.0 * m1 + 3.0 * u * (m0 + m1 - 2.0 * change))) / span
         moves = (time >= t[0]) & (time <= t[-1])
         return position, np.where(moves[:, None], velocity, 0.0)
 
@@ -159,7 +160,7 @@ def _spline(postures: Float64Array, length: float) -> CubicSpline:
 
 
 def _samples(duration: float) -> Float64Array:
-    return np.linspace(0.0, max(duration, 2 * _PERIOD), max(int(np.ceil(duration / _PERIOD)), 2) + 1)
+    return np.linspace(0.0, max(duration, 2 * SAMPLE_PERIOD), max(int(np.ceil(duration / SAMPLE_PERIOD)), 2) + 1)
 
 
 def _min_jerk(phase: Float64Array) -> tuple[Float64Array, Float64Array]:

@@ -1,63 +1,116 @@
-"""The watch over a moving arm: any fault ends the motion, and the arm is held; without the watch itself the arm stops, too."""
+"""The watch over a moving arm: any fault ends the motion, and the arm is held; if the watch itself ends, the arm stops, too."""
 
 from __future__ import annotations
 
 import math
+from bisect import insort
 from collections.abc import Callable
-from typing import Final
 
 import numpy as np
 
 from push_ident.errors import PlanningError
+from push_ident.pushing.arm_clock import MotionClock
 from push_ident.pushing.arm_motion import ArmMotion
 from push_ident.pushing.command_link import Commanded, CommandLink
-from push_ident.pushing.motion_clock import MotionClock
 from push_ident.pushing.pacing import SPLICE, PathPacing
 from push_ident.pushing.ports import Arm, ArmState, ExecutionPorts
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.take_over import TakeOver, joint_distance, stand_at
-from push_ident.pushing.tracking import Tracking
 from push_ident.pushing.watch_limits import WatchLimits
 from push_ident.types import Float64Array
 
-__all__ = ["ArmWatch"]
+__all__ = ["ArmWatch", "Tracking"]
 
-_PERIOD: Final = 0.01
-"""[s] between two checks of the moving arm."""
-_LATE: Final = 0.03
-"""A check so much [s] after the previous one was delayed itself."""
-_ARRIVAL: Final = 1.0
-"""[s] the arm may still need after the end of the plan."""
-_ABSENT: Final = 0.5
-"""A motion that was not watched for longer [s] does not go on: the cell may have changed meanwhile, and the path of the tool has a gap."""
-_PIECES: Final = 4
-"""Pieces that are sent within the horizon: three may be lost or late before the arm brakes."""
-_PEAK: Final = 1.5
-"""Of the speed of a cubic from rest to rest, over its mean."""
-_SHARES: Final = (1.0, 0.8, 0.6)
-"""Of what the joints allow, that are tried: one cubic takes up to 1.5 times the acceleration of the two that it stands for."""
+
+class Tracking:
+    """Compares the states of an arm with the pieces of a motion that it got.
+
+    Args:
+        pacing: of the motion.
+        limits: of the motion.
+    """
+
+    def __init__(self, pacing: PathPacing, limits: WatchLimits) -> None:
+        self._pacing, self._limits = pacing, limits
+        self._delays: list[float] = []
+        """Delays behind the pieces while the tool moved [s], sorted: controllers differ."""
+        self._tip: Float64Array | None = None
+        self._since = np.inf
+        self.stood_at: float | None = None
+        """Path time [s] at which an arm stands that is behind its pieces; None where it follows."""
+
+    def take(self, motion: ArmMotion, state: ArmState, time: float) -> None:
+        """Judge a state; `time` [s] on the clock of the pieces.
+
+        Raises:
+            PlanningError: TRACKING for a state that contradicts the commands.
+        """
+        earliest, latest = self._pacing.path_time(time - self._limits.tracking_lag), self._pacing.path_time(time)
+        if self.stood_at is not None:
+            earliest = min(earliest, self.stood_at)
+        tip, after = state.pose_tip_in_table[:3, 3], f"{time - self._pacing.started:.2f} s"
+        if (distance := motion.deviation(tip, earliest, latest)) > self._limits.tracking_tolerance:
+            limit = f"{1e3 * self._limits.tracking_tolerance:.1f} mm"
+            raise PlanningError(PushCode.TRACKING, f"the tool is {1e3 * distance:.1f} mm from its path after {after}, limit {limit}.")
+        joint, angle = motion.joint_deviation(state.q, earliest, latest)
+        if angle > self._limits.start_tolerance:
+            limit = f"{self._limits.start_tolerance:.3f} rad"
+            raise PlanningError(PushCode.TRACKING, f"{joint} is {angle:.3f} rad from its path after {after}, limit {limit}.")
+        if self.stood_at is None:
+            self.stood_at = self._standstill(motion, tip, time, latest)
+
+    def is_at_end(self, motion: ArmMotion, state: ArmState) -> bool:
+        """Whether an arm that stood has come to where its last piece ends."""
+        assert self.stood_at is not None, "it stood"
+        reached = motion.time_at(state.pose_tip_in_table[:3, 3], self.stood_at, self._pacing.reaches)
+        return _tool_travel(motion, reached, self._pacing.reaches) <= self._limits.standstill_lag
+
+    def go_on(self) -> None:
+        """The arm is where its pieces led; it is to follow the next ones."""
+        self.stood_at = self._tip = None
+
+    def _standstill(self, motion: ArmMotion, tip: Float64Array, time: float, led_to: float) -> float | None:
+        """Path time at which the arm stands although its pieces lead on [s]; None if it moves, or should stand."""
+        reached = min(motion.time_at(tip, self._pacing.path_time(time - self._limits.tracking_lag), led_to), led_to)
+        if self._tip is None:
+            self._tip, self._since = tip, time
+        elif np.linalg.norm(tip - self._tip) > self._limits.standstill_travel:
+            self._tip, self._since = tip, time
+            insort(self._delays, time - self._pacing.time_of(reached))
+        if time - self._since < self._limits.standstill_time:
+            return None
+        # Its delay is unknown before it has moved: a controller that is slow to begin has missed nothing.
+        delay = self._delays[len(self._delays) // 2] + self._limits.delay_margin if self._delays else self._limits.tracking_lag
+        return reached if _tool_travel(motion, reached, self._pacing.path_time(time - delay)) > self._limits.standstill_lag else None
+
+
+def _tool_travel(motion: ArmMotion, begin: float, end: float) -> float:
+    """Travel of the tool between two times of the plan [m]."""
+    first, last = np.searchsorted(motion.trajectory.time, [begin, end])
+    return float(np.sum(np.linalg.norm(np.diff(motion.tip[int(first) : int(last) + 1], axis=0), axis=1)))
 
 
 class _UnderWay:
     """One motion that the arm makes: its pieces, and where the arm is on it.
 
     Args:
-        motion: that is made.
-        limits: that it must keep to.
+        motion: planned motion.
+        limits: of the watch.
         clock: of the motion, which begins now.
         arm: that is moved.
-        commanded: what it was told before.
+        commanded: its last command.
     """
 
     def __init__(self, motion: ArmMotion, limits: WatchLimits, clock: MotionClock, arm: Arm, commanded: Commanded) -> None:
         self.limits, self.clock, self._motion = limits, clock, motion
         self.pacing = PathPacing(motion.trajectory, motion.limits.planned.acceleration, limits.motion_horizon, clock.started)
-        self._tracking = Tracking(self.pacing, limits.tracking_tolerance, limits.start_tolerance, limits.tracking_lag)
+        self._tracking = Tracking(self.pacing, limits)
         self._link = CommandLink(arm, commanded, motion.limits)
         self._is_stamped = limits.stamp_commands and clock.by_stamp
         self._tried = 0.0
+        self._piece_period = limits.motion_horizon / limits.pieces_per_horizon - 0.5 * limits.period
         self._deadline: float | None = None
-        """For an arm that has missed pieces to be where they led [s]; None where it was not told to be there."""
+        """For an arm that has missed pieces to be where they led [s]; None if it was not sent there."""
 
     def change(self, motion: ArmMotion) -> None:
         """Another motion, the same up to where the next piece begins to act."""
@@ -75,27 +128,27 @@ class _UnderWay:
         if self.pacing.path_time(time) >= self._motion.duration:
             if joint_distance(state.q, self._motion.trajectory.position[-1]) <= self.limits.start_tolerance:
                 return True
-            if time > self.pacing.time_of(self._motion.duration) + _ARRIVAL:
-                raise PlanningError(PushCode.TRACKING, f"the arm did not arrive within {_ARRIVAL:.1f} s after the end of the plan.")
+            if time > self.pacing.time_of(self._motion.duration) + (timeout := self.limits.arrival_timeout):
+                raise PlanningError(PushCode.TRACKING, f"the arm did not arrive within {timeout:.1f} s after the end of the plan.")
         return False
 
     def go_on(self, state: ArmState, now: float) -> None:
         """Send what is due `now` [s], `Clock.monotonic`."""
         time = self.clock.now()
         if not self.clock.is_known:
-            return  # it has braked when its states come again, or goes on with what it has
+            return  # the arm makes the pieces that it has, and brakes
         if self._tracking.stood_at is not None:
             self._catch_up(state, self._tracking.stood_at, time)
-        elif now - self._tried > self.limits.motion_horizon / _PIECES - 0.5 * _PERIOD and not self.pacing.is_complete:
+        elif now - self._tried > self._piece_period and not self.pacing.is_complete:
             self.send(time, now)
 
     def send(self, time: float, now: float) -> None:
         """Send the next piece; `time` [s] on the clock of the motion, `now` on that of this process.
 
-        One that would break a limit, as one made late may, is left out: the arm brakes, and the next one goes on more gently.
+        One that would exceed a limit, as one made late may, is left out: the arm brakes, and the next one goes on more gently.
         """
         self._tried = now
-        for share in _SHARES:
+        for share in self.limits.acceleration_shares:
             # Where the clock has gained on wall time the arm may be further behind than it seems: it gets that much longer.
             piece = self.pacing.piece(time, SPLICE + self.clock.ahead, share)
             if self._link.move(piece, time, is_stamped=self._is_stamped):
@@ -104,14 +157,14 @@ class _UnderWay:
             self.pacing.take_back()
 
     def hold(self) -> None:
-        """End the motion: on the path of what was sent, whatever the states say, for the arm is there or on its way to there.
+        """End the motion on the path of the pieces that were sent, whatever the states say: the arm follows these.
 
-        Where it stands behind, or nobody knows how far it is, that would be a jump: then it ends what it was told last, which ends at rest.
+        Where it stands behind, or its progress is unknown, that would be a jump: then it completes its last command, which ends at rest.
         """
         time = self.clock.now()
         if self._tracking.stood_at is not None or not self.clock.is_known:
             return
-        for share in _SHARES:
+        for share in self.limits.acceleration_shares:
             if self._link.hold(self.pacing.halt(time, share), time):
                 return
             self.pacing.take_back()
@@ -127,7 +180,8 @@ class _UnderWay:
         if self._deadline is None:
             (stood, end), _ = motion.trajectory.follow(np.array([stood_at, pacing.reaches]))
             arrives = motion.limits.time_to_move(np.maximum(np.abs(end - stood), np.abs(end - state.q)))
-            arrives = max(arrives, _PEAK * (pacing.reaches - stood_at))  # no faster than planned
+            # A cubic from rest to rest is 1.5 times as fast as its mean: no faster than planned.
+            arrives = max(arrives, 1.5 * (pacing.reaches - stood_at))
             if arrives > SPLICE:
                 self._link.move(stand_at(end, arrives), time)
             self._deadline = time + arrives + self.limits.tracking_lag
@@ -165,14 +219,14 @@ class ArmWatch:
         self._take_over.check(limits)
 
     def trust(self) -> None:
-        """Believe the joint states again, where they were caught in a lie."""
+        """Accept joint states again that contradicted the commands."""
         self._take_over.trust()
 
     def posture(self, limits: WatchLimits) -> Float64Array:
-        """Where the next motion begins [rad]: where the arm was told to stand, if it stands there, else where it says that it is."""
+        """Start of the next motion [rad]: the commanded posture if the arm stands there, else the measured one."""
         state = self._arm.next_state(limits.arm_timeout)
-        told = self._commanded.posture(self._arm.planner.joint_names)
-        return state.q if told is None or joint_distance(state.q, told) > limits.start_tolerance else told
+        commanded = self._commanded.posture(self._arm.planner.joint_names)
+        return state.q if commanded is None or joint_distance(state.q, commanded) > limits.start_tolerance else commanded
 
     def run(
         self,
@@ -187,8 +241,8 @@ class ArmWatch:
         """Make one motion.
 
         Args:
-            motion: what was planned from `posture`.
-            limits: that it must keep to.
+            motion: planned from `posture`.
+            limits: of the watch.
             replan: plans it once more from the posture [rad], if the arm was moved since.
             check_wanted: raises PlanningError when the motion should end.
             on_start: called with the motion that begins, and with what tells when the arm reaches which part of it.
@@ -230,12 +284,12 @@ class ArmWatch:
         try:
             under_way.send(clock.started, began)
             while True:
-                self._clock.sleep(_PERIOD)
+                self._clock.sleep(limits.period)
                 now, before = self._clock.monotonic(), looked
                 looked = now
                 check_wanted()
-                state = self._arm.fresh_state(limits.arm_timeout, is_late=now - before > _LATE)
-                if now - before > _ABSENT:
+                state = self._arm.fresh_state(limits.arm_timeout, is_late=now - before > limits.late_look)
+                if now - before > limits.max_absence:
                     raise _unwatched(now - before)
                 for each in self._arm.take_states():
                     under_way.judge(each)
@@ -248,8 +302,8 @@ class ArmWatch:
                     under_way.change(changed)
                 if under_way.has_arrived(state):
                     return
-                if self._clock.monotonic() - now > _ABSENT:
-                    continue  # this process stood still since the check above: the next look says so, and nothing more is sent
+                if self._clock.monotonic() - now > limits.max_absence:
+                    continue  # this process was suspended since the check above: the next look reports it, and nothing more is sent
                 under_way.go_on(state, now)
         except BaseException as error:
             fault = self._cause(error, looked, limits)
@@ -259,11 +313,11 @@ class ArmWatch:
             raise fault from error
 
     def _cause(self, fault: BaseException, looked: float, limits: WatchLimits) -> BaseException:
-        """What ended a motion: to a process that stood still since it `looked` [s], all others seem to have been silent."""
+        """Why a motion ended: to a process that was suspended since it `looked` [s], all sources seem silent."""
         unwatched = self._clock.monotonic() - looked
         seems_silent = isinstance(fault, PlanningError) and fault.code in (PushCode.FORCE, PushCode.HAND, PushCode.OBJECT_LOST)
         is_force = self.peak_force > limits.force_limit
-        return _unwatched(unwatched) if seems_silent and not is_force and unwatched > _ABSENT else fault
+        return _unwatched(unwatched) if seems_silent and not is_force and unwatched > limits.max_absence else fault
 
     def _check_force(self, limits: WatchLimits) -> None:
         """Raise PlanningError FORCE where it was too large since the last look, or is not known."""
@@ -278,7 +332,7 @@ class ArmWatch:
         self._check_measured(limits)
 
     def _check_measured(self, limits: WatchLimits) -> None:
-        """Raise PlanningError FORCE where the force is not known now, so that its limit cannot be kept."""
+        """Raise PlanningError FORCE where the force is unknown now, so that its limit cannot be enforced."""
         silence, limit = self._force.silence, limits.patience(limits.wrench_timeout)
         if self._force.is_there and (silence > limit or self._force.fault):
             since = f"for {silence:.2f} s, limit {limit:.2f} s" if math.isfinite(silence) else "yet"

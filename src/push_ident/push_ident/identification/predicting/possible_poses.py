@@ -113,7 +113,7 @@ def why_no_object_ends_there(record: PushRecord, known: ModelPosterior, prior: P
     of_first, of_last = (np.median(poses.covariance[frames], axis=0) for frames in (before, after))
     end_time, pusher = float(np.median(poses.time[after])), record.pusher
     if why := why_impossible(
-        shape, pusher, first, last, covariance_before=of_first, covariance_after=of_last, camera=camera, seen=end_time
+        shape, pusher, first, last, covariance_before=of_first, covariance_after=of_last, camera=camera, observed_at=end_time
     ):
         return why
     noise = float(np.linalg.norm(noise_allowance(shape, np.array([of_first, of_last]))))

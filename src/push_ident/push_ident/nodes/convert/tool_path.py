@@ -10,9 +10,8 @@ from geometry_msgs.msg import Point
 from push_ident.errors import InputError
 from push_ident.limits import check_coordinates, plain_text
 from push_ident.nodes.convert.messages import TABLE_FRAME, stamp_from_msg, stamp_to_msg
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.steering import PathRequest, ToolCorrection
-from push_ident.pushing.tool_path import ToolPath
+from push_ident.pushing.tool_path import Corridor, ToolPath
 from push_ident.types import Float64Array
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushCorrection

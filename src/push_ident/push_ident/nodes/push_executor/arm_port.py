@@ -27,8 +27,7 @@ from push_ident.nodes.push_executor.settings import EXECUTOR
 from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.ports import ArmState
 from push_ident.pushing.push import PushCode
-from push_ident.pushing.state_check import StateCheck
-from push_ident.pushing.state_intake import StateIntake
+from push_ident.pushing.state_intake import StateCheck, StateIntake
 from push_ident.pushing.trajectory import JointTrajectory
 
 __all__ = ["ArmPort"]

@@ -24,15 +24,6 @@ from push_ident.types import Float64Array
 __all__ = ["check_posture", "check_reach", "check_robot"]
 
 _MOVABLE: Final = ("revolute", "continuous")
-_ROUNDING: Final = 1e-6
-"""Limits that differ by less are equal: URDFs have rounded numbers [rad], [rad/s]."""
-_UPRIGHT: Final = 0.1
-"""Tilt of the tool in the neutral posture from which its axes are probably not as the file means them [rad]: a posture given to two
-decimals is within 0.03."""
-_SAMPLES: Final = 9
-"""Places along each edge of the workspace that the camera should see."""
-_ALONG: Final = 60
-"""Points along each line of sight; 1 m apart by 17 mm, less than any link is thick."""
 
 
 def check_robot(robot: Robot) -> tuple[list[Finding], ArmKinematics | None]:
@@ -45,48 +36,48 @@ def check_robot(robot: Robot) -> tuple[list[Finding], ArmKinematics | None]:
     except InputError as error:
         return [Finding("description", Level.WRONG, str(error))], None
     n_links, n_joints = len(urdf.links), len(urdf.joints)
-    found = [Finding("description", Level.OK, f"{urdf.path}: {n_links} links, {n_joints} joints")]
+    findings = [Finding("description", Level.OK, f"{urdf.path}: {n_links} links, {n_joints} joints")]
     if missing := urdf.missing_meshes:
         what = f"{len(missing)} meshes are no files, the first {plain_text(missing[0])}"
         remedy = "source the workspace or install the package that has them; without them `up sim` does not start"
-        found.append(Finding("description", Level.WARNING, what, "files", remedy))
-    found += [*_frames(robot, urdf), *_joints(robot, urdf), *_parameters(robot)]
-    if any(finding.level is Level.WRONG for finding in found):
-        return found, None
-    found += _limits(robot, urdf)
+        findings.append(Finding("description", Level.WARNING, what, "files", remedy))
+    findings += [*_frames(robot, urdf), *_joints(robot, urdf), *_parameters(robot)]
+    if any(finding.level is Level.WRONG for finding in findings):
+        return findings, None
+    findings += _limits(robot, urdf)
     try:
         description = cell_description(robot, urdf)
         kinematics = ArmKinematics(description, TIP_LINK, robot.file.joints.neutral)
         shape = ArmShape(description)
     except InputError as error:
-        return [*found, Finding("description", Level.WRONG, str(error))], None
+        return [*findings, Finding("description", Level.WRONG, str(error))], None
     settings = motion_settings(robot)
     for name in ("neutral", "home"):
-        found += check_posture(kinematics, name, np.array(getattr(robot.file.joints, name)), settings)
-    found += _camera(robot, shape)
-    usable = not any(finding.level is Level.WRONG and finding.about in ("limits", "joints") for finding in found)
-    return found, kinematics if usable else None
+        findings += check_posture(kinematics, name, np.array(getattr(robot.file.joints, name)), settings)
+    findings += _camera(robot, shape)
+    usable = not any(finding.level is Level.WRONG and finding.about in ("limits", "joints") for finding in findings)
+    return findings, kinematics if usable else None
 
 
 def _frames(robot: Robot, urdf: Urdf) -> Iterator[Finding]:
     """Root, base and tool in the URDF."""
-    file, before = robot.file, "frames"
+    file, topic = robot.file, "frames"
     root = file.description.root
     if urdf.roots != [root]:
         names = plain_text(", ".join(urdf.roots[:5])) or "none"
-        yield Finding(before, Level.WRONG, f"description.root is {plain_text(root)}", f"the root link of the URDF, {names}", "correct it")
+        yield Finding(topic, Level.WRONG, f"description.root is {plain_text(root)}", f"the root link of the URDF, {names}", "correct it")
     if root != TABLE_FRAME and TABLE_FRAME in urdf.links:
-        yield Finding(before, Level.WRONG, "the URDF has a link `table` that is not its root", "no such link", "rename it in the URDF")
+        yield Finding(topic, Level.WRONG, "the URDF has a link `table` that is not its root", "no such link", "rename it in the URDF")
     if (root == TABLE_FRAME) != (file.base is None):
         what = "base is given" if file.base is not None else "base is missing"
-        yield Finding(before, Level.WRONG, what, f"a base, unless description.root is `table`; it is {plain_text(root)}")
+        yield Finding(topic, Level.WRONG, what, f"a base, unless description.root is `table`; it is {plain_text(root)}")
     if file.tool.link not in urdf.links:
         near = plain_text(", ".join(urdf.links[-6:]))
         yield Finding(
-            before, Level.WRONG, f"the URDF has no link {plain_text(file.tool.link)}", f"a link for tool.link, such as {near}", "correct it"
+            topic, Level.WRONG, f"the URDF has no link {plain_text(file.tool.link)}", f"a link for tool.link, such as {near}", "correct it"
         )
     else:
-        yield Finding(before, Level.OK, f"table, {plain_text(root)}, {plain_text(file.tool.link)}, {TIP_LINK}")
+        yield Finding(topic, Level.OK, f"table, {plain_text(root)}, {plain_text(file.tool.link)}, {TIP_LINK}")
 
 
 def _joints(robot: Robot, urdf: Urdf) -> Iterator[Finding]:
@@ -136,11 +127,11 @@ def _limits(robot: Robot, urdf: Urdf) -> Iterator[Finding]:
         if urdf.joints[name].get("type") == "continuous":
             given |= {"lower": -np.inf, "upper": np.inf}
         of_urdf = [given.get(key, np.nan) for key in ("lower", "upper", "velocity")]
-        own = [values[index] if values else None for values in (joints.lower, joints.upper, joints.velocity)]
-        for finding in _limits_of(name, of_urdf, own):
+        of_file = [values[index] if values else None for values in (joints.lower, joints.upper, joints.velocity)]
+        for finding in _limits_of(name, of_urdf, of_file):
             faults += 1
             yield finding
-        lower, upper = (own[k] if own[k] is not None else of_urdf[k] for k in (0, 1))
+        lower, upper = (of_file[k] if of_file[k] is not None else of_urdf[k] for k in (0, 1))
         for posture in ("neutral", "home"):
             value = getattr(joints, posture)[index]
             if lower is not None and upper is not None and not lower <= value <= upper:
@@ -159,10 +150,10 @@ def _number(text: str) -> float:
         return float("nan")
 
 
-def _limits_of(name: str, of_urdf: list[float], own: list[float | None]) -> Iterator[Finding]:
+def _limits_of(name: str, of_urdf: list[float], of_file: list[float | None]) -> Iterator[Finding]:
     """Faults of lower, upper and velocity of one joint."""
-    (lower, upper, velocity), (own_lower, own_upper, own_velocity) = of_urdf, own
-    low, high = (lower if own_lower is None else own_lower), (upper if own_upper is None else own_upper)
+    (lower, upper, velocity), (file_lower, file_upper, file_velocity) = of_urdf, of_file
+    low, high = (lower if file_lower is None else file_lower), (upper if file_upper is None else file_upper)
     if not np.isfinite([low, high]).all():
         yield Finding(
             "limits", Level.WRONG, f"{name} turns without end", "limits", "give joints.lower and joints.upper, all within one turn"
@@ -171,13 +162,13 @@ def _limits_of(name: str, of_urdf: list[float], own: list[float | None]) -> Iter
         yield Finding(
             "limits", Level.WRONG, f"{name} has limits {low:.3f} to {high:.3f} rad", "lower < upper", "correct joints.lower and upper"
         )
-    for key, mine, wide in (("lower", own_lower, lower), ("upper", own_upper, upper), ("velocity", own_velocity, velocity)):
-        beyond = mine is not None and ((wide - mine) if key == "lower" else (mine - wide)) > _ROUNDING
-        if beyond:
+    rounding = 1e-6  # [rad], [rad/s]: URDFs have rounded numbers
+    for key, given, limit in (("lower", file_lower, lower), ("upper", file_upper, upper), ("velocity", file_velocity, velocity)):
+        if given is not None and ((limit - given) if key == "lower" else (given - limit)) > rounding:
             yield Finding(
-                "limits", Level.WRONG, f"joints.{key} of {name} is {mine}", f"a limit within that of the URDF, {wide:.4g}", "narrow it"
+                "limits", Level.WRONG, f"joints.{key} of {name} is {given}", f"a limit within that of the URDF, {limit:.4g}", "narrow it"
             )
-    speed = velocity if own_velocity is None else own_velocity
+    speed = velocity if file_velocity is None else file_velocity
     if not speed > 0:
         remedy = "give joints.velocity from the data sheet"
         yield Finding("limits", Level.WRONG, f"{name} has a velocity limit of {speed} rad/s", "more than 0", remedy)
@@ -197,7 +188,8 @@ def check_posture(kinematics: ArmKinematics, name: str, posture: Float64Array, s
         remedy = f"raise the arm or the base, or lower link_height if the link is thinner than {2 * settings.link_height:.2f} m"
         faults.append(Finding("posture", Level.WRONG, what, f"at least link_height, {settings.link_height:.3f} m", remedy))
     tilt = float(np.arccos(np.clip(pose[:3, 2] @ TOOL_DOWN, -1.0, 1.0)))
-    if name == "neutral" and tilt > _UPRIGHT:
+    # A posture given to two decimals is within 0.03 rad; beyond 0.1 the axes are probably not as the file means them.
+    if name == "neutral" and tilt > 0.1:
         what = f"neutral: the z axis of {TIP_LINK} is {np.degrees(tilt):.0f} degrees from straight down"
         faults.append(Finding("posture", Level.WRONG, what, "the tool upright", "correct joints.neutral, tool.tip_rpy or base.rpy"))
     yield from faults or [Finding("posture", Level.OK, where)]
@@ -229,31 +221,34 @@ def _camera(robot: Robot, shape: ArmShape) -> Iterator[Finding]:
     """Whether the camera sees the workspace, and past the arm at home."""
     camera, pose = robot.file.camera, robot.camera_in_table
     x_min, x_max, y_min, y_max = robot.file.workspace
-    x, y = np.meshgrid(np.linspace(x_min, x_max, _SAMPLES), np.linspace(y_min, y_max, _SAMPLES))
-    places = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    x, y = np.meshgrid(np.linspace(x_min, x_max, 9), np.linspace(y_min, y_max, 9))
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     if pose[2, 3] <= 0:
         yield Finding("camera", Level.WRONG, f"camera.position is {pose[2, 3]:.3f} m above the table", "more than 0", "correct it")
         return
-    seen = (places - pose[:3, 3]) @ pose[:3, :3]
-    angle = np.abs(np.arctan2(seen[:, :2], seen[:, 2:]))
+    in_camera = (points - pose[:3, 3]) @ pose[:3, :3]
+    angle = np.abs(np.arctan2(in_camera[:, :2], in_camera[:, 2:]))
     outside = float(np.mean(np.any(angle > 0.5 * np.array(camera.field_of_view), axis=1)))
     if outside > 0:
         remedy = "turn or raise the camera: its z axis looks forward, x right, y down; or make the workspace smaller"
         yield Finding("camera", Level.WRONG, f"{100 * outside:.0f} % of the workspace are out of its view", "all in view", remedy)
     else:
-        yield Finding("camera", Level.OK, f"all of the workspace in view, {np.min(seen[:, 2]):.2f} to {np.max(seen[:, 2]):.2f} m away")
+        yield Finding(
+            "camera", Level.OK, f"all of the workspace in view, {np.min(in_camera[:, 2]):.2f} to {np.max(in_camera[:, 2]):.2f} m away"
+        )
     rods = shape.at(dict(zip(robot.file.joints.names, robot.file.joints.home, strict=True)))
-    hidden = float(np.mean(_hidden(pose[:3, 3], places, rods)))
+    hidden = float(np.mean(_hidden(pose[:3, 3], points, rods)))
     if hidden > 0:
         what = f"the arm at home hides {100 * hidden:.0f} % of the workspace from the camera"
         yield Finding("camera", Level.WARNING, what, "none of it", "turn joints.home further aside")
 
 
-def _hidden(eye: Float64Array, places: Float64Array, rods: list[Rod]) -> Float64Array:
-    """Whether a rod stands between the eye [m], shape (3,), and each of the places [m], shape (n, 3)."""
-    share = np.linspace(0.0, 1.0, _ALONG)[1:-1]
-    points = eye + share[None, :, None] * (places - eye)[:, None, :]
-    hidden = np.zeros(len(places), dtype=bool)
+def _hidden(camera: Float64Array, targets: Float64Array, rods: list[Rod]) -> Float64Array:
+    """Whether a rod stands between the camera [m], shape (3,), and each of the targets [m], shape (n, 3)."""
+    # 60 points along each line of sight: over 1 m 17 mm apart, less than any link is thick.
+    share = np.linspace(0.0, 1.0, 60)[1:-1]
+    points = camera + share[None, :, None] * (targets - camera)[:, None, :]
+    hidden = np.zeros(len(targets), dtype=bool)
     for rod in rods:
         axis = rod.end - rod.start
         along = np.clip((points - rod.start) @ axis / max(float(axis @ axis), 1e-12), 0.0, 1.0)

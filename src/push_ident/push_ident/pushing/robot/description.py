@@ -63,13 +63,13 @@ class Urdf:
     def chain(self, link: str) -> list[ET.Element]:
         """Joints from the root to a link. Raises InputError for a loop."""
         above = {_end(joint, "child"): joint for joint in self.root.findall("joint")}
-        found: list[ET.Element] = []
+        joints: list[ET.Element] = []
         while (joint := above.get(link)) is not None:
-            if joint in found:
+            if joint in joints:
                 raise InputError(f"{self.path}: the joints above {plain_text(link)} form a loop, expected a tree.")
-            found.append(joint)
+            joints.append(joint)
             link = _end(joint, "parent")
-        return found[::-1]
+        return joints[::-1]
 
 
 def read_urdf(robot: Robot) -> Urdf:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ def node_parameters(robot: Robot, description_file: Path | None = None) -> dict[
     joints, tool = file.joints, file.tool
     camera = {"camera_position": file.camera.position, "camera_quaternion": file.camera.quaternion}
     described = {} if description_file is None else {"robot_description_file": str(description_file)}
-    own: dict[str, dict[str, Any]] = {
+    parameters: dict[str, dict[str, Any]] = {
         "perception_node": {
             **camera,
             **described,
@@ -51,10 +50,6 @@ def node_parameters(robot: Robot, description_file: Path | None = None) -> dict[
         "sim_cell_node": {**camera, "robot": str(robot.path.resolve()), "sensor": file.camera.sensor},
     }
     for node, values in file.parameters.items():
-        if twice := sorted(values.keys() & own.get(node, {}).keys()):
+        if twice := sorted(values.keys() & parameters.get(node, {}).keys()):
             raise InputError(f"{robot.path}: parameters.{node}.{twice[0]} is given by the robot file elsewhere; take it out there.")
-    return _merged(own, file.parameters)
-
-
-def _merged(first: Mapping[str, Mapping[str, Any]], second: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    return {node: {**first.get(node, {}), **second.get(node, {})} for node in {**first, **second}}
+    return {node: {**parameters.get(node, {}), **file.parameters.get(node, {})} for node in {**parameters, **file.parameters}}

@@ -1,4 +1,4 @@
-"""Where on the workspace an arm can push: whole pushes are planned there, with every check that the executor makes."""
+"""Reach of an arm over its workspace: whole pushes are planned there, with every check that the executor makes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AXES: Final = ("x", "y")
 
 
 class Outcome(IntEnum):
-    """What became of the plan of a push."""
+    """Outcome of the plan of a push."""
 
     POSSIBLE = 0
     """The executor would make it."""
@@ -45,7 +45,7 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """What an arm can do on a grid of places of the workspace."""
+    """Outcomes of pushes on a grid over the workspace."""
 
     x: Float64Array
     """Places [m], shape (n_x,), `table` frame."""
@@ -81,13 +81,13 @@ def find_reach(
         trial: The push; default: as the executor makes one that gives neither distance nor speed.
         on_step: Gets the fraction that is done.
     """
-    chosen = trial or Trial()
+    tried = trial or Trial()
     x_min, x_max, y_min, y_max = pushes.workspace
     xs, ys = _places(x_min, x_max, spacing), _places(y_min, y_max, spacing)
     outcome = np.zeros((len(AXES), len(xs), len(ys)), dtype=np.int8)
     reasons: dict[str, tuple[Outcome, str]] = {}
     for count, (axis, i, j) in enumerate(np.ndindex(outcome.shape)):
-        push = _push_at(np.array([xs[i], ys[j]]), axis, chosen, pushes)
+        push = _push_at(np.array([xs[i], ys[j]]), axis, tried, pushes)
         try:
             plan_push(kinematics, motion.home, push, motion)
         except PlanningError as error:
@@ -103,12 +103,12 @@ def _places(low: float, high: float, spacing: float) -> Float64Array:
     return np.linspace(low, high, max(int(np.ceil((high - low) / spacing - 1e-9)), 1) + 1)
 
 
-def _push_at(place: Float64Array, axis: int, trial: Trial, pushes: PushSettings) -> PushPlan2D:
-    """The push along an axis whose travel has its middle at a place, or as near to it as the workspace allows."""
+def _push_at(point: Float64Array, axis: int, trial: Trial, pushes: PushSettings) -> PushPlan2D:
+    """The push along an axis whose travel has its middle at a point, or as near to it as the workspace allows."""
     low, high = pushes.workspace[2 * axis : 2 * axis + 2]
     travel = min(pushes.clearance + trial.distance, high - low)
-    start = place.copy()
-    start[axis] = np.clip(place[axis] - 0.5 * travel, low, high - travel)
+    start = point.copy()
+    start[axis] = np.clip(point[axis] - 0.5 * travel, low, high - travel)
     heading = np.eye(2)[axis]
     touching = start + pushes.clearance * heading
     contact = touching + pushes.pusher_radius * heading
@@ -117,11 +117,11 @@ def _push_at(place: Float64Array, axis: int, trial: Trial, pushes: PushSettings)
 
 def _largest(xs: Float64Array, ys: Float64Array, free: NDArray[np.bool_]) -> tuple[float, float, float, float] | None:
     """The rectangle of places with the largest area that are all free; grids are small, so every one is tried."""
-    best, found = 0.0, None
+    best, largest = 0.0, None
     for i, j in np.argwhere(free):
         for k in range(i + 1, len(xs)):
             for m in range(j + 1, len(ys)):
                 area = float((xs[k] - xs[i]) * (ys[m] - ys[j]))
                 if area > best and free[i : k + 1, j : m + 1].all():
-                    best, found = area, (float(xs[i]), float(xs[k]), float(ys[j]), float(ys[m]))
-    return found
+                    best, largest = area, (float(xs[i]), float(xs[k]), float(ys[j]), float(ys[m]))
+    return largest

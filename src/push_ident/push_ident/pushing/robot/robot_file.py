@@ -169,8 +169,8 @@ def read_robot(path: Path) -> Robot:
 def motion_settings(robot: Robot) -> MotionSettings:
     """Heights, speeds and limits of the arm's motions, as push_executor_node has them."""
     file = robot.file
-    own = dict(home=file.joints.home, push_height=file.push_height, joint_acceleration_limits=file.joints.acceleration)
-    return MotionSettings(**_chosen(MotionSettings, file, own))
+    values = dict(home=file.joints.home, push_height=file.push_height, joint_acceleration_limits=file.joints.acceleration)
+    return MotionSettings(**_chosen(MotionSettings, file, values))
 
 
 def push_settings(robot: Robot) -> PushSettings:
@@ -179,10 +179,10 @@ def push_settings(robot: Robot) -> PushSettings:
     return PushSettings(**_chosen(PushSettings, file, {"workspace": file.workspace, "pusher_radius": file.tool.pusher_radius}))
 
 
-def _chosen(kind: type[Any], file: RobotFile, own: dict[str, Any]) -> dict[str, Any]:
+def _chosen(kind: type[Any], file: RobotFile, stated: dict[str, Any]) -> dict[str, Any]:
     """Values of the fields of a dataclass: those of the file, and those among its further parameters of the executor."""
     names = {field.name for field in fields(kind)}
-    values = {name: value for name, value in file.parameters.get(_EXECUTOR, {}).items() if name in names} | own
+    values = {name: value for name, value in file.parameters.get(_EXECUTOR, {}).items() if name in names} | stated
     for name, value in values.items():
         for number in value if isinstance(value, list) else [value]:
             if isinstance(number, bool) or not isinstance(number, int | float):
@@ -202,10 +202,10 @@ def _check_lengths(joints: Joints) -> None:
 
 def _first(error: ValidationError) -> str:
     """The first fault of a file, as one line."""
-    found = error.errors(include_url=False)[0]
-    where = ".".join(str(part) for part in found["loc"]) or "the file"
-    if found["type"] == "extra_forbidden":
+    fault = error.errors(include_url=False)[0]
+    where = ".".join(str(part) for part in fault["loc"]) or "the file"
+    if fault["type"] == "extra_forbidden":
         return f"{plain_text(where)} is no key of a robot file; correct its name or take it out."
-    if found["type"] == "missing":
+    if fault["type"] == "missing":
         return f"{where} is missing; add it."
-    return f"{plain_text(where)} is {plain_text(repr(found['input']))[:80]}: {found['msg'][:1].lower()}{found['msg'][1:]}; correct it."
+    return f"{plain_text(where)} is {plain_text(repr(fault['input']))[:80]}: {fault['msg'][:1].lower()}{fault['msg'][1:]}; correct it."
