@@ -326,7 +326,7 @@ def compile_kernels() -> None:
     """Fill numba's cache, so that no node waits for the compiler at its start or first push."""
     perception = "import push_ident.perception.kernels"
     physics = "from push_ident.physics.simulation import compile_kernels; compile_kernels(effects=True)"
-    planning = "from push_ident.planning.kernels import compile_planning; compile_planning()"
+    planning = "from push_ident.planning.library import compile_planning; compile_planning()"
     run([str(VENV_PYTHON), "-c", f"{perception}; {physics}; {planning}"])
 
 

@@ -22,12 +22,10 @@ from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values, p
 from push_ident.nodes.input.table import table_of_corners
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
-from push_ident.planning.goal import Goal
-from push_ident.planning.goal_code import GoalCode
+from push_ident.planning.goal import Goal, GoalCode, Target
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalState
 from push_ident.planning.hold import EdgeHold
 from push_ident.planning.planner import GoalPush, PlanStatus
-from push_ident.planning.target import Target
 from push_ident_msgs.action import PushToGoal
 from push_ident_msgs.msg import ModelPosterior
 

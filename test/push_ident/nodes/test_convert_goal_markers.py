@@ -15,14 +15,13 @@ from push_ident.errors import InputError
 from push_ident.nodes.convert.goal_markers import GoalDrawing, draw_goal, goal_markers_from_msg, goal_markers_to_msg
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.curved_planner import CurvedPush
-from push_ident.planning.goal import Goal
+from push_ident.planning.goal import Goal, Target
 from push_ident.planning.goal_ports import GoalProgress, GoalState
 from push_ident.planning.hold import EdgeHold
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathPush, PathStatus
 from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush, PlanStatus
-from push_ident.planning.target import Target
 from push_ident.pushing.push import PushPlan2D
 from push_ident.pushing.tool_path import Corridor
 

@@ -13,7 +13,7 @@ from push_ident.errors import InputError
 from push_ident.nodes.convert.tool_path import correction_from_msg, correction_to_msg, path_goal, path_request_from_goal
 from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, planar_pose_msg, request_from_msg, result_to_msg
 from push_ident.nodes.goal_pushing.parameters import PARAMETERS
-from push_ident.planning.goal_code import GoalCode
+from push_ident.planning.goal import GoalCode
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress
 from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.steering import PathRequest, ToolCorrection

@@ -33,7 +33,7 @@ from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_from
 from push_ident.nodes.convert.model import posterior_from_msg, posterior_to_msg
 from push_ident.nodes.convert.table import EDGE_TOPIC, edge_from_msg
 from push_ident.nodes.goal_pushing.convert_goal import planar_pose_msg
-from push_ident.planning.goal_code import GoalCode
+from push_ident.planning.goal import GoalCode
 from push_ident.planning.goal_ports import GoalState
 from push_ident.types import ObjectShape
 from push_ident_msgs.action import PushToGoal

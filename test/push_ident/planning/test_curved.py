@@ -13,11 +13,10 @@ from push_ident.geometry.se2 import inverse, rotation, transform_points, wrap_an
 from push_ident.physics.batch import BatchModel, BatchPush, ModelBatch, rollouts
 from push_ident.physics.effect_values import effect_values
 from push_ident.planning.belief import Belief
-from push_ident.planning.contact_tracking import ContactTracker
 from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, face_of
 from push_ident.planning.curved_planner import CurvedPathPlanner, CurvedPush
 from push_ident.planning.model_weights import ModelWeights
-from push_ident.planning.path_follower import LOOK_AHEAD, FollowStatus
+from push_ident.planning.path_follower import ContactTracker, FollowerOptions, FollowStatus
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
@@ -221,11 +220,11 @@ def test_contacts_that_failed_and_paths_out_of_reach_are_not_planned() -> None:
 def test_one_strange_frame_is_ignored_and_two_are_believed() -> None:
     tracker = ContactTracker(known(), SETTINGS.pusher_radius, np.zeros(3), FRAME)
     tool, strange = np.array([-0.2, 0.0]), np.array([0.03, 0.02, -0.3])
-    tracker.see(strange, FRAME, tool)
+    tracker.observe(strange, FRAME, tool)
     np.testing.assert_allclose(tracker.pose, 0.0)
-    tracker.see(np.zeros(3), FRAME, tool)
-    tracker.see(strange, FRAME, tool)
-    tracker.see(strange, FRAME, tool)
+    tracker.observe(np.zeros(3), FRAME, tool)
+    tracker.observe(strange, FRAME, tool)
+    tracker.observe(strange, FRAME, tool)
     np.testing.assert_allclose(tracker.pose, strange)
 
 
@@ -233,7 +232,7 @@ def test_tool_is_never_believed_inside_the_object_nor_just_in_front_of_it() -> N
     side = float(MODEL.shape.outline[:, 0].min())
     for depth in (-0.002, 0.0008):
         tracker = ContactTracker(known(), SETTINGS.pusher_radius, np.zeros(3), FRAME)
-        face = tracker.see(np.zeros(3), FRAME, np.array([side - SETTINGS.pusher_radius - depth, 0.01]))
+        face = tracker.observe(np.zeros(3), FRAME, np.array([side - SETTINGS.pusher_radius - depth, 0.01]))
         np.testing.assert_allclose(tracker.pose, [-depth, 0.0, 0.0], atol=1e-9)
         np.testing.assert_allclose(face.normal, [-1.0, 0.0], atol=1e-9)
         assert tracker.gap == 0.0 and face.is_open == (True, True) and float(wrap_angle(tracker.pose[2])) == 0.0
@@ -246,7 +245,7 @@ def test_tool_is_where_a_diagnosed_offset_says() -> None:
     displaced = BatchModel(own.body, own.pusher_friction, effects=effect_values({"tool_offset": offset}))
     for model, at in ((own, tool), (displaced, tool - offset)):
         tracker = ContactTracker(ModelBatch(MODEL.shape, [model], SETTINGS.pusher_radius), SETTINGS.pusher_radius, np.zeros(3), FRAME)
-        tracker.see(np.zeros(3), FRAME, at)
+        tracker.observe(np.zeros(3), FRAME, at)
         assert tracker.gap == 0.0
         np.testing.assert_allclose(tracker.pose, 0.0, atol=1e-9)
 
@@ -261,14 +260,14 @@ def test_models_that_do_not_explain_the_push_lose_their_weight_and_a_stretch_tha
     for breaks in (False, True):
         weights = ModelWeights(MODEL.shape, [wrong[0], right, wrong[1]], SETTINGS.pusher_radius)
         world, tool = World(MODEL, np.zeros(3)), first
-        weights.see(np.array([-PERIOD, 0.0]), np.array([tool, tool]), world.pose, world.velocity, face)
+        weights.observe(np.array([-PERIOD, 0.0]), np.array([tool, tool]), world.pose, world.velocity, face)
         for k in range(12):
             time, way = np.array([k, k + 1]) * PERIOD, tool + np.array([[0.0, 0.0], [0.1 * PERIOD, 0.0]])
             world.lead(time, way)
             tool = way[1]
             if breaks and k % 4 == 3:
                 weights.restart()
-            weights.see(time, way, world.pose, world.velocity, face)
+            weights.observe(time, way, world.pose, world.velocity, face)
         weights.work(all_of_it=True)
         assert (weights.best(1).models[0] is right) is not breaks
         assert np.ptp(weights.log_weight) == 0.0 if breaks else weights.log_weight[1] > np.sort(weights.log_weight)[1] + 1.0
@@ -280,4 +279,4 @@ def test_contact_is_judged_as_far_as_corrections_look(seed: int) -> None:
     line = PathGoal(np.array([[-0.12, 0.0, 0.5], [0.12, 0.0, 0.5]]), 0.05, 0.003, 0.035)
     model = random_object(np.random.default_rng(seed))
     push = CurvedPathPlanner(model.shape, SETTINGS).plan(Belief.certain(model), line.poses[0], line, 0.0)
-    assert push.status is PathStatus.PUSH and push.expected_done > LOOK_AHEAD and push.expected_error > 2.0
+    assert push.status is PathStatus.PUSH and push.expected_done > FollowerOptions().look_ahead and push.expected_error > 2.0

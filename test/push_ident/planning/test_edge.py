@@ -16,12 +16,11 @@ from push_ident.physics.batch import BatchPush, rollouts
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import EdgeGoal, edge_target, edges_of, held_target, pregrasp
-from push_ident.planning.explore import push_on_table
-from push_ident.planning.goal import CERTAIN, Goal
-from push_ident.planning.goal_code import GoalCode, GoalRefusedError
+from push_ident.planning.goal import CERTAIN, Goal, GoalCode, GoalRefusedError
 from push_ident.planning.hold import RISK, EdgeHold
 from push_ident.planning.library import BATCH_STEP, path_of
 from push_ident.planning.planner import GoalPlanner, PlanStatus
+from push_ident.planning.target_choice import push_on_table
 from push_ident.pushing.push import PushSettings
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import true_model
@@ -54,7 +53,7 @@ def test_margin_is_the_distance_from_the_border_of_the_support() -> None:
 
 def test_hold_is_the_same_seen_from_another_frame() -> None:
     frame, pose = np.array([0.05, -0.08, 0.6]), np.array([0.29, 0.02, 1.1])
-    here, there = EdgeHold(EDGE), EdgeHold(EDGE).seen_from(frame)
+    here, there = EdgeHold(EDGE), EdgeHold(EDGE).in_frame(frame)
     seen = compose(inverse(frame), pose)
     assert float(there.margins(CELLS, CENTRE, seen)) == pytest.approx(float(here.margins(CELLS, CENTRE, pose)), abs=1e-12)
 

@@ -14,8 +14,7 @@ from push_ident.errors import InputError
 from push_ident.identification.results.posterior import ModelPosterior, prior_posterior
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
-from push_ident.planning.goal import Goal
-from push_ident.planning.goal_code import GoalCode, GoalRefusedError
+from push_ident.planning.goal import Goal, GoalCode, GoalRefusedError, Target
 from push_ident.planning.goal_ports import (
     GoalOutcome,
     GoalProgress,
@@ -29,7 +28,6 @@ from push_ident.planning.goal_ports import (
 from push_ident.planning.goal_session import GoalSession
 from push_ident.planning.hold import EdgeHold
 from push_ident.planning.planner import GoalPush, PlanStatus
-from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import Float64Array

@@ -11,7 +11,7 @@ import pytest
 from push_ident.errors import InputError
 from push_ident.physics.batch import BatchPush, rollouts
 from push_ident.planning.belief import Belief
-from push_ident.planning.goal_code import GoalCode, GoalRefusedError
+from push_ident.planning.goal import GoalCode, GoalRefusedError
 from push_ident.planning.library import path_of
 from push_ident.planning.path_goal import PathGoal, check_path, read_path
 from push_ident.planning.path_planner import PathPlanner, PathStatus

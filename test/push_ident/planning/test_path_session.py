@@ -13,14 +13,13 @@ from helpers.objects import hammer
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.planning.belief import Belief
 from push_ident.planning.curved_planner import CurvedPush
-from push_ident.planning.goal_code import GoalCode, GoalRefusedError
+from push_ident.planning.goal import GoalCode, GoalRefusedError, Target
 from push_ident.planning.goal_ports import GoalOutcome, GoalRequest, KnownModel, PushReport, Wish
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathPush, PathStatus
 from push_ident.planning.path_session import PathSession
 from push_ident.planning.path_steps import PathStep, PathSteps
 from push_ident.planning.planner import GoalPush, PlanStatus
-from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import Float64Array

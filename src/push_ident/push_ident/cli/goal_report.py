@@ -184,7 +184,7 @@ class PathReport:
 
 
 def _codes() -> dict[str, int]:
-    from push_ident.planning.goal_code import GoalCode
+    from push_ident.planning.goal import GoalCode
 
     return {code.name: code.value for code in GoalCode}
 

@@ -1,6 +1,6 @@
-"""What a planner believes of an object: the most probable mechanics, and others that may be true.
+"""Belief of a planner about an object: the most probable mechanics, and samples of the posterior.
 
-Effects that were fitted with the maps are part of it, as far as they decide where a push ends: pushes are planned from rest to rest.
+Fitted effects are part of it as far as they change where a push ends: pushes are planned from rest to rest.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class Belief:
     """Mechanics with their uncertainty, in the frame of the arm."""
 
     mean: Mechanics
-    """Without the errors of the camera, and without effects that are gone at rest."""
+    """Most probable mechanics, without the errors of the camera and effects that vanish at rest."""
     posterior: ModelPosterior | None
-    """Where other models are drawn from; None where the mean is certain."""
+    """Distribution of the models; None where the mean is certain."""
     camera: Float64Array = field(default_factory=lambda: np.zeros(3))
-    """The table frame of the arm in that of the camera (x, y, yaw), shape (3,), as the pushes have shown it."""
+    """The table frame of the arm in that of the camera (x, y, yaw), shape (3,), as estimated from the pushes."""
     weight: Float64Array = field(default_factory=lambda: np.empty(0))
     """Of each cell as a share of the whole, shape (n_cells,), in the most probable model."""
     numerics: SimulationSettings = field(default_factory=SimulationSettings)
@@ -40,7 +40,7 @@ class Belief:
 
     @classmethod
     def of(cls, posterior: ModelPosterior, numerics: SimulationSettings | None = None) -> Belief:
-        """What pushes have shown, where they were simulated with `numerics`."""
+        """From the posterior of a fit with `numerics`."""
         mechanics = posterior.mechanics
         camera = reported_poses(mechanics.effects, np.zeros((1, 3)))[0][0]
         weight = _share(model_at(posterior.unknowns, posterior.z))
@@ -61,13 +61,13 @@ class Belief:
         return self.mean.shape
 
     @property
-    def depends_on_place(self) -> bool:
-        """Whether an object is moved otherwise by the same push where it lies elsewhere, or in another heading."""
+    def depends_on_pose(self) -> bool:
+        """Whether the motion by a push depends on the pose of the object in the table frame."""
         acts = (effect.acts for effect in self.mean.effects.effects)
-        return any(isinstance(own, OnTable | OnPusherPath) for own in acts)
+        return any(isinstance(acting, OnTable | OnPusherPath) for acting in acts)
 
     def models(self, n: int, rng: np.random.Generator) -> list[BatchModel]:
-        """The mean, then `n` models drawn at random: those that are equally likely to be true. None but the mean where that is certain."""
+        """The mean, then `n` samples of the posterior; only the mean where that is certain."""
         drawn, surface, weights = [self.mean], np.zeros(1 + n), [self.weight]
         if self.posterior is not None:
             # Each push touches another part of the outline.
@@ -78,13 +78,13 @@ class Belief:
             drawn += [mechanics_at(unknowns, other) for other in others]
             weights += [_share(model_at(unknowns, other)) for other in others]
         return [
-            BatchModel(own.body, own.pusher_friction, _surface(own.effects) + beside, weight, effects=own.effects.at_rest.beside_outline)
-            for own, beside, weight in zip(drawn, surface, weights, strict=False)
+            BatchModel(one.body, one.pusher_friction, _surface(one.effects) + offset, weight, effects=one.effects.at_rest.beside_outline)
+            for one, offset, weight in zip(drawn, surface, weights, strict=False)
         ]
 
 
 def _at_rest(mechanics: Mechanics) -> Mechanics:
-    """Mechanics without what is gone at rest, or only changes what is reported; no unknown is asked for their derivative."""
+    """Mechanics without effects that vanish at rest or act on reported poses only."""
     return replace(mechanics, effects=mechanics.effects.at_rest)
 
 
@@ -93,5 +93,5 @@ def _share(model: ObjectModel) -> Float64Array:
 
 
 def _surface(effects: EffectValues) -> float:
-    """How far the surface lies outside the outline [m]."""
+    """Distance of the surface outside the outline [m]."""
     return float(sum(np.sum(effects.values[effects.slice_of(effect.name)]) for effect in effects.effects if effect.moves_outline))

@@ -1,10 +1,10 @@
 """Pushes that curve: short pushes of one contact, improved so that the object stays on a path.
 
-The tool moves as if it were fixed to an object that keeps to the path, and beside that at a velocity of its own in each of three segments:
+The tool moves as if it were fixed to an object that keeps to the path, plus a relative velocity in each of three segments:
 
     p(t) = ref(s0 + v t) o (q0 + sum_k w_k t_k(t))        t_k: time spent in segment k, w_k: unknown, two numbers a segment
 
-so the unknowns turn the tool's heading and change its speed, and with none the tool follows the path like the object. Gauss-Newton
+so the unknowns turn the tool's heading and change its speed; at zero the tool follows the path like the object. Gauss-Newton
 improves them: the residuals are the errors of the object along the path under each of several models, in tolerances, and the contact that
 slides to the end of its face, the tool that leaves the object, its corridor or its workspace. All pushes, with one unknown changed in each,
 are simulated in one batch.
@@ -28,37 +28,47 @@ from push_ident.types import Float64Array
 __all__ = ["N_LIMITS", "N_SEGMENTS", "CurvedPushes", "Face", "Horizon", "PushStart", "RolledPushes", "face_of", "never_late"]
 
 _BREAKS: Final = np.array([0.0, 0.15, 0.45, 1.0])
-"""Where segments begin and end, as shares of the horizon [1]: the first is the one that will be made before all is planned anew."""
+"""Ends of the segments as shares of the horizon [1]: the first is the one that will be made before the next plan."""
 N_SEGMENTS: Final = len(_BREAKS) - 1
 N_LIMITS: Final = 2
-"""Limits of a tool that have a residual each, the last ones: corridor and workspace."""
-_FRAMES: Final = 8
-"""Poses along a push that are compared with the path."""
-_STEP_TRAVEL: Final = 0.0025
-"""Of the tool in a time step [m]."""
-_LONGEST_STEP: Final = 0.1
-"""[s]"""
-_DIFFERENCE: Final = 0.1
-"""Of an unknown, for the derivative [1, in speeds of the path]: large enough that the contact may begin or cease to slide."""
-_LARGEST: Final = 1.2
-"""Of an unknown [1, in speeds of the path]."""
-_LONGEST_CHANGE: Final = 0.5
-"""Of an unknown in an iteration [1, in speeds of the path]."""
+"""Number of limits of the tool with a residual each, the last ones: corridor and workspace."""
 _DAMPING: Final = np.array([0.5, 0.15])
-"""Residual of an unknown of one speed, along and across the path [tolerances]: what hardly changes the errors is left alone, and the tool
-does not wait for a better time."""
-_ALONG: Final = 1.0
-"""How much larger an error along the path may be than one across it [1]: being late is no distance from the path."""
-_FACE_MARGIN, _FACE_SCALE = 0.005, 0.002
-"""Least distance of the contact from the end of its face, and what violates it by one tolerance [m]."""
-_TOUCH_MARGIN, _TOUCH_SCALE = 0.002, 0.002
-"""Largest gap between tool and object, and what violates it by one tolerance [m]."""
-_LIMIT_SCALE: Final = 0.001
-"""Beyond corridor or workspace by one tolerance [m]."""
-_FAILED: Final = 1e3
-"""Residual where a simulation failed [tolerances]."""
-_SHARES: Final = (1.0, 0.5, 0.2)
-"""Of a Gauss-Newton step that are tried [1]."""
+"""Residual of an unknown of one speed, along and across the path [tolerances]: regularises unknowns that hardly change the errors."""
+
+
+@dataclass(frozen=True, slots=True)
+class CurvedOptions:
+    """Numbers of the simulation and the optimisation of curved pushes."""
+
+    frames: int = 8
+    """Poses along a push that are compared with the path."""
+    step_travel: float = 0.0025
+    """Travel of the tool in a time step [m]."""
+    longest_step: float = 0.1
+    """Longest time step [s]."""
+    difference: float = 0.1
+    """Change of an unknown for the derivative [speeds of the path]: large enough that the contact may begin or cease to slide."""
+    largest: float = 1.2
+    """Largest unknown [speeds of the path]."""
+    largest_change: float = 0.5
+    """Largest change of an unknown in an iteration [speeds of the path]."""
+    step_shares: tuple[float, ...] = (1.0, 0.5, 0.2)
+    """Shares of a Gauss-Newton step that are tried [1]."""
+    face_margin: float = 0.005
+    """Least distance of the contact from the end of its face [m]."""
+    face_scale: float = 0.002
+    """Violation of that by one tolerance [m]."""
+    gap_margin: float = 0.002
+    """Largest gap between tool and object [m]."""
+    gap_scale: float = 0.002
+    """Violation of that by one tolerance [m]."""
+    limit_scale: float = 0.001
+    """Distance beyond corridor or workspace that is one tolerance [m]."""
+    failed: float = 1e3
+    """Residual of a failed simulation [tolerances]."""
+
+
+_OPTIONS: Final = CurvedOptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +115,7 @@ class PushStart:
     """Of the object, table frame, shape (3,), when the lead begins."""
     velocity: Float64Array
     """Of the object frame then [m/s, m/s, rad/s], shape (3,)."""
-    place: float
+    done: float
     """Length of path that is behind when the segments begin [m]."""
     lead: Float64Array
     """Axis of the tool at the times of the lead, table frame [m], shape (n_lead, 2): what is not to be changed any more."""
@@ -135,11 +145,11 @@ class Horizon:
     @classmethod
     def of(cls, speed: float, travel: float, lead: Float64Array) -> Horizon:
         """For a travel along the path [m]; `lead` as its times."""
-        end, step = travel / speed, min(_STEP_TRAVEL / speed, _LONGEST_STEP)
-        n = max(_FRAMES, int(np.ceil(end / step)))
-        n += -n % _FRAMES
+        end, step = travel / speed, min(_OPTIONS.step_travel / speed, _OPTIONS.longest_step)
+        n = max(_OPTIONS.frames, int(np.ceil(end / step)))
+        n += -n % _OPTIONS.frames
         later = end * np.arange(1, n + 1) / n
-        knots, frames = np.concatenate([lead, later]), later[n // _FRAMES - 1 :: n // _FRAMES]
+        knots, frames = np.concatenate([lead, later]), later[n // _OPTIONS.frames - 1 :: n // _OPTIONS.frames]
         at_frames = np.searchsorted(knots, frames - 1e-9)
         return cls(speed, lead, knots, frames, end * _BREAKS, BatchClock.of(knots, frames, step), at_frames)
 
@@ -174,7 +184,7 @@ class RolledPushes:
 
 @dataclass(frozen=True, slots=True)
 class _Prepared:
-    """What all pushes from some starts have in common: made once for many simulations."""
+    """Arrays that all pushes from some starts share, computed once for many simulations."""
 
     horizon: Horizon
     starts: Sequence[PushStart]
@@ -193,8 +203,8 @@ class _Prepared:
     """The object on its path at the frames, shape (n_starts, 1, n_frames, 3)."""
     to_path: Float64Array
     """From the table to the directions along and across the path there, shape (n_starts, 1, n_frames, 2, 2)."""
-    place: Float64Array
-    """Length of path that should be behind then, since the segments began [m], shape (n_starts, 1, n_frames)."""
+    progress: Float64Array
+    """Reference progress along the path at the frames since the segments began [m], shape (n_starts, 1, n_frames)."""
     pose: Float64Array
     """At the start, shape (n_starts, 3), and velocity."""
     velocity: Float64Array
@@ -203,12 +213,12 @@ class _Prepared:
 
 
 def never_late() -> bool:
-    """Nobody waits."""
+    """No deadline."""
     return False
 
 
 class CurvedPushes:
-    """Simulates and improves pushes of one object along one path.
+    """Simulates and optimises pushes of one object along one path.
 
     Args:
         settings: limits of the tool.
@@ -233,11 +243,11 @@ class CurvedPushes:
     def _prepared(self, horizon: Horizon, starts: Sequence[PushStart]) -> _Prepared:
         path, later = self._path, horizon.knots[len(horizon.lead) :]
         lead = np.array([start.lead for start in starts])
-        begun = np.array([start.place for start in starts])
+        begun = np.array([start.done for start in starts])
         now = path.at(begun)
         offset = np.array([transform_points(inverse(pose), tool[-1:])[0] for pose, tool in zip(now, lead, strict=True)])
         frame = path.at(begun[:, None] + horizon.speed * later)[:, None]
-        place = np.minimum(begun[:, None] + horizon.speed * horizon.frames, path.length)
+        reference = np.minimum(begun[:, None] + horizon.speed * horizon.frames, path.length)
         faces = [start.face for start in starts]
         start, tangent, normal = (
             np.array([getattr(face, name) for face in faces])[:, None, None] for name in ("start", "tangent", "normal")
@@ -253,70 +263,70 @@ class CurvedPushes:
             frame,
             rotation(frame[..., 2]),
             np.clip(later[:, None] - horizon.breaks[:-1], 0.0, np.diff(horizon.breaks)),
-            path.at(place)[:, None],
-            np.swapaxes(rotation(path.direction(place)), -1, -2)[:, None],
-            (place - begun[:, None])[:, None],
-            np.array([own.pose for own in starts]),
-            np.array([own.velocity for own in starts]),
+            path.at(reference)[:, None],
+            np.swapaxes(rotation(path.direction(reference)), -1, -2)[:, None],
+            (reference - begun[:, None])[:, None],
+            np.array([start_of.pose for start_of in starts]),
+            np.array([start_of.velocity for start_of in starts]),
             (start, tangent, normal, length, opens),
         )
 
-    def _tool(self, own: _Prepared, unknowns: Float64Array) -> Float64Array:
-        beside = own.offset + own.horizon.speed * _turned(own.turn, own.spent @ unknowns)
-        moving = own.frame[..., :2] + _turned(own.frame_turn, beside)
-        fixed = np.broadcast_to(own.lead[:, None], (len(own.lead), unknowns.shape[1], *own.lead.shape[1:]))
-        return self._slowed(own.horizon, np.concatenate([fixed, moving], axis=2))
+    def _tool(self, prepared: _Prepared, unknowns: Float64Array) -> Float64Array:
+        in_path_frame = prepared.offset + prepared.horizon.speed * _turned(prepared.turn, prepared.spent @ unknowns)
+        moving = prepared.frame[..., :2] + _turned(prepared.frame_turn, in_path_frame)
+        fixed = np.broadcast_to(prepared.lead[:, None], (len(prepared.lead), unknowns.shape[1], *prepared.lead.shape[1:]))
+        return self._slowed(prepared.horizon, np.concatenate([fixed, moving], axis=2))
 
     def _slowed(self, horizon: Horizon, tool: Float64Array) -> Float64Array:
-        """The same headings, no faster than the tool may be: who is too slow for the path is corrected again, and stays in contact."""
+        """Tool paths of the same headings, no faster than the tool may be: a slower tool stays in contact and is corrected again."""
         step, n_fixed = np.diff(tool, axis=2), len(horizon.lead) - 1
         share = self._settings.max_speed * np.diff(horizon.knots) / np.maximum(np.hypot(step[..., 0], step[..., 1]), 1e-12)
         share[..., :n_fixed] = 1.0
         if np.all(share >= 1.0):
             return tool
         slower = tool[:, :, :1] + np.cumsum(step * np.minimum(share, 1.0)[..., None], axis=2)
-        # What is not too fast stays as it is, to the last bit.
+        # Paths that are not too fast stay equal to the last bit.
         too_fast = np.min(share, axis=-1) < 1.0
         changed = np.where(too_fast[..., None, None], slower, tool[:, :, 1:])
         return np.concatenate([tool[:, :, :1], changed], axis=2)
 
-    def _roll(self, models: ModelBatch, own: _Prepared, unknowns: Float64Array) -> RolledPushes:
+    def _roll(self, models: ModelBatch, prepared: _Prepared, unknowns: Float64Array) -> RolledPushes:
         n_starts, n_variants = unknowns.shape[:2]
-        each, n_frames = (len(models), n_starts, n_variants), len(own.horizon.frames)
-        tool = self._tool(own, unknowns)
-        first, velocity = np.repeat(own.pose, n_variants, axis=0), np.repeat(own.velocity, n_variants, axis=0)
-        poses = models.roll(own.horizon.clock, tool.reshape(-1, *tool.shape[2:]), first, velocity).reshape(*each, n_frames, 3)
-        away = poses - own.wanted
-        along_across = _turned(own.to_path, away[..., :2])
+        each, n_frames = (len(models), n_starts, n_variants), len(prepared.horizon.frames)
+        tool = self._tool(prepared, unknowns)
+        first, velocity = np.repeat(prepared.pose, n_variants, axis=0), np.repeat(prepared.velocity, n_variants, axis=0)
+        poses = models.roll(prepared.horizon.clock, tool.reshape(-1, *tool.shape[2:]), first, velocity).reshape(*each, n_frames, 3)
+        difference = poses - prepared.wanted
+        along_across = _turned(prepared.to_path, difference[..., :2])
         error = np.empty_like(poses)
-        error[..., 0] = along_across[..., 0] / (_ALONG * self._path.position)
+        error[..., 0] = along_across[..., 0] / self._path.position
         error[..., 1] = along_across[..., 1] / self._path.position
-        error[..., 2] = wrap_angle(away[..., 2]) / self._path.yaw
+        error[..., 2] = wrap_angle(difference[..., 2]) / self._path.yaw
         failed = np.asarray(~np.isfinite(error).all(axis=(-1, -2)))
         if failed.any():
-            error = np.where(failed[..., None, None], _FAILED, error)
-            poses = np.where(failed[..., None, None], own.wanted, poses)
+            error = np.where(failed[..., None, None], _OPTIONS.failed, error)
+            poses = np.where(failed[..., None, None], prepared.wanted, poses)
             along_across = np.where(failed[..., None, None], 0.0, along_across)
         residual = np.empty((*each, 5 * n_frames + 2 * N_SEGMENTS + N_LIMITS))
         residual[..., : 3 * n_frames] = (error / np.sqrt(n_frames)).reshape(*each, -1)
-        residual[..., 3 * n_frames : 5 * n_frames] = self._contact(own, tool, poses).reshape(*each, -1)
+        residual[..., 3 * n_frames : 5 * n_frames] = self._contact(prepared, tool, poses).reshape(*each, -1)
         residual[..., 5 * n_frames : -N_LIMITS] = (_DAMPING * unknowns).reshape(n_starts, n_variants, -1)
-        residual[..., -N_LIMITS:] = self._limits(own.horizon, tool)
-        progress = np.where(failed[..., None], 0.0, own.place + along_across[..., 0])
+        residual[..., -N_LIMITS:] = self._limits(prepared.horizon, tool)
+        progress = np.where(failed[..., None], 0.0, prepared.progress + along_across[..., 0])
         return RolledPushes(tool, poses, residual, np.hypot(error[..., 1], error[..., 2]), progress)
 
-    def _contact(self, own: _Prepared, tool: Float64Array, poses: Float64Array) -> Float64Array:
+    def _contact(self, prepared: _Prepared, tool: Float64Array, poses: Float64Array) -> Float64Array:
         """How far the contact is beyond its face, and the tool away, at the frames: shape (n_models, n_starts, n_variants, n_frames, 2)."""
-        away = tool[:, :, own.horizon.at_frames] - poses[..., :2]
+        away = tool[:, :, prepared.horizon.at_frames] - poses[..., :2]
         cos, sin = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-        start, tangent, normal, length, opens = own.faces
+        start, tangent, normal, length, opens = prepared.faces
         x, y = cos * away[..., 0] + sin * away[..., 1] - start[..., 0], cos * away[..., 1] - sin * away[..., 0] - start[..., 1]
-        margin = np.minimum(_FACE_MARGIN, 0.3 * length)
+        margin = np.minimum(_OPTIONS.face_margin, 0.3 * length)
         along = x * tangent[..., 0] + y * tangent[..., 1]
         beyond = opens[..., 0] * np.maximum(margin - along, 0.0) + opens[..., 1] * np.maximum(along - length + margin, 0.0)
-        gap = np.maximum(x * normal[..., 0] + y * normal[..., 1] - self._settings.pusher_radius - _TOUCH_MARGIN, 0.0)
+        gap = np.maximum(x * normal[..., 0] + y * normal[..., 1] - self._settings.pusher_radius - _OPTIONS.gap_margin, 0.0)
         share = 1.0 / np.sqrt(poses.shape[-2])
-        return np.stack([share / _FACE_SCALE * beyond, share / _TOUCH_SCALE * gap], axis=-1)
+        return np.stack([share / _OPTIONS.face_scale * beyond, share / _OPTIONS.gap_scale * gap], axis=-1)
 
     def _limits(self, horizon: Horizon, tool: Float64Array) -> Float64Array:
         """Corridor and workspace, each as far as it is violated most: shape (n_starts, n_variants, N_LIMITS)."""
@@ -325,7 +335,7 @@ class CurvedPushes:
         corridor = np.zeros(tool.shape[:2])
         if self._corridor is not None:
             corridor = np.max(self._corridor.excess(tool[:, :, horizon.at_frames]), axis=-1)
-        return np.stack([corridor / _LIMIT_SCALE, np.maximum(outside, 0.0) / _LIMIT_SCALE], axis=-1)
+        return np.stack([corridor / _OPTIONS.limit_scale, np.maximum(outside, 0.0) / _OPTIONS.limit_scale], axis=-1)
 
     def improve(
         self,
@@ -339,35 +349,35 @@ class CurvedPushes:
         """Better unknowns, shape (n_starts, N_SEGMENTS, 2), and what they do (one variant).
 
         Args:
-            models: that they are judged by.
+            models: of the cost.
             horizon: times of the pushes.
             starts: where they begin.
             first: guesses, shape (n_starts, n_guesses, N_SEGMENTS, 2); of each start the best is improved.
             n_iterations: of Gauss-Newton, at most.
-            is_late: asked before each iteration; where it is late, the best so far counts.
+            is_late: called before each iteration; the best so far is returned when it is true.
         """
-        n_starts, own = len(first), self._prepared(horizon, starts)
+        n_starts, prepared = len(first), self._prepared(horizon, starts)
         number, n_unknowns = np.arange(n_starts), 2 * N_SEGMENTS
-        rolled = self._roll(models, own, first)
+        rolled = self._roll(models, prepared, first)
         chosen = np.argmin(rolled.cost, axis=1)
         best, cost = first[number, chosen], rolled.cost[number, chosen]
         kept = _picked(rolled, number, chosen)
         for _ in range(n_iterations):
             if is_late():
                 break
-            changes = _DIFFERENCE * np.eye(n_unknowns).reshape(n_unknowns, N_SEGMENTS, 2)
+            changes = _OPTIONS.difference * np.eye(n_unknowns).reshape(n_unknowns, N_SEGMENTS, 2)
             # Towards zero, so that an unknown stays in its range.
             sign = np.where(best > 0, -1.0, 1.0)
-            varied = self._roll(models, own, best[:, None] + changes * sign[:, None])
-            by_unknown = (varied.residual - kept.residual) / (_DIFFERENCE * sign.reshape(n_starts, n_unknowns, 1))
+            varied = self._roll(models, prepared, best[:, None] + changes * sign[:, None])
+            by_unknown = (varied.residual - kept.residual) / (_OPTIONS.difference * sign.reshape(n_starts, n_unknowns, 1))
             step = _gauss_newton(by_unknown, kept.residual[:, :, 0]).reshape(best.shape)
-            tried = np.stack([np.clip(best + share * step, -_LARGEST, _LARGEST) for share in _SHARES], axis=1)
-            found = self._roll(models, own, tried)
-            chosen = np.argmin(found.cost, axis=1)
-            better = found.cost[number, chosen] < cost
-            kept = _merged(better, _picked(found, number, chosen), kept)
+            tried = np.stack([np.clip(best + share * step, -_OPTIONS.largest, _OPTIONS.largest) for share in _OPTIONS.step_shares], axis=1)
+            stepped = self._roll(models, prepared, tried)
+            chosen = np.argmin(stepped.cost, axis=1)
+            better = stepped.cost[number, chosen] < cost
+            kept = _merged(better, _picked(stepped, number, chosen), kept)
             best = np.where(better[:, None, None], tried[number, chosen], best)
-            cost = np.where(better, found.cost[number, chosen], cost)
+            cost = np.where(better, stepped.cost[number, chosen], cost)
         return best, kept
 
 
@@ -387,7 +397,7 @@ def _gauss_newton(by_unknown: Float64Array, residual: Float64Array) -> Float64Ar
     right = np.einsum("mcur,mcr->cu", by_unknown, residual) / n_models
     step = -np.linalg.solve(matrix, right[..., None])[..., 0]
     largest = np.max(np.abs(step), axis=1, keepdims=True)
-    return np.asarray(step * np.minimum(1.0, _LONGEST_CHANGE / np.maximum(largest, 1e-12)))
+    return np.asarray(step * np.minimum(1.0, _OPTIONS.largest_change / np.maximum(largest, 1e-12)))
 
 
 def _picked(rolled: RolledPushes, number: np.ndarray, chosen: np.ndarray) -> RolledPushes:

@@ -1,8 +1,8 @@
 """Where to push an object that shall follow a path in as few contacts as possible, by pushes that curve.
 
 At each contact of the outline the tool would move as if fixed to the object on its path; `CurvedPushes` improves that for a stretch of path
-ahead. A push costs c + sum of e^2 + l e_end^2, as a straight one does (`path_planner.py`); contacts are compared by their cost for each
-metre, cut off where that is least, but no sooner than what corrects a push looks ahead: it would give the contact up at once.
+ahead. A push costs c + sum of e^2 + l e_end^2, as a straight one does (`path_planner.py`). Contacts are compared by their cost per metre,
+truncated where that is least, but not before the look-ahead of the corrections, which would give such a contact up at once.
 """
 
 from __future__ import annotations
@@ -21,40 +21,43 @@ from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Horiz
 from push_ident.planning.feasible import Surroundings, is_possible
 from push_ident.planning.library import Strokes, placed, strokes
 from push_ident.planning.model_weights import ModelWeights
-from push_ident.planning.path_follower import LOOK_AHEAD, PathFollower, guesses_around
+from push_ident.planning.path_follower import FollowerOptions, PathFollower, guesses_around
 from push_ident.planning.path_goal import PathGoal
-from push_ident.planning.path_planner import PathStatus
+from push_ident.planning.path_planner import PathOptions, PathStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.tool_path import Corridor
 from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["CurvedPathPlanner", "CurvedPush"]
 
-_TRAVEL: Final = 0.2
-"""Along the path that a contact is judged by [m]."""
-_ITERATIONS: Final = 3
-"""Of Gauss-Newton for each contact."""
-_CONTACT, _CARRIED = 0.03, 0.03
-"""c and l [m], as for straight pushes."""
-_LEAST: Final = 0.004
-"""Progress of a push along the path [m]: less is none."""
-_AHEAD: Final = 0.2
-"""How far along the path the object may have come since it was seen last [m]."""
-_INWARD: Final = float(np.radians(70.0))
-"""Largest angle between the motion of an object's face along the path and its inward normal, for the face to be pushed [rad]."""
-_REFINED: Final = 6
-"""Best contacts beside which others are tried."""
-_SHIFTS: Final = (-0.003, -0.0015, 0.0, 0.0015, 0.003)
-"""Along the face [m]: contacts of the library are some 8 mm apart, and one that is 4 mm beside the line of the force turns the object by 5
-degrees."""
-_JUDGED: Final = 10
-"""Contacts that the mean model likes best, judged by all models then."""
-_LINE: Final = 0.012
-"""Between points of the line of a corridor [m]."""
-_BEYOND: Final = 0.005
-"""Of a corridor beyond the planned motion of the tool, where that goes further aside than corridors are wide [m]."""
-_STRAIGHT: Final = 0.004
-"""Length of the straight beginning that is checked as a push of its own [m]."""
+
+@dataclass(frozen=True, slots=True)
+class CurvedPlannerOptions:
+    """Size of the search of `CurvedPathPlanner`."""
+
+    travel: float = 0.2
+    """Length of path that a contact is judged by [m]."""
+    iterations: int = 3
+    """Gauss-Newton iterations for each contact."""
+    refined: int = 6
+    """Best contacts around which others are tried."""
+    shifts: tuple[float, ...] = (-0.003, -0.0015, 0.0, 0.0015, 0.003)
+    """Their shifts along the face [m]: contacts of the library are some 8 mm apart, and one that is 4 mm beside the line of the force turns
+    the object by 5 degrees."""
+    judged: int = 10
+    """Contacts that are best under the mean model, and are then judged by all models."""
+    max_angle: float = float(np.radians(70.0))
+    """Largest angle between the motion of a face along the path and its inward normal, for the face to be pushed [rad]."""
+    corridor_spacing: float = 0.012
+    """Distance between points of the line of a corridor [m]."""
+    corridor_margin: float = 0.005
+    """Margin of a corridor beyond the planned motion of the tool, where that is further aside than the half width [m]."""
+    straight_length: float = 0.004
+    """Length of the straight beginning that is checked as a push [m]."""
+
+
+_OPTIONS: Final = CurvedPlannerOptions()
+_COSTS: Final = PathOptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +74,11 @@ class CurvedPush:
     tool: Float64Array | None = None
     """Axis of the tool then [m], shape (n, 2)."""
     corridor: Corridor | None = None
-    """Where it may be corrected to: along the rest of the path."""
+    """Corridor of the corrections along the rest of the path."""
     expected_error: float = np.nan
-    """Root of the mean square error until then, of an object that is as it is believed to be: how far models differ does not count, that is
-    what corrections are for [tolerances]."""
+    """Root mean square error until then under the mean model [tolerances]: corrections compensate for the differences of the models."""
     expected_done: float = np.nan
-    """Length of path that is expected to be behind when the push is no longer worth while, if nothing corrects it [m]."""
+    """Expected length of path behind at the end of the push without corrections [m]."""
 
 
 class CurvedPathPlanner:
@@ -85,8 +87,8 @@ class CurvedPathPlanner:
     Args:
         shape: of the object.
         settings: limits of pushes and the pusher.
-        n_models: that may be true, the most probable one among them.
-        n_asked: that a correction is made for: those that explain the pushes so far best. Twice as many judge contacts.
+        n_models: models of the posterior, the most probable one among them.
+        n_asked: models of the largest weight that a correction is computed for. Twice as many judge contacts.
         seed: of the models that are drawn.
         half_width: of the corridor along the path [m].
     """
@@ -107,9 +109,9 @@ class CurvedPathPlanner:
         return self._weights
 
     def follower(self, belief: Belief, path: PathGoal, corridor: Corridor, period: float) -> PathFollower:
-        """What corrects a push at the rate of a camera, whose period is given in [s].
+        """Corrects a push at the rate of a camera with a period [s].
 
-        What it finds of the models is kept for later pushes, as long as the belief stays the same.
+        The weights of the models are kept for later pushes as long as the belief stays the same.
         """
         weights = self._weights_of(belief)
         return PathFollower(self._settings, weights, path, corridor, camera=belief.camera, n_asked=self._n_asked, period=period)
@@ -124,35 +126,35 @@ class CurvedPathPlanner:
         failed: Sequence[PushPlan2D] = (),
     ) -> CurvedPush:
         """The next push; arguments as those of `PathPlanner.plan`."""
-        away = inverse(belief.camera)
-        seen, path = compose(away, pose), path.seen_from(away)
-        place, _ = path.error(seen, done, _AHEAD)
-        now = max(done, float(place))
-        if path.length - now < _LEAST:
+        camera_in_arm = inverse(belief.camera)
+        observed, path = compose(camera_in_arm, pose), path.in_frame(camera_in_arm)
+        reached, _ = path.error(observed, done, _COSTS.look_ahead)
+        now = max(done, float(reached))
+        if path.length - now < _COSTS.least_progress:
             return CurvedPush(PathStatus.ARRIVED, now)
-        around = Surroundings([transform_points(away, outline) for outline in obstacles], failed)
-        numbers = _along(self._strokes, seen, path, now)
+        around = Surroundings([transform_points(camera_in_arm, outline) for outline in obstacles], failed)
+        numbers = _along(self._strokes, observed, path, now)
         if len(numbers) == 0:
             return CurvedPush(PathStatus.UNREACHABLE, now)
-        horizon = Horizon.of(path.speed, _TRAVEL, np.array([-self._settings.clearance / path.speed, 0.0]))
+        horizon = Horizon.of(path.speed, _OPTIONS.travel, np.array([-self._settings.clearance / path.speed, 0.0]))
         pushes, models = CurvedPushes(self._settings, path), self._weights_of(belief).best(self._n_judging)
         coarse = [self._strokes.picked(int(number)) for number in numbers]
-        first = int(np.searchsorted(path.speed * horizon.frames, min(LOOK_AHEAD, path.length - now) - 1e-9))
-        order = self._ranked(pushes, models.picked([0]), horizon, coarse, seen, now, first)[0]
-        fine = [coarse[k].changed(along, 0.0) for k in order[:_REFINED] for along in _SHIFTS]
-        order, best = self._ranked(pushes, models.picked([0]), horizon, fine, seen, now, first)
-        order = order[:_JUDGED]
-        starts = [self._start(fine[k], seen, now) for k in order]
+        first = int(np.searchsorted(path.speed * horizon.frames, min(FollowerOptions().look_ahead, path.length - now) - 1e-9))
+        order = self._ranked(pushes, models.picked([0]), horizon, coarse, observed, now, first)[0]
+        fine = [coarse[k].changed(along, 0.0) for k in order[: _OPTIONS.refined] for along in _OPTIONS.shifts]
+        order, best = self._ranked(pushes, models.picked([0]), horizon, fine, observed, now, first)
+        order = order[: _OPTIONS.judged]
+        starts = [self._start(fine[k], observed, now) for k in order]
         judged = pushes.roll(models, horizon, starts, best[order][:, None])
         rate = _rate(judged, first)
         for k in np.argsort(np.min(rate, axis=-1).mean(axis=0)):
             cut = int(np.argmin(rate[:, k].mean(axis=0)))
             if not np.isfinite(rate[:, k, cut]).all():
                 break
-            contact = placed(fine[order[k]], 0, seen, _STRAIGHT, path.speed)
-            motion = compose(inverse(seen), judged.poses[0, k, 0, cut])
+            contact = placed(fine[order[k]], 0, observed, _OPTIONS.straight_length, path.speed)
+            motion = compose(inverse(observed), judged.poses[0, k, 0, cut])
             tool = judged.tool[k, 0]
-            if is_possible(self._shape, self._settings, contact, seen, motion, around) and self._is_free(tool, around):
+            if is_possible(self._shape, self._settings, contact, observed, motion, around) and self._is_free(tool, around):
                 expected = now + float(judged.progress[:, k, 0, cut].mean())
                 error = float(np.sqrt(np.mean(judged.error[0, k, 0, : cut + 1] ** 2)))
                 corridor = self._corridor(tool, path, now)
@@ -160,19 +162,26 @@ class CurvedPathPlanner:
         return CurvedPush(PathStatus.UNREACHABLE, now)
 
     def _ranked(
-        self, pushes: CurvedPushes, models: ModelBatch, horizon: Horizon, own: Sequence[Strokes], seen: Float64Array, now: float, first: int
+        self,
+        pushes: CurvedPushes,
+        models: ModelBatch,
+        horizon: Horizon,
+        contacts: Sequence[Strokes],
+        observed: Float64Array,
+        now: float,
+        first: int,
     ) -> tuple[np.ndarray, Float64Array]:
-        """Order of contacts by what they are worth, and the improved unknowns of each, shape (n, N_SEGMENTS, 2)."""
-        starts, nothing = [self._start(one, seen, now) for one in own], np.zeros((1, N_SEGMENTS, 2))
+        """Order of contacts by their cost, and the optimised unknowns of each, shape (n, N_SEGMENTS, 2)."""
+        starts, nothing = [self._start(one, observed, now) for one in contacts], np.zeros((1, N_SEGMENTS, 2))
         around = np.concatenate([nothing, *guesses_around(nothing[0])])
         guesses = np.broadcast_to(around, (len(starts), *around.shape))
-        best, rolled = pushes.improve(models, horizon, starts, guesses, _ITERATIONS)
+        best, rolled = pushes.improve(models, horizon, starts, guesses, _OPTIONS.iterations)
         return np.argsort(np.min(_rate(rolled, first)[0], axis=-1)), best
 
-    def _start(self, own: Strokes, seen: Float64Array, now: float) -> PushStart:
-        plan = placed(own, 0, seen, _STRAIGHT, 1.0)
+    def _start(self, contact: Strokes, observed: Float64Array, now: float) -> PushStart:
+        plan = placed(contact, 0, observed, _OPTIONS.straight_length, 1.0)
         lead = np.array([plan.tool_start(self._settings.clearance), plan.tool_at_contact])
-        return PushStart(seen, np.zeros(3), now, lead, face_of(self._shape.outline, own.tool[0])[0])
+        return PushStart(observed, np.zeros(3), now, lead, face_of(self._shape.outline, contact.tool[0])[0])
 
     def _is_free(self, tool: Float64Array, around: Surroundings) -> bool:
         """Whether the tool stays in the workspace and away from other objects."""
@@ -184,24 +193,24 @@ class CurvedPathPlanner:
     def _corridor(self, tool: Float64Array, path: PathGoal, now: float) -> Corridor:
         """Along the motion of a tool that is fixed to the object on its path."""
         offset = transform_points(inverse(path.at(now)), tool[1:2])
-        later = path.at(np.append(np.arange(now, path.length, _LINE), path.length))
+        later = path.at(np.append(np.arange(now, path.length, _OPTIONS.corridor_spacing), path.length))
         corridor = Corridor(np.vstack([tool[:1], transform_points(later, offset)[:, 0]]), self._half_width)
         # An object far from its path is led back by a tool that goes further aside.
         excess = float(np.max(corridor.excess(tool)))
-        return Corridor(corridor.line, self._half_width + excess + _BEYOND) if excess > 0.0 else corridor
+        return Corridor(corridor.line, self._half_width + excess + _OPTIONS.corridor_margin) if excess > 0.0 else corridor
 
 
-def _along(own: Strokes, seen: Float64Array, path: PathGoal, now: float) -> np.ndarray:
+def _along(contacts: Strokes, observed: Float64Array, path: PathGoal, now: float) -> np.ndarray:
     """Of each contact the stroke whose heading is nearest to the motion of that point of the object along the path; shape (n,)."""
-    tool = transform_points(seen, own.tool)
-    step = min(_LEAST, path.length - now)
+    tool = transform_points(observed, contacts.tool)
+    step = min(_COSTS.least_progress, path.length - now)
     here, there = path.at(now), path.at(now + step)
     moved = transform_points(there, transform_points(inverse(here), tool)) - tool
     wanted = np.arctan2(moved[:, 1], moved[:, 0])
-    inward = np.arctan2(own.tangent[:, 0], -own.tangent[:, 1]) + seen[2]
-    pushable = np.abs(wrap_angle(wanted - inward)) < _INWARD
-    deviation = np.abs(wrap_angle(wanted - own.direction - seen[2]))
-    _, contact = np.unique(np.round(own.tool, 9), axis=0, return_inverse=True)
+    inward = np.arctan2(contacts.tangent[:, 0], -contacts.tangent[:, 1]) + observed[2]
+    pushable = np.abs(wrap_angle(wanted - inward)) < _OPTIONS.max_angle
+    deviation = np.abs(wrap_angle(wanted - contacts.direction - observed[2]))
+    _, contact = np.unique(np.round(contacts.tool, 9), axis=0, return_inverse=True)
     order = np.lexsort((deviation, contact.ravel()))
     _, first = np.unique(contact.ravel()[order], return_index=True)
     chosen = order[first]
@@ -213,8 +222,8 @@ def _rate(rolled: RolledPushes, first: int) -> Float64Array:
     without progress, and where they are cut off before the frame of number `first`."""
     progress, square = rolled.progress[:, :, 0], rolled.error[:, :, 0] ** 2
     steps = np.maximum(np.diff(progress, axis=-1, prepend=0.0), 0.0)
-    way = np.cumsum(steps * square, axis=-1)
-    rate = (_CONTACT + way + _CARRIED * square) / np.maximum(progress, 1e-9)
+    integral = np.cumsum(steps * square, axis=-1)
+    rate = (_COSTS.contact_cost + integral + _COSTS.carried_length * square) / np.maximum(progress, 1e-9)
     rate[..., :first] = np.inf
     penalty = np.sum(rolled.residual[:, :, 0, -N_LIMITS:] ** 2, axis=-1)
-    return np.where((progress > _LEAST) & (penalty[..., None] < 1.0), rate, np.inf)
+    return np.where((progress > _COSTS.least_progress) & (penalty[..., None] < 1.0), rate, np.inf)

@@ -13,25 +13,29 @@ from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
 from push_ident.geometry.table import Table
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
-from push_ident.planning.goal import Goal
-from push_ident.planning.goal_code import GoalCode, GoalRefusedError
+from push_ident.planning.goal import Goal, GoalCode, GoalRefusedError, Target
 from push_ident.planning.hold import RISK, EdgeHold
-from push_ident.planning.target import Target
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
 
 __all__ = ["EdgeGoal", "edge_target", "edges_of", "held_target", "pregrasp"]
 
-_TURNS: Final = 72
-"""Headings that are compared."""
-_DRAWS: Final = 32
-"""Models that the margin is taken from."""
-_ROOM: Final = 0.5
-"""Of the tolerance of position, by which the centre of mass lies further inside than it must where that is possible [1]."""
-_LEVER: Final = 0.1
-"""Distance that a turn by one radian is worth [m], where the nearest pre-grasp pose is looked for."""
-_ROUNDING: Final = 1e-9
-"""Of coordinates [m]."""
+
+@dataclass(frozen=True, slots=True)
+class PregraspOptions:
+    """Search of a pre-grasp pose."""
+
+    n_headings: int = 72
+    """Headings that are compared."""
+    n_models: int = 32
+    """Models that the margin is taken from."""
+    preferred_margin: float = 0.5
+    """Additional margin of the centre of mass where that is possible, as a share of the tolerance of position [1]."""
+    lever: float = 0.1
+    """Distance that a turn by one radian counts as, in the distance to a pose [m/rad]."""
+
+
+_OPTIONS: Final = PregraspOptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +79,14 @@ def edge_target(goal: EdgeGoal, edges: Sequence[TableEdge], belief: Belief, pose
     """The nearest pre-grasp pose at the edge of the goal, else at the nearest of `edges` where there is one.
 
     Args:
-        goal: what is wanted.
-        edges: those that are known, table frame.
-        belief: what is known of the object.
+        goal: at an edge.
+        edges: known edges, table frame.
+        belief: about the object.
         pose: of it, shape (3,), table frame.
         settings: limits of pushes.
 
     Raises:
-        GoalRefusedError: no edge is known; else what `pregrasp` says of the nearest one.
+        GoalRefusedError: no edge is known; else as `pregrasp` for the nearest one.
     """
     candidates = [goal.edge] if goal.edge is not None else sorted(edges, key=lambda edge: -float(edge.beyond(pose[:2])))
     if not candidates:
@@ -90,17 +94,17 @@ def edge_target(goal: EdgeGoal, edges: Sequence[TableEdge], belief: Belief, pose
     refusal: GoalRefusedError | None = None
     for edge in candidates:
         try:
-            found, hold = pregrasp(replace(goal, edge=edge), belief, pose, settings)
+            nearest, hold = pregrasp(replace(goal, edge=edge), belief, pose, settings)
         except GoalRefusedError as error:
             refusal = refusal or error
         else:
-            return held_target(found, hold, belief)
+            return held_target(nearest, hold, belief)
     assert refusal is not None, "there is an edge"
     raise refusal
 
 
 def held_target(goal: Goal, hold: EdgeHold, belief: Belief) -> Target:
-    """A pose at an edge, with what is known of the object that is held there."""
+    """Target at an edge, with cells and centres of mass of the object."""
     return Target(goal, hold, belief.shape.cells.centres, _centres(belief))
 
 
@@ -115,9 +119,9 @@ def pregrasp(goal: EdgeGoal, belief: Belief, pose: Float64Array, settings: PushS
             GoalCode.EDGE_UNKNOWN, "the table's edge is not known; give the edge with the goal, or the corners of the table to the node."
         )
     hold, shape = EdgeHold(goal.edge, goal.held, goal.limit), belief.shape
-    turns = np.array([goal.yaw]) if goal.yaw is not None else pose[2] + 2 * np.pi * np.arange(_TURNS) / _TURNS
+    turns = np.array([goal.yaw]) if goal.yaw is not None else pose[2] + 2 * np.pi * np.arange(_OPTIONS.n_headings) / _OPTIONS.n_headings
     poses = np.array([_at_edge(goal, goal.edge, shape.outline, pose, turn, settings) for turn in turns])
-    inside = np.array([_is_within(goal.edge, settings, transform_points(place, shape.outline)) for place in poses])
+    inside = np.array([_is_within(goal.edge, settings, transform_points(one, shape.outline)) for one in poses])
     if not np.any(inside):
         raise GoalRefusedError(
             GoalCode.OUTSIDE_WORKSPACE,
@@ -136,34 +140,35 @@ def pregrasp(goal: EdgeGoal, belief: Belief, pose: Float64Array, settings: PushS
             f"{1e3 * float(margins[:, best].std()):.0f} mm) inside its support, not surely the {1e3 * goal.held:.0f} mm of the goal; "
             "allow less overhang, or push the object a few times more so that its centre of mass is known better.",
         )
-    roomy = held & (mean >= goal.held + _ROOM * goal.position)
-    far = np.linalg.norm(poses[:, :2] - pose[:2], axis=1) + _LEVER * np.abs(wrap_angle(poses[:, 2] - pose[2]))
-    best = int(np.argmin(np.where(roomy if np.any(roomy) else held, far, np.inf)))
+    preferred = held & (mean >= goal.held + _OPTIONS.preferred_margin * goal.position)
+    far = np.linalg.norm(poses[:, :2] - pose[:2], axis=1) + _OPTIONS.lever * np.abs(wrap_angle(poses[:, 2] - pose[2]))
+    best = int(np.argmin(np.where(preferred if np.any(preferred) else held, far, np.inf)))
     return Goal(poses[best], goal.position, goal.turn), hold
 
 
 def _centres(belief: Belief) -> Float64Array:
-    """Of mass, by models that may be true, shape (n_models, 2), object frame."""
-    return np.array([model.body.centre for model in belief.models(_DRAWS, np.random.default_rng(0))])
+    """Centres of mass by models of the posterior, shape (n_models, 2), object frame."""
+    return np.array([model.body.centre for model in belief.models(_OPTIONS.n_models, np.random.default_rng(0))])
 
 
 def _at_edge(
     goal: EdgeGoal, edge: TableEdge, outline: Float64Array, pose: Float64Array, turn: float, settings: PushSettings
 ) -> Float64Array:
-    """The pose with a heading whose outline overhangs the edge as wanted, beside where the object is: shape (3,)."""
+    """Pose with a heading whose outline overhangs the edge as wanted, at the nearest position along the edge: shape (3,)."""
     turned = outline @ rotation(float(turn)).T
     out = edge.offset + goal.overhang - float(np.max(turned @ edge.outward))
     x_min, x_max, y_min, y_max = settings.workspace
     corners = np.array([[x, y] for x in (x_min, x_max) for y in (y_min, y_max)]) @ edge.along
     first, last = max(float(np.min(corners)), edge.span[0]), min(float(np.max(corners)), edge.span[1])
     side = turned @ edge.along
-    room = (first - float(np.min(side)), last - float(np.max(side)))
-    beside = float(np.clip(pose[:2] @ edge.along, *room)) if room[0] <= room[1] else float(np.mean(room))
-    return np.array([*(out * edge.outward + beside * edge.along), turn])
+    interval = (first - float(np.min(side)), last - float(np.max(side)))
+    along = float(np.clip(pose[:2] @ edge.along, *interval)) if interval[0] <= interval[1] else float(np.mean(interval))
+    return np.array([*(out * edge.outward + along * edge.along), turn])
 
 
 def _is_within(edge: TableEdge, settings: PushSettings, outline: Float64Array) -> bool:
     """Whether what is on the table lies within the workspace of the tool, and all of the object between the ends of the edge."""
     on_table, side = outline[edge.beyond(outline) <= 0.0], outline @ edge.along
-    between = edge.span[0] - _ROUNDING <= float(np.min(side)) and float(np.max(side)) <= edge.span[1] + _ROUNDING
-    return between and len(on_table) > 0 and settings.excess(on_table) <= _ROUNDING
+    rounding = 1e-9  # of coordinates [m]
+    between = edge.span[0] - rounding <= float(np.min(side)) and float(np.max(side)) <= edge.span[1] + rounding
+    return between and len(on_table) > 0 and settings.excess(on_table) <= rounding

@@ -1,10 +1,9 @@
-"""Whether the arm can make a planned push, and nothing is in its way."""
+"""Feasibility of a planned push: workspace, obstacles, edge of the table, earlier failures."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -18,15 +17,10 @@ from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["Surroundings", "is_possible"]
 
-_AGAIN: Final = 0.004
-"""A push whose contact is within this distance [m] of one that failed from the same pose is not proposed again."""
-_WAY: Final = 4
-"""Poses along a push, the first included, at which the object is compared with obstacles."""
-
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a push must respect beside the workspace."""
+    """Constraints of a push other than the workspace."""
 
     obstacles: Sequence[Float64Array] = ()
     """Outlines of other objects, table frame [m], each of shape (n_vertices, 2)."""
@@ -34,10 +28,14 @@ class Surroundings:
     """Pushes from this pose that did not move the object, or could not be made."""
     hold: EdgeHold | None = None
     """An edge of the table near the object."""
+    same_contact: float = 0.004
+    """A push whose contact is within this distance of one that failed from the same pose is not proposed again [m]."""
+    n_poses: int = 4
+    """Poses along a push, the first included, at which the object is compared with obstacles and edges."""
 
     def has_failed(self, push: PushPlan2D) -> bool:
         """Whether a push with this contact failed before."""
-        return any(bool(np.linalg.norm(push.contact_point - other.contact_point) < _AGAIN) for other in self.failed)
+        return any(bool(np.linalg.norm(push.contact_point - other.contact_point) < self.same_contact) for other in self.failed)
 
 
 def is_possible(
@@ -49,13 +47,13 @@ def is_possible(
     """
     if around.has_failed(plan):
         return False
-    way = np.linspace(0.0, 1.0, _WAY)[1:, None] * motion
-    outline, *later = (transform_points(p, shape.outline) for p in (pose, *compose(pose, way)))
-    # The tool need not reach what overhangs the table.
+    motions = np.linspace(0.0, 1.0, around.n_poses)[1:, None] * motion
+    outline, *later = (transform_points(p, shape.outline) for p in (pose, *compose(pose, motions)))
+    # The tool need not reach the part that overhangs the table.
     before, after = (p if around.hold is None else p[around.hold.edge.beyond(p) <= 0.0] for p in (outline, later[-1]))
     if settings.excess(after) > settings.excess(before):
         return False
-    if any(_gap(own, other) < settings.lowering_gap for own in later for other in around.obstacles):
+    if any(_gap(one, other) < settings.lowering_gap for one in later for other in around.obstacles):
         return False
     try:
         check_push(plan, outline, settings, around.obstacles)

@@ -1,21 +1,55 @@
-"""Where an object shall be, and how likely it is there."""
+"""Goals of pushing: a pose with tolerances, what holds the object there, and how pushing to it ends."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Final
 
 import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import wrap_angle
+from push_ident.planning.hold import EdgeHold
 from push_ident.types import Float64Array
 
-__all__ = ["CERTAIN", "Goal"]
+__all__ = ["CERTAIN", "Goal", "Target", "GoalCode", "GoalRefusedError"]
 
-CERTAIN = 0.9
+
+class GoalCode(IntEnum):
+    """How pushing to a goal ended; the numbers are those of the result of action/PushToGoal, which calls success NONE: no error."""
+
+    SUCCESS = 0
+    NONE = SUCCESS
+    INVALID_GOAL = -1
+    UNKNOWN_OBJECT = -2
+    OUTSIDE_WORKSPACE = -3
+    UNREACHABLE = -4
+    TOLERANCE = -5
+    NOTHING_KNOWN = -6
+    OBJECT_LOST = -7
+    PUSH_FAILED = -8
+    ARM_SILENT = -9
+    TIME_LIMIT = -10
+    MAX_PUSHES = -11
+    CANCELED = -12
+    PREEMPTED = -13
+    MODEL = -14
+    EDGE_UNKNOWN = -15
+    NOT_HELD = -16
+    FELL = -17
+
+
+class GoalRefusedError(InputError):
+    """A goal that no push can reach; `code` is the `GoalCode`."""
+
+    def __init__(self, code: GoalCode, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+CERTAIN: Final = 0.9
 """Chance of being at the goal from which the object counts as there [1]."""
-_DRAWS = 2000
-"""Poses drawn for a chance: its standard error is 1 % at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,5 +96,35 @@ class Goal:
         """Probability of being there at a pose, shape (3,), known with a covariance, shape (3, 3)."""
         value, vector = np.linalg.eigh(covariance)
         root = vector * np.sqrt(np.maximum(value, 0.0))
-        drawn = pose + np.random.default_rng(0).normal(size=(_DRAWS, 3)) @ root.T
+        n = 2000  # the standard error of the chance is 1 % at most
+        drawn = pose + np.random.default_rng(0).normal(size=(n, 3)) @ root.T
         return float(np.mean(self.relative_error(drawn) <= 1.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """A pose with tolerances, and the edge that the object overhangs there."""
+
+    goal: Goal
+    hold: EdgeHold | None = None
+    """None away from edges."""
+    cells: Float64Array = field(default_factory=lambda: np.empty((0, 2)))
+    """Centres of the object's cells [m], shape (n_cells, 2), object frame; with a hold only."""
+    centres: Float64Array = field(default_factory=lambda: np.empty((0, 2)))
+    """Of mass, by models that may be true [m], shape (n_models, 2), object frame; with a hold only."""
+
+    def margin(self, pose: Float64Array) -> float:
+        """Expected distance of the centre of mass from the border of its support at a pose, shape (3,) [m]; NaN without a hold."""
+        if self.hold is None:
+            return float("nan")
+        return float(np.mean(self.hold.margins(self.cells, self.centres, np.tile(pose, (len(self.centres), 1)))))
+
+    def overhang(self, outline: Float64Array) -> float:
+        """How far an outline, shape (n, 2), table frame, reaches beyond the edge [m]; NaN without one."""
+        return float("nan") if self.hold is None else float(np.max(self.hold.edge.beyond(outline)))
+
+    def is_reached(self, pose: Float64Array, covariance: Float64Array) -> bool:
+        """Whether the object is there, and held, at a pose, shape (3,), known with a covariance, shape (3, 3)."""
+        if self.goal.chance(pose, covariance) < CERTAIN:
+            return False
+        return self.hold is None or self.hold.chance(self.cells, self.centres, pose, covariance) >= CERTAIN

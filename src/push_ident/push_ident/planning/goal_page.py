@@ -28,8 +28,6 @@ _ENDED = {
     "FELL": "it fell",
 }
 """How it ended, for the title, by the code of the result; of any other: not reached."""
-_EDGE_POINTS = 2000
-"""Along an edge, to find the part of it that a drawing shows."""
 
 
 def write_goal_page(path: Path, content: Mapping[str, Any], sections: Sequence[FigureSection] = ()) -> None:
@@ -170,7 +168,7 @@ def _edge_within(edge: Sequence[Sequence[float]] | None, frame: Float64Array) ->
     """The part of the edge within the frame of a drawing, least and largest corner, shape (2, 2) [m]; none where it is outside."""
     if edge is None:
         return []
-    points = np.linspace(edge[0], edge[1], _EDGE_POINTS)
+    points = np.linspace(edge[0], edge[1], 2000)
     inside = points[np.all((points >= frame[0]) & (points <= frame[1]), axis=1)]
     return [Placed(inside[[0, -1]], "edge", "edge of the table")] if len(inside) else []
 

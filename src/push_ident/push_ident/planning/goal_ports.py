@@ -1,4 +1,4 @@
-"""What pushing to a goal asks of a cell, and what it says of itself: values, and protocols that the node or a test fulfils."""
+"""Interfaces of pushing to a goal: requests, progress, and the protocols of the cell that a node or a test implements."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ from push_ident.errors import InputError
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
-from push_ident.planning.goal import Goal
-from push_ident.planning.goal_code import GoalCode
+from push_ident.planning.goal import Goal, GoalCode, Target
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush
-from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import Float64Array
@@ -53,7 +51,7 @@ class GoalState(IntEnum):
 
 
 class Wish(Enum):
-    """What the client of a goal wants."""
+    """Wish of the client of a goal."""
 
     GO_ON = "go on"
     FINISH = "end after the push under way"
@@ -89,7 +87,7 @@ class GoalRequest:
 
 @dataclass(frozen=True, slots=True)
 class SessionLimits:
-    """How long is waited for what, and how often is tried again. Wall time."""
+    """Timeouts (wall time) and numbers of attempts. Those up to `max_refusals` are parameters of the node."""
 
     pose_timeout: float = 1.0
     """Oldest pose, by time of receipt, that counts as present [s]; as of the executor."""
@@ -101,11 +99,21 @@ class SessionLimits:
     max_refusals: int = 8
     """Pushes in a row that may be refused or miss before the goal is given up. Each is another contact; 8 of the 12 that the planner
     judges last."""
+    unknown_patience: float = 3.0
+    """Longest time until an object counts as unknown [s]: messages may be delayed on a busy machine or just after the start."""
+    blur_patience: float = 3.0
+    """Longest time for poses to become certain enough for the tolerances [s]: 90 frames at 30 Hz; a tracker at rest has settled by then."""
+    hold_timeout: float = 0.7
+    """Longest time for the executor to answer that it holds the arm [s]; it does so within 50 ms, and a node that ends has 1.8 s in all."""
+    poll: float = 0.01
+    """Time between two looks at what is under way [s]: a fifth of the 50 ms within which a cancellation must be answered."""
+    feedback_period: float = 0.1
+    """Longest time between two reports of progress [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class KnownModel:
-    """What identification knows of the object."""
+    """Model of an object from identification."""
 
     posterior: ModelPosterior
     stamp: float
@@ -118,7 +126,7 @@ class KnownModel:
 
 @dataclass(frozen=True, slots=True)
 class PushReport:
-    """What became of a push that the executor was asked for."""
+    """Outcome of a requested push."""
 
     code: PushCode
     text: str = ""
@@ -129,24 +137,24 @@ class PushReport:
 
 
 class PushUnderWay(Protocol):
-    """A push that was asked for."""
+    """A requested push."""
 
     def report(self) -> PushReport | None:
-        """What became of it; None while it is under way. An executor that does not answer any more is reported as ARM_SILENT."""
+        """Outcome; None while it is under way. An executor that no longer answers is reported as ARM_SILENT."""
 
     def cancel(self) -> None:
         """Let the arm hold. Returns at once; may be called again."""
 
 
 class UnderWay(Protocol[T_co]):
-    """Something that is being computed."""
+    """A computation under way."""
 
     def result(self) -> T_co | None:
-        """What came of it; None while it is being computed. Raises what the computation raised."""
+        """Result; None while it is computed. Raises the exceptions of the computation."""
 
 
 class GoalPorts(Protocol):
-    """What pushing to a goal needs of a cell."""
+    """The cell, as pushing to a goal needs it."""
 
     def now(self) -> float:
         """Monotonic wall time [s]."""
@@ -165,32 +173,32 @@ class GoalPorts(Protocol):
         """Outlines of the other objects, table frame [m], each of shape (n_vertices, 2)."""
 
     def model(self, object_id: str) -> KnownModel | None:
-        """What identification knows of an object; None before it has said so."""
+        """Model of an object from identification; None before the first message."""
 
     def pushed_at(self, object_id: str) -> float:
-        """Start of the latest push of an object that succeeded, whoever asked for it [s], clock of the poses; -inf: none is known of."""
+        """Start of the latest push of an object that succeeded, from any client [s], clock of the poses; -inf: none is known."""
 
     def push_settings(self) -> PushSettings | None:
-        """Limits of pushes and the pusher; None before the executor has said what it pushes with."""
+        """Limits of pushes and the pusher; None before the executor has published its pusher."""
 
     def known_edges(self) -> Sequence[TableEdge]:
         """The edges of the table, table frame; none where they are not known."""
 
     def begin_target(
-        self, model: KnownModel, seen: TrackedObject, goal: EdgeGoal, edges: Sequence[TableEdge], chosen: Target | None
+        self, model: KnownModel, observed: TrackedObject, goal: EdgeGoal, edges: Sequence[TableEdge], chosen: Target | None
     ) -> UnderWay[Target]:
-        """Begin to choose where an object shall be at one of the edges; returns at once. `chosen`: it stays where it was, as known now."""
+        """Begin to choose a pose at one of the edges; returns at once. `chosen`: keep that pose, and judge it by the new model."""
 
     def begin_plan(
-        self, model: KnownModel, seen: TrackedObject, target: Target, obstacles: list[Float64Array], failed: list[PushPlan2D]
+        self, model: KnownModel, observed: TrackedObject, target: Target, obstacles: list[Float64Array], failed: list[PushPlan2D]
     ) -> UnderWay[GoalPush]:
         """Begin to plan; returns at once."""
 
     def begin_push(self, object_id: str, push: PushPlan2D | int) -> PushUnderWay:
-        """Ask for a push, or for a random one of a seed; returns at once."""
+        """Request a push, or a random one of a seed; returns at once."""
 
     def wish(self) -> Wish:
-        """What the client wants."""
+        """Wish of the client."""
 
 
 class SteeredUnderWay(PushUnderWay, Protocol):
@@ -210,12 +218,12 @@ class SteeredUnderWay(PushUnderWay, Protocol):
 
 
 class PathPorts(GoalPorts, Protocol):
-    """What pushing along a path needs beside that."""
+    """The cell, as pushing along a path needs it."""
 
     def begin_step(
         self,
         model: KnownModel,
-        seen: TrackedObject,
+        observed: TrackedObject,
         path: PathGoal,
         done: float,
         obstacles: list[Float64Array],
@@ -225,13 +233,13 @@ class PathPorts(GoalPorts, Protocol):
     ) -> UnderWay[PathStep]:
         """Begin to plan the next push; returns at once. Arguments as of `PathSteps.plan`."""
 
-    def begin_steered(self, seen: TrackedObject, step: PathStep, path: PathGoal) -> SteeredUnderWay:
-        """Ask for a push along a path, and correct it; returns at once."""
+    def begin_steered(self, observed: TrackedObject, step: PathStep, path: PathGoal) -> SteeredUnderWay:
+        """Request a push along a path, and correct it; returns at once."""
 
 
 @dataclass(slots=True)
 class GoalProgress:
-    """How far it is."""
+    """Progress of a goal."""
 
     state: GoalState = GoalState.OBSERVE
     object_id: str = ""
@@ -243,7 +251,7 @@ class GoalProgress:
     pose: Float64Array = field(default_factory=lambda: np.full(3, np.nan))
     """As last observed, table frame, shape (3,)."""
     target: Target | None = None
-    """Where the object shall be; None before that was chosen."""
+    """Target of the object; None before it is chosen."""
     overhang: float = float("nan")
     """Of the outline beyond the edge, as last observed [m]; NaN where not known."""
     margin: float = float("nan")
@@ -269,14 +277,14 @@ class GoalProgress:
     elapsed: float = 0.0
     """Since the start [s]."""
     note: str = ""
-    """What went otherwise than planned and was coped with, for the log; empty: nothing new."""
+    """Deviation from the plan that was handled, for the log; empty: nothing new."""
 
 
 @dataclass(frozen=True, slots=True)
 class GoalOutcome:
-    """How it ended."""
+    """Outcome of a goal."""
 
     code: GoalCode
     text: str
-    """What happened and what would help; empty at the goal."""
+    """Reason and remedy; empty at the goal."""
     progress: GoalProgress

@@ -1,4 +1,4 @@
-"""Pushing an object to a goal: observe, explore, plan, push, learn, until it is there or a reason to end is found.
+"""Pushing an object to a goal: observe, explore, plan, push, learn, until it is there or a reason to end occurs.
 
 The steps know the cell only through `GoalPorts`; the node has those of ROS, a test has its own. A step that takes time is begun and then
 looked at every 10 ms, so that a cancellation is noticed within that time whatever is under way.
@@ -13,8 +13,7 @@ import numpy as np
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.se2 import transform_points
-from push_ident.planning.goal import CERTAIN, Goal
-from push_ident.planning.goal_code import GoalCode, GoalRefusedError
+from push_ident.planning.goal import CERTAIN, Goal, GoalCode, GoalRefusedError
 from push_ident.planning.goal_ports import (
     GoalOutcome,
     GoalPorts,
@@ -36,17 +35,6 @@ from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 
 __all__ = ["Ended", "GoalSession"]
 
-_KNOWN_WITHIN: Final = 3.0
-"""Until an object counts as unknown [s]: what others have heard may not have come here yet, on a busy machine or just after the start."""
-_POLL: Final = 0.01
-"""Between two looks at what is under way [s]: a fifth of the 50 ms within which a cancellation must be answered."""
-_HOLD: Final = 0.7
-"""For the executor to answer that it holds the arm [s]; it does so within 50 ms. A node that ends has 1.8 s for everything."""
-_BLURRED: Final = 3.0
-"""For poses to become certain enough for the tolerances [s]: 90 frames at 30 Hz, after which a tracker at rest has settled."""
-
-_FEEDBACK_PERIOD: Final = 0.1
-"""Longest time between two reports of progress [s]."""
 
 T = TypeVar("T")
 
@@ -60,7 +48,7 @@ class Ended(Exception):
 
 
 _WITHOUT_REMEDY: Final = frozenset({PushCode.HAND, PushCode.RECORDING, PushCode.BUSY, PushCode.FORCE, PushCode.TRACKING})
-"""Failures of the executor that another contact does not cure."""
+"""Failures of the executor that do not depend on the contact."""
 _ANOTHER_CONTACT: Final = frozenset({PushCode.NO_CONTACT, PushCode.UNREACHABLE, PushCode.LIMIT, PushCode.INVALID_GOAL})
 """Failures that belong to this push: the object was missed, or the arm cannot make it."""
 
@@ -87,7 +75,7 @@ class GoalSession:
         self._on_progress = on_progress
         assert not isinstance(request.goal, PathGoal), "that is for PathSession"
         self._choice = TargetChoice(request.goal, ports)
-        self._seen: TrackedObject | None = None
+        self._observed: TrackedObject | None = None
         self._object_id = request.object_id
         self._started = ports.now()
         self._reported = -np.inf
@@ -102,10 +90,10 @@ class GoalSession:
         The pose may be old: a push for another goal may hide the object.
         """
         try:
-            seen = self._wait(lambda: self._ports.observe(self._object_id, np.inf, -np.inf), _KNOWN_WITHIN)
-            if seen is None:
+            observed = self._wait(lambda: self._ports.observe(self._object_id, np.inf, -np.inf), self._limits.unknown_patience)
+            if observed is None:
                 raise Ended(GoalCode.UNKNOWN_OBJECT, self._ports.why_unseen(self._object_id))
-            self._check(seen)
+            self._check(observed)
         except Ended as end:
             raise GoalRefusedError(end.code, end.text) from None
 
@@ -122,19 +110,19 @@ class GoalSession:
     # ---- the steps
 
     def _run(self) -> None:
-        seen = self._observe(-np.inf, GoalCode.UNKNOWN_OBJECT)
-        self._check(seen)
-        if not self._is_there(seen):
-            # A push for somebody else, such as the goal before, may still be on its way into the model.
-            self._learn(seen.object_id, self._ports.pushed_at(seen.object_id))
-        if self._request.explore and not self._is_there(seen):
-            seen = self._explore(self._certain(seen))
-        while not self._is_there(seen):
-            seen = self._certain(seen)
-            plan = self._plan(seen)
+        observed = self._observe(-np.inf, GoalCode.UNKNOWN_OBJECT)
+        self._check(observed)
+        if not self._is_there(observed):
+            # Identification may still process a push of another client, such as the goal before.
+            self._learn(observed.object_id, self._ports.pushed_at(observed.object_id))
+        if self._request.explore and not self._is_there(observed):
+            observed = self._explore(self._certain(observed))
+        while not self._is_there(observed):
+            observed = self._certain(observed)
+            plan = self._plan(observed)
             if plan.status is PlanStatus.ARRIVED:
                 return
-            seen = self._push_to_goal(seen, plan)
+            observed = self._push_to_goal(observed, plan)
 
     def _settings(self) -> PushSettings:
         settings = self._ports.push_settings()
@@ -142,94 +130,94 @@ class GoalSession:
             raise Ended(GoalCode.ARM_SILENT, "nothing was received on pusher/shape yet; is push_executor_node running?")
         return settings
 
-    def _check(self, seen: TrackedObject) -> None:
+    def _check(self, observed: TrackedObject) -> None:
         """End where the goal cannot be, or nothing is known and nothing may be explored."""
         settings = self._settings()
         if isinstance(self._request.goal, Goal):
-            self._check_pose(self._request.goal, seen, settings)
+            self._check_pose(self._request.goal, observed, settings)
         else:
-            self._check_edge(seen)
-        self._check_known(seen)
+            self._check_edge(observed)
+        self._check_known(observed)
 
-    def _check_known(self, seen: TrackedObject) -> None:
-        model = self._ports.model(seen.object_id)
-        is_learning = model is not None and self._ports.pushed_at(seen.object_id) > model.stamp
-        if model is not None and not model.is_known and not is_learning and not self._request.explore and not self._is_there(seen):
-            raise self._nothing_known(seen)
+    def _check_known(self, observed: TrackedObject) -> None:
+        model = self._ports.model(observed.object_id)
+        is_learning = model is not None and self._ports.pushed_at(observed.object_id) > model.stamp
+        if model is not None and not model.is_known and not is_learning and not self._request.explore and not self._is_there(observed):
+            raise self._nothing_known(observed)
 
     @staticmethod
-    def _check_pose(goal: Goal, seen: TrackedObject, settings: PushSettings) -> None:
-        at_goal, now = (settings.excess(transform_points(pose, seen.shape.outline)) for pose in (goal.pose, seen.pose))
+    def _check_pose(goal: Goal, observed: TrackedObject, settings: PushSettings) -> None:
+        at_goal, now = (settings.excess(transform_points(pose, observed.shape.outline)) for pose in (goal.pose, observed.pose))
         # The planner accepts no push after which the outline reaches further out than before it.
         if at_goal > max(now, 1e-6):
             raise Ended(
                 GoalCode.OUTSIDE_WORKSPACE,
-                f"at the goal `{seen.object_id}` would reach {1e3 * at_goal:.0f} mm out of the workspace {settings.workspace} m; "
+                f"at the goal `{observed.object_id}` would reach {1e3 * at_goal:.0f} mm out of the workspace {settings.workspace} m; "
                 "choose a goal further inside.",
             )
 
-    def _check_edge(self, seen: TrackedObject) -> None:
-        """End where the object can be at no edge, as far as is known now."""
+    def _check_edge(self, observed: TrackedObject) -> None:
+        """End where the object can be at no edge, by the present model."""
         if not self._choice.edges():
             raise Ended(
                 GoalCode.EDGE_UNKNOWN,
                 "the table's edge is not known; give the edge with the goal, or the corners of the table as parameter table_corners.",
             )
-        if (model := self._ports.model(seen.object_id)) is None:
+        if (model := self._ports.model(observed.object_id)) is None:
             return
         self._choice.forget()
         try:
-            self._settle(model, seen)
+            self._settle(model, observed)
         except Ended as end:
-            # Where the centre of mass is, pushes show.
+            # Exploring pushes will determine the centre of mass.
             if end.code is not GoalCode.NOT_HELD or not self._request.explore:
                 raise
 
     @staticmethod
-    def _nothing_known(seen: TrackedObject) -> Ended:
+    def _nothing_known(observed: TrackedObject) -> Ended:
         return Ended(
             GoalCode.NOTHING_KNOWN,
-            f"no push of `{seen.object_id}` was learned yet; allow exploring pushes (explore), push it first, or load a model.",
+            f"no push of `{observed.object_id}` was learned yet; allow exploring pushes (explore), push it first, or load a model.",
         )
 
-    def _explore(self, seen: TrackedObject) -> TrackedObject:
+    def _explore(self, observed: TrackedObject) -> TrackedObject:
         """Make the exploring pushes; the object after them."""
         # Another seed for each push that was learned: the same random push again would show little.
-        made, seed = 0, 1000 * self._model(seen).n_pushes
+        made, seed = 0, 1000 * self._model(observed).n_pushes
         self._choice.forget()
         while made < self._request.explore:
             self._check_pushes()
             self.progress.plan = None
             self._enter(GoalState.EXPLORE)
-            report = self._push_at_random(seen, seed)
+            report = self._push_at_random(observed, seed)
             seed += 1
             if report.code is PushCode.NONE:
                 made, self._refusals = made + 1, 0
             else:
                 self._take_failure(report, None)
-            seen = self._after_push(seen, report)
-            if self._is_there(seen):
+            observed = self._after_push(observed, report)
+            if self._is_there(observed):
                 break
-        return seen
+        return observed
 
-    def _push_at_random(self, seen: TrackedObject, seed: int) -> PushReport:
+    def _push_at_random(self, observed: TrackedObject, seed: int) -> PushReport:
         try:
-            push = self._choice.random_push(seen, seed)
+            push = self._choice.random_push(observed, seed)
         except PlanningError as error:
             return PushReport(PushCode.UNREACHABLE, str(error))
-        return self._carry_out(self._ports.begin_push(seen.object_id, push))
+        return self._carry_out(self._ports.begin_push(observed.object_id, push))
 
-    def _settle(self, model: KnownModel, seen: TrackedObject) -> None:
+    def _settle(self, model: KnownModel, observed: TrackedObject) -> None:
         """Choose the target, or judge it anew with a newer model."""
-        if (work := self._choice.begin(model, seen)) is not None:
-            self._choice.take(self._computed(work, seen), model)
-            self._compare(seen)
+        if (work := self._choice.begin(model, observed)) is not None:
+            self._choice.take(self._computed(work, observed), model)
+            self._compare(observed)
 
-    def _computed(self, work: UnderWay[T], seen: TrackedObject) -> T:
+    def _computed(self, work: UnderWay[T], observed: TrackedObject) -> T:
         try:
-            found = self._wait(work.result)
-            assert found is not None, "without a timeout"
-            return found
+            result = self._wait(work.result)
+            assert result is not None, "without a timeout"
+            return result
         except Ended:
             raise
         except GoalRefusedError as error:
@@ -237,29 +225,30 @@ class GoalSession:
         except Exception as error:
             raise Ended(
                 GoalCode.MODEL,
-                f"no push can be planned with the model of `{seen.object_id}` ({type(error).__name__}: {error}); push it or load another.",
+                f"no push can be planned with the model of `{observed.object_id}` ({type(error).__name__}: {error}); push it or load "
+                "another.",
             ) from error
 
-    def _plan(self, seen: TrackedObject) -> GoalPush:
+    def _plan(self, observed: TrackedObject) -> GoalPush:
         self._check_pushes()
-        model = self._model(seen)
+        model = self._model(observed)
         self._enter(GoalState.PLAN)
 
         def plan() -> GoalPush:
-            self._settle(model, seen)
+            self._settle(model, observed)
             assert self._choice.target is not None, "settled"
-            obstacles = self._ports.obstacles(seen.object_id)
-            return self._computed(self._ports.begin_plan(model, seen, self._choice.target, obstacles, list(self._failed)), seen)
+            obstacles = self._ports.obstacles(observed.object_id)
+            return self._computed(self._ports.begin_plan(model, observed, self._choice.target, obstacles, list(self._failed)), observed)
 
         plan_made = plan()
         if plan_made.status is PlanStatus.UNHELD:
-            # From where the object lies now, by what is known now, another place may be nearer.
+            # From the present pose and model, another pose may be nearer.
             self._choice.forget()
             plan_made = plan()
-        return self._usable(plan_made, seen)
+        return self._usable(plan_made, observed)
 
-    def _usable(self, plan: GoalPush, seen: TrackedObject) -> GoalPush:
-        """A plan that proposes a push, or says that the object is there; ends with the reason of another one."""
+    def _usable(self, plan: GoalPush, observed: TrackedObject) -> GoalPush:
+        """A plan with a push, or with the object at the goal; ends with the reason otherwise."""
         if plan.status is PlanStatus.UNHELD:
             raise Ended(GoalCode.NOT_HELD, f"{plan.status.value} (the least chance is {100 * plan.risk:.1f} %).")
         if plan.status is PlanStatus.UNREACHABLE:
@@ -267,31 +256,31 @@ class GoalSession:
             risky = "; at the edge, each may risk its fall as well" if self._choice.is_at_edge else ""
             raise Ended(GoalCode.UNREACHABLE, f"{plan.status.value}{tried}{risky}.")
         if plan.status is PlanStatus.UNSURE:
-            raise Ended(GoalCode.TOLERANCE, self._unsure(seen))
+            raise Ended(GoalCode.TOLERANCE, self._unsure(observed))
         return plan
 
-    def _push_to_goal(self, seen: TrackedObject, plan: GoalPush) -> TrackedObject:
-        """Make a planned push, learn from it, and see where the object is."""
+    def _push_to_goal(self, observed: TrackedObject, plan: GoalPush) -> TrackedObject:
+        """Make a planned push, learn from it, and observe the object."""
         assert plan.plan is not None, "the planner proposes a push"
         self.progress.plan = plan
         self._enter(GoalState.PUSH)
-        report = self._carry_out(self._ports.begin_push(seen.object_id, plan.plan))
+        report = self._carry_out(self._ports.begin_push(observed.object_id, plan.plan))
         if report.code is PushCode.NONE:
             self._failed.clear()
             self._refusals = 0
         else:
             self._take_failure(report, plan.plan)
-        return self._after_push(seen, report)
+        return self._after_push(observed, report)
 
     def _after_push(self, before: TrackedObject, report: PushReport) -> TrackedObject:
-        """The object after a push, and once the push was learned: what nobody plans with need not be waited for at the goal."""
-        seen = self._observe(self._ports.now(), GoalCode.OBJECT_LOST)
-        if report.code is PushCode.NONE and not self._is_there(seen):
-            self._learn(seen.object_id, max(before.stamp, report.stamp))
-        return seen
+        """The object after a push. At the goal, do not wait for identification: no push follows."""
+        observed = self._observe(self._ports.now(), GoalCode.OBJECT_LOST)
+        if report.code is PushCode.NONE and not self._is_there(observed):
+            self._learn(observed.object_id, max(before.stamp, report.stamp))
+        return observed
 
     def _learn(self, object_id: str, since: float) -> None:
-        """Wait until identification has taken in a push that began at `since` [s]; go on with what was known where it does not."""
+        """Wait until identification has processed a push that began at `since` [s]; continue with the model before if it does not."""
 
         def learned() -> bool | None:
             model = self._ports.model(object_id)
@@ -323,92 +312,92 @@ class GoalSession:
         """The object by a pose received after `after`, monotonic [s]; ends with `code` where it does not come into view."""
         self._enter(GoalState.OBSERVE)
         patience = self._limits.object_patience
-        seen = self._wait(lambda: self._ports.observe(self._object_id, self._limits.pose_timeout, after), patience)
-        if seen is None:
+        observed = self._wait(lambda: self._ports.observe(self._object_id, self._limits.pose_timeout, after), patience)
+        if observed is None:
             why = self._ports.why_unseen(self._object_id)
             if code is GoalCode.OBJECT_LOST and self._was_over_edge():
                 raise self._fell(f"was lost while it overhung the table's edge: it fell, as far as is known ({why})")
             raise Ended(code, f"{why} It was waited for {patience:g} s: put the object into view of the camera, or look at perception.")
-        if self._choice.is_off_table(seen.shape.outline, seen.pose):
+        if self._choice.is_off_table(observed.shape.outline, observed.pose):
             raise self._fell("is seen beside the table: it fell.")
-        return self._note_seen(seen)
+        return self._note_observed(observed)
 
     def _fell(self, how: str) -> Ended:
         remedy = "Put it back on the table, then send the goal again, with less overhang or more of it held; what was learned is kept."
         return Ended(GoalCode.FELL, f"`{self._object_id}` {how} {remedy}")
 
-    def _note_seen(self, seen: TrackedObject) -> TrackedObject:
-        self._object_id = self.progress.object_id = seen.object_id
-        self.progress.observed, self.progress.pose, self._seen = self.progress.pushes, seen.pose, seen
-        self._compare(seen)
+    def _note_observed(self, observed: TrackedObject) -> TrackedObject:
+        self._object_id = self.progress.object_id = observed.object_id
+        self.progress.observed, self.progress.pose, self._observed = self.progress.pushes, observed.pose, observed
+        self._compare(observed)
         self.report(at_once=True)
-        return seen
+        return observed
 
-    def _compare(self, seen: TrackedObject) -> None:
-        """Note how far the object is from where it shall be."""
+    def _compare(self, observed: TrackedObject) -> None:
+        """Update the errors of the progress."""
         target, progress = self._choice.target, self.progress
         progress.target = target
         if target is not None:
-            progress.error, progress.chance = target.goal.error(seen.pose), target.goal.chance(seen.pose, seen.covariance)
-            progress.margin = target.margin(seen.pose)
-            progress.overhang = target.overhang(transform_points(seen.pose, seen.shape.outline))
+            progress.error, progress.chance = target.goal.error(observed.pose), target.goal.chance(observed.pose, observed.covariance)
+            progress.margin = target.margin(observed.pose)
+            progress.overhang = target.overhang(transform_points(observed.pose, observed.shape.outline))
 
     def _was_over_edge(self) -> bool:
-        """Whether the object overhung the edge when it was last seen, or should after the push made then."""
-        seen, plan = self._seen, self.progress.plan
-        if seen is None:
+        """Whether the object overhung the edge when it was last observed, or should after the push made then."""
+        observed, plan = self._observed, self.progress.plan
+        if observed is None:
             return False
-        poses = [seen.pose] if plan is None or plan.plan is None else [seen.pose, plan.end]
-        return self._choice.overhangs(seen.shape.outline, poses)
+        poses = [observed.pose] if plan is None or plan.plan is None else [observed.pose, plan.end]
+        return self._choice.overhangs(observed.shape.outline, poses)
 
-    def _is_there(self, seen: TrackedObject) -> bool:
+    def _is_there(self, observed: TrackedObject) -> bool:
         target = self._choice.target
-        return target is not None and target.is_reached(seen.pose, seen.covariance)
+        return target is not None and target.is_reached(observed.pose, observed.covariance)
 
-    def _certain(self, seen: TrackedObject) -> TrackedObject:
-        """The object by a pose that tells whether it is within the tolerances."""
+    def _certain(self, observed: TrackedObject) -> TrackedObject:
+        """The object by a pose that is certain enough for the tolerances."""
 
         def certain() -> TrackedObject | None:
             latest = self._ports.observe(self._object_id, self._limits.pose_timeout, -np.inf)
             return latest if latest is not None and self._can_tell(latest) else None
 
-        if self._can_tell(seen):
-            return seen
-        latest = self._wait(certain, _BLURRED)
+        if self._can_tell(observed):
+            return observed
+        latest = self._wait(certain, self._limits.blur_patience)
         if latest is None:
-            raise Ended(GoalCode.TOLERANCE, self._unsure(seen))
-        return self._note_seen(latest)
+            raise Ended(GoalCode.TOLERANCE, self._unsure(observed))
+        return self._note_observed(latest)
 
-    def _can_tell(self, seen: TrackedObject) -> bool:
+    def _can_tell(self, observed: TrackedObject) -> bool:
         tolerance = self._choice.tolerance
-        return tolerance.chance(tolerance.pose, seen.covariance) >= CERTAIN
+        return tolerance.chance(tolerance.pose, observed.covariance) >= CERTAIN
 
-    def _unsure(self, seen: TrackedObject) -> str:
-        std, tolerance = np.sqrt(np.diag(seen.covariance)), self._choice.tolerance
+    def _unsure(self, observed: TrackedObject) -> str:
+        std, tolerance = np.sqrt(np.diag(observed.covariance)), self._choice.tolerance
         return (
             f"the pose is known to {1e3 * float(np.hypot(std[0], std[1])):.1f} mm and {std[2]:.3f} rad (standard deviations): not enough "
             f"for the tolerance of {1e3 * tolerance.position:.1f} mm and {tolerance.yaw:.3f} rad; allow more, or bring the camera nearer."
         )
 
-    def _model(self, seen: TrackedObject) -> KnownModel:
-        """What is known of the object; ends where identification says nothing."""
+    def _model(self, observed: TrackedObject) -> KnownModel:
+        """Model of the object; ends where identification publishes none."""
 
         def fitting() -> KnownModel | None:
-            found = self._ports.model(seen.object_id)
-            return found if found is not None and found.posterior.unknowns.shape.is_same_object(seen.shape) else None
+            model = self._ports.model(observed.object_id)
+            return model if model is not None and model.posterior.unknowns.shape.is_same_object(observed.shape) else None
 
         model = self._wait(fitting, self._limits.object_patience)
-        if model is None and self._ports.model(seen.object_id) is not None:
+        if model is None and self._ports.model(observed.object_id) is not None:
             raise Ended(
                 GoalCode.MODEL,
-                f"the model of `{seen.object_id}` is of an object of another shape; look at identification, or load another.",
+                f"the model of `{observed.object_id}` is of an object of another shape; look at identification, or load another.",
             )
         if model is None:
             raise Ended(
-                GoalCode.UNKNOWN_OBJECT, f"identification has published no model of `{seen.object_id}`; is identification_node active?"
+                GoalCode.UNKNOWN_OBJECT, f"identification has published no model of `{observed.object_id}`; is identification_node active?"
             )
         if not model.is_known and not self._request.explore:
-            raise self._nothing_known(seen)
+            raise self._nothing_known(observed)
         return model
 
     # ---- waiting
@@ -419,11 +408,11 @@ class GoalSession:
             report = self._wait(push.report, finish=True)
             assert report is not None, "without a timeout"
         except Ended:
-            deadline = self._ports.now() + _HOLD
+            deadline = self._ports.now() + self._limits.hold_timeout
             push.cancel()
             # Until the goal has reached the executor there is nothing to cancel there: it is asked again.
             while (held := push.report()) is None and self._ports.now() < deadline:
-                self._ports.sleep(_POLL)
+                self._ports.sleep(self._limits.poll)
                 push.cancel()
             self.progress.pushes += 0 if held is None else held.n_made
             raise
@@ -434,19 +423,19 @@ class GoalSession:
             raise self._preempted()
         return report
 
-    def _wait(self, what: Callable[[], T | None], timeout: float = np.inf, *, finish: bool = False) -> T | None:
-        """Wait until `what` gives something; None after `timeout` [s]. Ends where the client does not want it any more, or time is over.
+    def _wait(self, poll: Callable[[], T | None], timeout: float = np.inf, *, finish: bool = False) -> T | None:
+        """Wait for a result of `poll`; None after `timeout` [s]. Ends where the client cancels, or time is over.
 
-        `finish`: what is under way is not ended by a newer goal.
+        `finish`: a newer goal does not end it.
         """
         deadline = self._ports.now() + timeout
         while True:
             self._check_wanted(finish)
-            found = what()
-            if found is not None or self._ports.now() >= deadline:
-                return found
+            result = poll()
+            if result is not None or self._ports.now() >= deadline:
+                return result
             self.report()
-            self._ports.sleep(_POLL)
+            self._ports.sleep(self._limits.poll)
 
     def _check_wanted(self, finish: bool) -> None:
         wish = self._ports.wish()
@@ -490,7 +479,7 @@ class GoalSession:
     def report(self, *, at_once: bool = False) -> None:
         """Hand out the progress if that is due."""
         now = self._ports.now()
-        if at_once or now - self._reported >= _FEEDBACK_PERIOD:
+        if at_once or now - self._reported >= self._limits.feedback_period:
             self._reported = now
             self.progress.elapsed = now - self._started
             self._on_progress(self.progress)

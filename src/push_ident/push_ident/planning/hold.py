@@ -1,9 +1,9 @@
-"""Whether the table holds an object that overhangs its edge: where the centre of mass is among the cells that are on the table.
+"""Support of an object that overhangs the edge of the table, by the cells on the table.
 
     margin = min over directions u of max over cells on the table of u . (r_i - c)
 
 is the distance of the centre of mass c from the border of the hull of these cells; negative where it lies outside, and the object falls.
-The edge is one part of that border only: an object that is left with a narrow part on the table may fall to the side.
+The edge is only a part of that border: an object with a narrow part on the table may fall to the side.
 """
 
 from __future__ import annotations
@@ -24,10 +24,6 @@ __all__ = ["RISK", "EdgeHold"]
 RISK: Final = 0.01
 """Largest chance that a push brings the centre of mass nearer to the border than the margin, where nothing else is said [1]: of falling it
 is far smaller."""
-_DIRECTIONS: Final = 32
-"""In which the border is looked for: its distance is exact to 0.5 %."""
-_DRAWS: Final = 64
-"""Poses that a chance is taken from, by their mean and deviation: both are known to an eighth of the deviation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +48,7 @@ class EdgeHold:
         if not 0.0 < self.limit <= 0.5:
             raise InputError(f"The chance that the object is not held may be {self.limit}, expected more than 0 and at most 0.5.")
 
-    def seen_from(self, frame: Float64Array) -> EdgeHold:
+    def in_frame(self, frame: Float64Array) -> EdgeHold:
         """The same in a frame that lies at `frame` in this one, shape (3,), but for the span of the edge."""
         outward = rotation(float(frame[2])).T @ self.edge.outward
         return EdgeHold(TableEdge(outward, self.edge.offset - float(self.edge.outward @ frame[:2])), self.margin, self.limit)
@@ -65,10 +61,11 @@ class EdgeHold:
             centre: of mass [m], shape (..., 2), object frame.
             poses: of the object in the table frame, shape (..., 3).
         """
-        angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+        n_directions = 32  # the distance is exact to 0.5 %
+        angle = 2 * np.pi * np.arange(n_directions) / n_directions
         direction = np.stack([np.cos(angle), np.sin(angle)])
         along, poses = cells @ direction, np.asarray(poses)
-        of_centre = np.broadcast_to(centre @ direction, (*poses.shape[:-1], _DIRECTIONS))
+        of_centre = np.broadcast_to(centre @ direction, (*poses.shape[:-1], n_directions))
         # n . (p + R r) = n . p + (R' n) . r
         yaw, (nx, ny) = poses[..., 2], self.edge.outward
         turned = np.stack([nx * np.cos(yaw) + ny * np.sin(yaw), ny * np.cos(yaw) - nx * np.sin(yaw)], axis=-1)
@@ -99,7 +96,7 @@ class EdgeHold:
         """
         value, vector = np.linalg.eigh(covariance)
         root = vector * np.sqrt(np.maximum(value, 0.0))
-        # Each pose that may be true with a model that may be.
-        n = max(_DRAWS, len(centres))
+        # Poses and models are paired. Mean and deviation of 64 samples are known to an eighth of the deviation.
+        n = max(64, len(centres))
         poses = pose + np.random.default_rng(0).normal(size=(n, 3)) @ root.T
         return 1.0 - float(self.risk(self.margins(cells, np.resize(centres, (n, 2)), poses)))

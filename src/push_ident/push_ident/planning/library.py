@@ -1,10 +1,10 @@
-"""What pushes do to an object, seen from the object: contacts over the whole outline, directions about the normal, many lengths.
+"""Motions of an object by pushes, in its own frame: contacts over the whole outline, directions about the normal, many lengths.
 
-On an even table a push displaces the object by a motion that does not depend on where the object lies. So one library holds for every pose,
-and the second and third push of a plan come from the same one. It holds that motion for the mean model and for models that may be true too.
+On an even table the motion does not depend on the pose of the object. So one library holds for every pose, also for the second and third
+push of a plan. It holds the motion for the mean model and for models of the posterior.
 
-Effects such as a tilt of the table make the motion depend on the place and the heading. A library is then of one pose: exact for the push
-from there, and only near for those after it.
+Effects such as a tilt of the table make the motion depend on the pose. A library is then of one pose: exact for the push from there,
+approximate for those after it.
 """
 
 from __future__ import annotations
@@ -18,35 +18,46 @@ import numpy as np
 from push_ident.errors import PlanningError
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush, rollouts
+from push_ident.physics.body import BodyParameters
+from push_ident.physics.effect_values import NO_EFFECTS, effect_values
+from push_ident.physics.effects import CAUSES
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
-from push_ident.types import Float64Array, ObjectShape, PusherPath
+from push_ident.types import CellGrid, Float64Array, ObjectShape, PusherPath
 
-__all__ = ["BATCH_STEP", "DRAW_STEP", "Library", "Strokes", "moved", "path_of", "placed", "simulated", "strokes"]
+__all__ = ["BATCH_STEP", "DRAW_STEP", "Library", "Strokes", "moved", "path_of", "placed", "simulated", "strokes", "compile_planning"]
 
-_CONTACTS: Final = 48
-"""Along the outline."""
+
+@dataclass(frozen=True, slots=True)
+class LibraryOptions:
+    """Size of a library of pushes."""
+
+    n_contacts: int = 48
+    """Contacts along the outline."""
+    length_step: float = 0.004
+    """Step of the lengths of a push [m]."""
+    max_length: float = 0.16
+    """Largest travel after contact [m]: longer pushes are hardly predictable, and between two shorter ones the object is observed."""
+    corner_distance: float = 1e-3
+    """Least distance of contacts from the ends of an edge [m], where a small error would miss it."""
+
+
+_OPTIONS: Final = LibraryOptions()
 _DIRECTIONS: Final = np.radians([-40.0, -25.0, -10.0, 0.0, 10.0, 25.0, 40.0])
 """About the inward normal: within a cone of friction coefficient 0.84 [rad]."""
-_STEP_OF_LENGTH: Final = 0.004
-"""Between the lengths of a push [m]."""
-_LONGEST: Final = 0.16
-"""Travel after contact [m]: of longer pushes little is known beforehand, and two shorter ones see the object between them."""
 BATCH_STEP: Final = 1.0 / 100.0
 """Of batched simulations [s]: ends of pushes of 6 to 10 cm at 0.1 m/s lie within 0.1 mm of the default step's in the median, 0.2 mm in 95 %
 (`push-ident bench batches`)."""
 DRAW_STEP: Final = 1.0 / 60.0
 """The same of the models in a library that may be true [s], with ends within 0.2 mm in the median, 0.4 mm in 95 %: they show how far ends
 spread, by millimetres, and the pushes that are judged last are simulated anew with the step above."""
-_SAME_PLACE: Final = np.array([0.02, 0.02, 0.1])
+_SAME_POSE: Final = np.array([0.02, 0.02, 0.1])
 """Distance [m, m, rad] up to which a library of one pose is taken at another one: the turn changes a force of the table by a tenth of it,
 and the pushes that are chosen are simulated once more where they are made."""
 _CONE: Final = float(np.radians(45.0))
 """Largest angle between a push and the inward normal [rad]."""
-_EDGE: Final = 1e-3
-"""Contacts keep this distance from the ends of an edge [m], where a small error would miss it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,33 +123,33 @@ class Library:
 
     @classmethod
     def of(
-        cls, belief: Belief, own: Strokes, settings: PushSettings, pose: Float64Array, n_draws: int, rng: np.random.Generator
+        cls, belief: Belief, contacts: Strokes, settings: PushSettings, pose: Float64Array, n_draws: int, rng: np.random.Generator
     ) -> Library:
         """Simulate all strokes with the mean model and with `n_draws` models that may be true.
 
-        `pose` is that of the object, table frame of the arm, shape (3,); it counts where the motion depends on the place.
+        `pose` is that of the object, table frame of the arm, shape (3,); it matters where the motion depends on the pose.
         """
-        lengths = np.arange(_STEP_OF_LENGTH, min(_LONGEST, settings.max_distance) + 1e-9, _STEP_OF_LENGTH)
+        lengths = np.arange(_OPTIONS.length_step, min(_OPTIONS.max_length, settings.max_distance) + 1e-9, _OPTIONS.length_step)
         speed = settings.speed_range[0]
-        first, pushes = pose if belief.depends_on_place else np.zeros(3), []
-        for tool, heading in zip(own.tool, own.heading(), strict=True):
+        first, pushes = pose if belief.depends_on_pose else np.zeros(3), []
+        for tool, heading in zip(contacts.tool, contacts.heading(), strict=True):
             path = path_of(tool, heading, float(lengths[-1]), speed, settings)
             pushes.append(BatchPush(moved(first, path), first, (settings.clearance + lengths) / speed))
         models = belief.models(n_draws, rng)
         centres = np.array([model.body.centre for model in models])
-        poses = [simulated(belief, own, pushes, step=step) for own, step in ((models[:1], BATCH_STEP), (models[1:], DRAW_STEP)) if own]
+        poses = [simulated(belief, some, pushes, step=step) for some, step in ((models[:1], BATCH_STEP), (models[1:], DRAW_STEP)) if some]
         motion = compose(inverse(first), np.concatenate(poses))
         known = np.isfinite(motion)
         n, filled = np.maximum(np.sum(known, axis=0), 1), np.where(known, motion, 0.0)
         deviation = np.where(known, motion - np.sum(filled, axis=0) / n, 0.0)
-        return cls(own, lengths, motion, np.sum(deviation**2, axis=0) / n, centres, first)
+        return cls(contacts, lengths, motion, np.sum(deviation**2, axis=0) / n, centres, first)
 
     def holds_at(self, belief: Belief, pose: Float64Array) -> bool:
         """Whether it holds for an object at a pose, table frame of the arm, shape (3,)."""
-        if not belief.depends_on_place:
+        if not belief.depends_on_pose:
             return True
-        away = np.append((pose - self.pose)[:2], wrap_angle(pose[2] - self.pose[2]))
-        return bool(np.all(np.abs(away) <= _SAME_PLACE))
+        difference = np.append((pose - self.pose)[:2], wrap_angle(pose[2] - self.pose[2]))
+        return bool(np.all(np.abs(difference) <= _SAME_POSE))
 
 
 def simulated(
@@ -179,7 +190,7 @@ def strokes(shape: ObjectShape, settings: PushSettings, obstacles: Sequence[Floa
             direction = float(wrap_angle(np.arctan2(-normal[1], -normal[0]) + angle))
             try:
                 check_push(
-                    PushPlan2D(contact, tool, direction, _STEP_OF_LENGTH, settings.speed_range[0]), shape.outline, anywhere, obstacles
+                    PushPlan2D(contact, tool, direction, _OPTIONS.length_step, settings.speed_range[0]), shape.outline, anywhere, obstacles
                 )
             except PlanningError:
                 continue
@@ -195,22 +206,36 @@ def _contacts(outline: Float64Array) -> list[tuple[Float64Array, Float64Array, f
     """Points spread evenly over the outline, with the tangent of their edge and the distance from its nearer end [m]."""
     edges = np.roll(outline, -1, axis=0) - outline
     lengths = np.linalg.norm(edges, axis=1)
-    spacing = lengths.sum() / _CONTACTS
-    found = []
+    spacing = lengths.sum() / _OPTIONS.n_contacts
+    contacts = []
     for start, edge, length in zip(outline, edges, lengths, strict=True):
         n = max(1, round(length / spacing))
-        for k in range(n if length > 2 * _EDGE else 0):
-            along = np.clip((k + 0.5) * length / n, _EDGE, length - _EDGE)
-            found.append((start + along / length * edge, edge / length, float(min(along, length - along))))
-    return found
+        for k in range(n if length > 2 * _OPTIONS.corner_distance else 0):
+            along = np.clip((k + 0.5) * length / n, _OPTIONS.corner_distance, length - _OPTIONS.corner_distance)
+            contacts.append((start + along / length * edge, edge / length, float(min(along, length - along))))
+    return contacts
 
 
-def placed(own: Strokes, number: int, pose: Float64Array, distance: float, speed: float) -> PushPlan2D:
+def placed(group: Strokes, number: int, pose: Float64Array, distance: float, speed: float) -> PushPlan2D:
     """One stroke of an object at a pose, shape (3,), as a plan in the table frame."""
     return PushPlan2D(
-        transform_points(pose, own.contact[number][None])[0],
-        transform_points(pose, own.tool[number][None])[0],
-        float(wrap_angle(own.direction[number] + pose[2])),
+        transform_points(pose, group.contact[number][None])[0],
+        transform_points(pose, group.tool[number][None])[0],
+        float(wrap_angle(group.direction[number] + pose[2])),
         distance,
         speed,
     )
+
+
+def compile_planning() -> None:
+    """Compile the kernels of batched rollouts, without and with effects, on the table and at its edge, or load them: no plan waits."""
+    square = np.array([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
+    shape = ObjectShape(CellGrid(np.zeros((1, 2)), 0.02), square)
+    body = BodyParameters(0.1, np.zeros(2), 1e-5, np.array([0.3]))
+    path = PusherPath(np.array([0.0, 0.1]), np.array([[-0.02, 0.0], [0.0, 0.0]]), 0.005)
+    pushes = [BatchPush(path, np.zeros(3), np.array([0.1]))]
+    # One effect stands for all: they share the kernel.
+    for effects in (NO_EFFECTS, effect_values(CAUSES[:1])):
+        for edge in (None, TableEdge(np.array([1.0, 0.0]), 1.0)):
+            model = BatchModel(body, 0.3, weight=np.ones(1), effects=effects)
+            rollouts(shape, [model], pushes, step=0.01, n_threads=1, edge=edge)

@@ -1,16 +1,17 @@
-"""Which of the models that may be true explain a push while it is made.
+"""Weights of the models of a posterior by a push under way.
 
-A push of a few centimetres shows little of the maps, but where the object turns to. Each stretch of it is simulated with every model from
-the pose at its beginning; how far a model ends from the pose that was seen there lowers its weight:
+A push of a few centimetres determines little of the maps, but the turn of the object. Each stretch of it is simulated with every model from
+the pose at its beginning; the distance of its end from the observed pose lowers the weight of a model:
 
     log w_m <- log w_m - 1/2 min(sum ((x_m - x) / sigma)^2, c)
 
-A stretch is simulated bit by bit in the frames of the one after it: a frame has no time for all models.
+A stretch is simulated model by model during the frames of the next one: a frame has no time for all models.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,24 +23,32 @@ from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["ModelWeights", "touching"]
 
-_STRETCH: Final = 0.025
-"""Travel of the tool in a stretch [m]: long enough that models differ by more than the poses are wrong."""
-_STEP: Final = 1.0 / 80.0
-"""Of the simulation [s]."""
+
+@dataclass(frozen=True, slots=True)
+class WeightOptions:
+    """Numbers of the weighing of models."""
+
+    stretch: float = 0.025
+    """Travel of the tool in a stretch [m]: long enough that models differ by more than the errors of the poses."""
+    step: float = 1.0 / 80.0
+    """Time step of the simulation [s]."""
+    max_distance2: float = 12.0
+    """Largest squared distance of a model in one stretch [1]: a wrong pose must not decide for good."""
+
+
+_OPTIONS: Final = WeightOptions()
 _STD: Final = np.array([1e-3, 1e-3, 8e-3])
 """Of the difference of two filtered poses from that of the right model [m, m, rad]."""
-_MOST: Final = 12.0
-"""Largest squared distance of a model in one stretch [1]: a wrong pose must not decide for good."""
 
 
 def touching(models: ModelBatch, face: Face) -> ModelBatch:
-    """Models whose surface lies elsewhere, each displaced so that the tool touches it as it touches that of the first one."""
+    """Models with different surfaces, each displaced so that the tool touches it as it touches the first one."""
     surface = np.array([model.surface for model in models.models])
     return models.displaced(np.column_stack([-(surface - surface[0])[:, None] * face.normal, np.zeros(len(models))]))
 
 
 class _Stretch(NamedTuple):
-    """A stretch that is over, and is being simulated."""
+    """A completed stretch that is being simulated."""
 
     models: ModelBatch
     """As they touch its face."""
@@ -85,7 +94,7 @@ class ModelWeights:
         """The `n` that explain the push best, in that order."""
         return self._models.picked([int(k) for k in np.argsort(-self.log_weight, kind="stable")[:n]])
 
-    def see(self, time: Float64Array, tool: Float64Array, pose: Float64Array, velocity: Float64Array, face: Face) -> None:
+    def observe(self, time: Float64Array, tool: Float64Array, pose: Float64Array, velocity: Float64Array, face: Face) -> None:
         """A frame of an object in contact.
 
         Args:
@@ -101,13 +110,13 @@ class ModelWeights:
             self._tool.extend(tool[1:])
             self._n_frames += 1
             travel = float(np.sum(np.linalg.norm(np.diff(self._tool, axis=0), axis=1)))
-            if travel < _STRETCH:
+            if travel < _OPTIONS.stretch:
                 return
             self.work(all_of_it=True)
             first, first_velocity, first_face = self._begun
-            knots, own = np.array(self._time), touching(self._models, first_face)
-            clock = BatchClock.of(knots, knots[-1:], _STEP)
-            self._waiting = _Stretch(own, clock, np.array(self._tool)[None], first[None], first_velocity[None], pose, self._n_frames)
+            knots, models = np.array(self._time), touching(self._models, first_face)
+            clock = BatchClock.of(knots, knots[-1:], _OPTIONS.step)
+            self._waiting = _Stretch(models, clock, np.array(self._tool)[None], first[None], first_velocity[None], pose, self._n_frames)
         self._time, self._tool, self._n_frames = [float(time[-1])], [np.array(tool[-1])], 0
         self._begun = pose, velocity, face
 
@@ -117,11 +126,11 @@ class ModelWeights:
         if stretch is None:
             return
         done, n = sum(len(part) for part in self._squares), len(self._models)
-        # As many a frame as are done before the next stretch is over, where that lasts as long.
+        # Models per frame: all are done before the next stretch ends, if that lasts as long.
         last = n if all_of_it else min(n, done + -(-n // max(stretch.n_frames - 1, 1)))
         ends = stretch.models.picked(range(done, last)).roll(stretch.clock, stretch.tool, stretch.first, stretch.velocity)[:, 0, 0]
-        away = np.column_stack([ends[:, :2] - stretch.end[:2], wrap_angle(ends[:, 2] - stretch.end[2])]) / _STD
-        self._squares.append(np.where(np.isfinite(away).all(axis=1), np.sum(np.nan_to_num(away) ** 2, axis=1), _MOST))
+        errors = np.column_stack([ends[:, :2] - stretch.end[:2], wrap_angle(ends[:, 2] - stretch.end[2])]) / _STD
+        self._squares.append(np.where(np.isfinite(errors).all(axis=1), np.sum(np.nan_to_num(errors) ** 2, axis=1), _OPTIONS.max_distance2))
         if last == n:
-            self.log_weight = self.log_weight - 0.5 * np.minimum(np.concatenate(self._squares), _MOST)
+            self.log_weight = self.log_weight - 0.5 * np.minimum(np.concatenate(self._squares), _OPTIONS.max_distance2)
             self._waiting, self._squares = None, []

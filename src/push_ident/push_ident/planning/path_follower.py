@@ -1,7 +1,11 @@
-"""Follows a path in one contact: at the rate of the camera the next motion of the tool is chosen anew.
+"""Follows a path in one contact: at the rate of the camera the motion of the tool is corrected.
 
-At each frame the motion up to the next one is settled already. From there on `CurvedPushes` improves what was planned before, for
-a stretch of the path ahead, under the models that explain the push so far best; what it plans is carried out until the next frame.
+At each frame the motion up to the next one can no longer change. From there on `CurvedPushes` improves the last plan for a stretch of
+the path ahead, under the models of the largest weight; the result is executed until the next frame.
+
+The pose of the object is tracked by a Kalman filter with a variance for each of (x, y, yaw): the model predicts, the camera corrects. The
+position of the tool is much better known than that of the object, so a pose that would have the tool inside the object, or just in front
+of it, is moved until they touch.
 """
 
 from __future__ import annotations
@@ -13,41 +17,138 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.geometry.se2 import compose, inverse
-from push_ident.planning.contact_tracking import ContactTracker
-from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Horizon, PushStart, never_late
+from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
+from push_ident.physics.batch import BatchClock, ModelBatch
+from push_ident.physics.effect_values import driven_path
+from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Face, Horizon, PushStart, face_of, never_late
 from push_ident.planning.model_weights import ModelWeights, touching
 from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.push import PushSettings
 from push_ident.pushing.tool_path import Corridor
 from push_ident.types import Float64Array
 
-__all__ = ["LOOK_AHEAD", "Correction", "FollowStatus", "PathFollower", "guesses_around"]
+__all__ = ["Correction", "FollowerOptions", "FollowStatus", "PathFollower", "guesses_around", "ContactTracker"]
 
-LOOK_AHEAD: Final = 0.08
-"""How far ahead along the path a correction looks [m]: an object that is beside the path must turn, move over, and turn back."""
-_SETTLED: Final = 0.02
-"""Between the points of the motion that is settled [s]: earlier corrections may have bent it."""
-_ITERATIONS: Final = 1
-"""Of Gauss-Newton in a correction: the next frame goes on from there."""
-_OF_SWINGS: Final = 2
-"""And from a motion that makes the contact slide."""
-_ARRIVED: Final = 0.0015
-"""From the end of the path [m]."""
-_AHEAD: Final = 0.05
-"""How far along the path the object may have come since the last frame [m]."""
-_NOT_BETTER: Final = 0.85
-"""A contact brings the object back only where the error at the end of the look ahead is below this share of the present one [1]."""
-_BAD: Final = 2.0
-"""Root of the mean square error over the look ahead that another contact is worth [tolerances]."""
-_WORSE: Final = 1.3
-"""And of that which was expected when the contact was chosen [1]."""
-_IN_A_ROW: Final = 6
-"""Frames after which a contact is given up: estimates of a pose come and go."""
-_STAYED, _STAYS = 0.04, 0.9
-"""Travel along the path [m] in which an error that is not bearable must fall to this share [1]."""
-_APART: Final = 0.012
-"""Gap at which the contact is lost [m]."""
+_MOTION_STD: Final = np.array([0.1, 2.0])
+"""Standard deviation of the predicted motion, as a share of the motion [1], and of its turn by its length [rad/m]."""
+_REST_STD: Final = np.array([1e-4, 1e-4, 2e-3])
+"""Standard deviation of the motion of an object at rest between frames [m, m, rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class FollowerOptions:
+    """Numbers of `PathFollower` and its tracker."""
+
+    look_ahead: float = 0.08
+    """Distance along the path that a correction looks ahead [m]: an object beside the path must turn, move over, and turn back."""
+    lead_spacing: float = 0.02
+    """Time between the points of the motion that can no longer change [s]: earlier corrections may have bent it."""
+    iterations: int = 1
+    """Gauss-Newton iterations of a correction: the next frame continues from there."""
+    swing_iterations: int = 2
+    """Gauss-Newton iterations from a motion that makes the contact slide."""
+    arrival_distance: float = 0.0015
+    """Distance from the end of the path at which the object has arrived [m]."""
+    frame_travel: float = 0.05
+    """Largest progress of the object along the path between two frames [m]."""
+    improvement: float = 0.85
+    """A contact corrects an error only where that at the end of the look-ahead is below this share of the present one [1]."""
+    bearable_error: float = 2.0
+    """Root mean square error over the look-ahead up to which a contact is kept [tolerances]."""
+    bearable_ratio: float = 1.3
+    """Ratio of the error to that expected when the contact was chosen, up to which it is kept [1]."""
+    patience: int = 6
+    """Frames in a row after which a contact is given up: pose errors fluctuate."""
+    progress_length: float = 0.04
+    """Travel along the path in which an error that is not bearable must fall to `progress_share` [m]."""
+    progress_share: float = 0.9
+    """[1]"""
+    lost_gap: float = 0.012
+    """Gap at which the contact is lost [m]."""
+    step: float = 1.0 / 120.0
+    """Time step of the tracker's simulation between frames [s]."""
+    gate: float = 30.0
+    """Squared Mahalanobis distance of a frame that the model does not explain [1]: one right frame in a million."""
+    displaced_frames: int = 2
+    """Such frames in a row that are accepted: the object was displaced."""
+    contact_gap: float = 1e-3
+    """A smaller gap counts as contact [m]: the error of a pose in a frame."""
+    max_overlap: float = 5e-3
+    """Largest overlap of tool and object that is explained by an error of the pose [m]."""
+
+
+_OPTIONS: Final = FollowerOptions()
+
+
+class ContactTracker:
+    """Tracks the pose of an object that a tool pushes.
+
+    Args:
+        model: the most probable one, alone.
+        radius: of the tool [m].
+        pose: of the object at rest, table frame of the arm, shape (3,).
+        covariance: of it, shape (3, 3).
+    """
+
+    def __init__(self, model: ModelBatch, radius: float, pose: Float64Array, covariance: Float64Array) -> None:
+        self._radius = radius
+        self.model = model
+        """Most probable model: predicts the motion of the object."""
+        self.pose: Float64Array = np.array(pose, dtype=np.float64)
+        """Shape (3,)."""
+        self.velocity: Float64Array = np.zeros(3)
+        """Of the object frame [m/s, m/s, rad/s], shape (3,)."""
+        self._variance: Float64Array = np.diagonal(covariance).copy()
+        self._unexplained = 0
+        self.was_displaced = False
+        """Whether the last frame was accepted against the model."""
+        self.gap = np.inf
+        """Between tool and object [m], after the last frame."""
+
+    def advance(self, time: Float64Array, tool: Float64Array) -> None:
+        """The tool has moved: `time` [s], shape (n,), ascending; `tool`, its axis [m], shape (n, 2)."""
+        end = float(time[-1])
+        ends = np.array([end - min(_OPTIONS.step, 0.5 * (end - time[0])), end])
+        poses = self.model.roll(BatchClock.of(time, ends, _OPTIONS.step), tool[None], self.pose[None], self.velocity[None])[0, 0]
+        if not np.all(np.isfinite(poses)):
+            self.velocity = np.zeros(3)
+            return
+        moved = poses[1] - self.pose
+        length = float(np.linalg.norm(moved[:2]))
+        std = np.array([_MOTION_STD[0] * length, _MOTION_STD[0] * length, _MOTION_STD[0] * abs(moved[2]) + _MOTION_STD[1] * length])
+        self._variance = self._variance + std**2 + _REST_STD**2
+        self.velocity = (poses[1] - poses[0]) / (ends[1] - ends[0])
+        self.pose = poses[1]
+
+    def observe(self, pose: Float64Array, covariance: Float64Array, tool: Float64Array) -> Face:
+        """A frame: pose, shape (3,), its covariance, shape (3, 3), and the axis of the tool then as the arm reports it
+        [m], shape (2,).
+
+        Returns the face that the tool is at.
+        """
+        noise = np.diagonal(covariance)
+        difference = np.append((pose - self.pose)[:2], wrap_angle(pose[2] - self.pose[2]))
+        unexplained = float(np.sum(difference**2 / (self._variance + noise))) > _OPTIONS.gate
+        self._unexplained = self._unexplained + 1 if unexplained else 0
+        self.was_displaced = self._unexplained >= _OPTIONS.displaced_frames
+        if self.was_displaced:
+            self.pose, self._variance, self.velocity, self._unexplained = self.pose + difference, noise.copy(), np.zeros(3), 0
+        elif not unexplained:
+            gain = self._variance / (self._variance + noise)
+            self.pose = self.pose + gain * difference
+            self._variance = (1.0 - gain) * self._variance
+        return self._touch(tool)
+
+    def _touch(self, tool: Float64Array) -> Face:
+        model = self.model.models[0]
+        # The model may include an offset of the tool from its reported position.
+        at = driven_path(model.effects.of_motion, np.zeros(0), np.append(tool, 0.0)[None])[0][0, :2]
+        face, distance = face_of(self.model.shape.outline, transform_points(inverse(self.pose), at[None])[0])
+        self.gap = distance - self._radius - model.surface
+        if -_OPTIONS.max_overlap < self.gap < _OPTIONS.contact_gap:
+            self.pose = self.pose + np.append(rotation(float(self.pose[2])) @ face.normal * self.gap, 0.0)
+            self.gap = 0.0
+        return face
 
 
 _SWINGS: Final = np.array(
@@ -63,7 +164,7 @@ steps from a contact that sticks never find that it may slide; these make it sli
 
 
 class FollowStatus(Enum):
-    """How it goes on."""
+    """State of the following."""
 
     GOING = "the tool goes on"
     ARRIVED = "the object is at the end of the path"
@@ -73,21 +174,21 @@ class FollowStatus(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What the tool does from now on."""
+    """Motion of the tool from a frame on."""
 
     status: FollowStatus
     time: Float64Array
-    """[s], shape (n,): the first is the frame's; for the period after it nothing was changed."""
+    """[s], shape (n,), from that of the frame on; in the first period nothing was changed."""
     tool: Float64Array
     """Axis of the tool then, table frame of the arm [m], shape (n, 2)."""
     done: float
     """Length of path that is behind [m]."""
     pose: Float64Array
-    """Of the object as it is believed now, table frame of the arm, shape (3,)."""
+    """Estimated pose of the object, table frame of the arm, shape (3,)."""
 
 
 def guesses_around(unknowns: Float64Array) -> Float64Array:
-    """Unknowns that are worth a try beside given ones, shape (N_SEGMENTS, 2): to the left and to the right, shape (2, n, N_SEGMENTS, 2)."""
+    """Alternatives to given unknowns, shape (N_SEGMENTS, 2): to the left and to the right, shape (2, n, N_SEGMENTS, 2)."""
     tried = np.broadcast_to(unknowns, (2, len(_SWINGS), N_SEGMENTS, 2)).copy()
     tried[:, :, :2] += np.array([[1.0, 1.0], [1.0, -1.0]])[:, None, None] * _SWINGS
     return np.clip(tried, -1.0, 1.0)
@@ -117,16 +218,16 @@ class PathFollower:
         n_asked: int = 8,
         period: float = 1.0 / 30.0,
     ) -> None:
-        self._away = inverse(np.zeros(3) if camera is None else camera)
-        self._path = path.seen_from(self._away)
+        self._camera_in_arm = inverse(np.zeros(3) if camera is None else camera)
+        self._path = path.in_frame(self._camera_in_arm)
         self._pushes = CurvedPushes(settings, self._path, corridor)
         self._settings, self._weights, self._period, self._n_asked = settings, weights, period, n_asked
         self._unknowns, self._bad = np.zeros((N_SEGMENTS, 2)), 0
         self._errors: list[float] = []
         """In tolerances, of the latest frames."""
-        self._n_errors = max(_IN_A_ROW, round(_STAYED / (path.speed * period)))
-        lead = np.linspace(-period, 0.0, max(2, int(np.ceil(period / _SETTLED)) + 1))
-        self._horizon = Horizon.of(path.speed, LOOK_AHEAD, lead)
+        self._n_errors = max(_OPTIONS.patience, round(_OPTIONS.progress_length / (path.speed * period)))
+        lead = np.linspace(-period, 0.0, max(2, int(np.ceil(period / _OPTIONS.lead_spacing)) + 1))
+        self._horizon = Horizon.of(path.speed, _OPTIONS.look_ahead, lead)
 
     def begin(
         self, time: Float64Array, tool: Float64Array, pose: Float64Array, covariance: Float64Array, done: float, expected_error: float
@@ -139,14 +240,14 @@ class PathFollower:
             pose: of the object at rest, table frame of the camera, shape (3,).
             covariance: of it, shape (3, 3).
             done: length of path that is behind [m].
-            expected_error: of the contact, so that it is not given up for another that does no better [tolerances].
+            expected_error: of the contact [tolerances]: it is not given up for another of no less error.
         """
-        self._bearable = max(_BAD, _WORSE * expected_error)
+        self._bearable = max(_OPTIONS.bearable_error, _OPTIONS.bearable_ratio * expected_error)
         self._time, self._tool, self._done, self._now = time, tool, done, float(time[0])
         self._weights.restart()
         self._errors = []
         model, radius = self._weights.best(1), self._settings.pusher_radius
-        self._tracker = ContactTracker(model, radius, compose(self._away, pose), covariance)
+        self._tracker = ContactTracker(model, radius, compose(self._camera_in_arm, pose), covariance)
 
     def correct(self, time: float, pose: Float64Array, covariance: Float64Array, is_late: Callable[[], bool] = never_late) -> Correction:
         """The motion from a frame on.
@@ -155,19 +256,19 @@ class PathFollower:
             time: of the frame [s], later than the last one.
             pose: of the object, shape (3,).
             covariance: of it, shape (3, 3).
-            is_late: whether an answer is due: what was planned before is then improved no further, the next frame goes on from there.
+            is_late: whether an answer is due: the last plan is then not improved further.
         """
         tracker = self._tracker
         lead = time + self._period + self._horizon.lead
-        settled = self._where(lead)
+        settled = self._tool_at(lead)
         since = np.append(np.append(self._now, self._time[(self._time > self._now) & (self._time < time)]), time)
-        tracker.advance(since, self._where(since))
-        face = tracker.see(compose(self._away, pose), covariance, settled[0])
-        place, error = self._path.error(tracker.pose, self._done, _AHEAD)
-        self._done, elapsed, self._now = float(place), time - self._now, time
+        tracker.advance(since, self._tool_at(since))
+        face = tracker.observe(compose(self._camera_in_arm, pose), covariance, settled[0])
+        reached, error = self._path.error(tracker.pose, self._done, _OPTIONS.frame_travel)
+        self._done, elapsed, self._now = float(reached), time - self._now, time
         start = PushStart(tracker.pose, tracker.velocity, self._done + self._path.speed * self._period, settled, face)
         if tracker.gap == 0.0 and not tracker.was_displaced:
-            self._weights.see(since, self._where(since), tracker.pose, tracker.velocity, face)
+            self._weights.observe(since, self._tool_at(since), tracker.pose, tracker.velocity, face)
         else:
             self._weights.restart()
         asked = self._weights.best(self._n_asked)
@@ -175,29 +276,29 @@ class PathFollower:
         models, onward = touching(asked, face), self._horizon.later(self._unknowns, elapsed)
         guesses = np.stack([onward, np.zeros((N_SEGMENTS, 2))])
         if not is_late():
-            # Whether to slide is found by the most probable model alone.
+            # The most probable model alone decides whether the contact should slide.
             around, first = guesses_around(onward), models.picked([0])
-            swung, _ = self._pushes.improve(first, self._horizon, [start, start], around, _OF_SWINGS, is_late)
+            swung, _ = self._pushes.improve(first, self._horizon, [start, start], around, _OPTIONS.swing_iterations, is_late)
             guesses = np.concatenate([guesses, swung])
-        best, rolled = self._pushes.improve(models, self._horizon, [start], guesses[None], _ITERATIONS, is_late)
+        best, rolled = self._pushes.improve(models, self._horizon, [start], guesses[None], _OPTIONS.iterations, is_late)
         self._unknowns = best[0]
         now = float(np.hypot(error[0] / self._path.position, error[1] / self._path.yaw))
         ahead = float(np.sqrt(np.mean(rolled.error[:, 0, 0] ** 2)))
-        hopeless = ahead > max(self._bearable, _NOT_BETTER * now) or tracker.gap > _APART
-        # Of what had no time to get better nothing is concluded.
+        hopeless = ahead > max(self._bearable, _OPTIONS.improvement * now) or tracker.gap > _OPTIONS.lost_gap
+        # A correction without time for improvement is no evidence.
         self._bad = (self._bad + (not is_late())) if hopeless else 0
         self._errors = [now] if tracker.was_displaced else [*self._errors, now][-self._n_errors :]
         self._time, self._tool = time + self._period + self._horizon.knots, rolled.tool[0, 0]
         return Correction(self._status(rolled.residual[0, 0, 0, -N_LIMITS:]), self._time, self._tool, self._done, tracker.pose)
 
     def _status(self, limits: Float64Array) -> FollowStatus:
-        if self._path.length - self._done < _ARRIVED:
+        if self._path.length - self._done < _OPTIONS.arrival_distance:
             return FollowStatus.ARRIVED
         if np.any(limits > 1.0):
             return FollowStatus.LEAVES
-        # What is planned may be put off again and again: the error must have become less as well.
-        stays = len(self._errors) == self._n_errors and self._errors[-1] > max(self._bearable, _STAYS * self._errors[0])
-        return FollowStatus.NO_BETTER if stays or self._bad >= _IN_A_ROW else FollowStatus.GOING
+        # A planned improvement may be postponed again and again: the error must have decreased as well.
+        stays = len(self._errors) == self._n_errors and self._errors[-1] > max(self._bearable, _OPTIONS.progress_share * self._errors[0])
+        return FollowStatus.NO_BETTER if stays or self._bad >= _OPTIONS.patience else FollowStatus.GOING
 
-    def _where(self, time: Float64Array) -> Float64Array:
+    def _tool_at(self, time: Float64Array) -> Float64Array:
         return np.column_stack([np.interp(time, self._time, column) for column in self._tool.T])

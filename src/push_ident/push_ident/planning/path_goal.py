@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import compose, transform_points, wrap_angle
-from push_ident.planning.goal_code import GoalCode, GoalRefusedError
+from push_ident.planning.goal import GoalCode, GoalRefusedError
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectShape
 
@@ -22,12 +22,6 @@ _SPACING: Final = 0.004
 """Between the poses that the path is sampled at [m]: that of the lengths of pushes in the library."""
 _LEVER: Final = 0.05
 """Length of path that a turn by one radian counts as [m], so that a turn on the spot is a path as well."""
-_MOST_POSES: Final = 10_000
-"""In a file."""
-_STILL: Final = 1e-6
-"""Two poses of a path that are nearer to each other than this have no direction [m]."""
-_BACK: Final = 0.01
-"""How far back along the path the place of a pose is looked for [m]: errors of poses may go that way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,16 +74,16 @@ class PathGoal:
         """(x, y, yaw) [m, m, rad], shape (3,)."""
         return np.array([self.position, self.position, self.yaw])
 
-    def at(self, places: ArrayLike) -> Float64Array:
+    def at(self, lengths: ArrayLike) -> Float64Array:
         """Poses at lengths of path [m] of any shape, shape (..., 3); before its start and beyond its end those of the ends."""
-        at = np.asarray(places, dtype=np.float64)
+        at = np.asarray(lengths, dtype=np.float64)
         return np.stack([np.interp(at, self.along, column) for column in self.poses.T], axis=-1)
 
-    def direction(self, places: ArrayLike) -> Float64Array:
+    def direction(self, lengths: ArrayLike) -> Float64Array:
         """Of the path in the table frame [rad], at lengths of path of any shape; where it turns on the spot, from before to after."""
         if self.headings.shape[1] == 0:
-            return np.zeros(np.shape(places))
-        return np.asarray(np.interp(np.asarray(places, dtype=np.float64), *self.headings))
+            return np.zeros(np.shape(lengths))
+        return np.asarray(np.interp(np.asarray(lengths, dtype=np.float64), *self.headings))
 
     def waypoints(self, spacing: float) -> Float64Array:
         """Poses that are evenly spread, at most `spacing` [m] of path apart, the end among them, the start not: shape (n, 3).
@@ -100,15 +94,14 @@ class PathGoal:
         if not (np.isfinite(spacing) and spacing > 0):
             raise InputError(f"The spacing along the path is {spacing} m, expected a positive number.")
         n = int(np.ceil(self.length / spacing - 1e-9))
-        places = self.length * np.arange(1, n + 1) / n
-        return self.at(places)
+        return self.at(self.length * np.arange(1, n + 1) / n)
 
-    def seen_from(self, frame: Float64Array) -> PathGoal:
+    def in_frame(self, frame: Float64Array) -> PathGoal:
         """The same in another frame; `frame` places this one in it, shape (3,)."""
         return self if not np.any(frame) else replace(self, poses=compose(frame, self.poses))
 
     def error(self, pose: Float64Array, done: float, ahead: float) -> tuple[Float64Array, Float64Array]:
-        """Where on the path poses are, and how far from it.
+        """Nearest points of the path to poses, and their errors.
 
         Args:
             pose: shape (..., 3).
@@ -119,42 +112,44 @@ class PathGoal:
             Length of path of the nearest point, shape (...), and distance [m] and angle [rad] from it, shape (..., 2). NaN poses are at
             the start and infinitely far.
         """
-        window = (self.along >= done - _BACK) & (self.along <= done + ahead)
-        own, along = self.poses[window], self.along[window]
+        # Errors of poses may go back along the path by a centimetre.
+        window = (self.along >= done - 0.01) & (self.along <= done + ahead)
+        poses, along = self.poses[window], self.along[window]
         flat = np.asarray(pose).reshape(-1, 3)
         known = np.asarray(np.all(np.isfinite(flat), axis=1))
-        difference = np.where(known[:, None], flat, 0.0)[:, None] - own
+        difference = np.where(known[:, None], flat, 0.0)[:, None] - poses
         error = np.stack([np.linalg.norm(difference[..., :2], axis=2), np.abs(wrap_angle(difference[..., 2]))], axis=-1)
         nearest = np.argmin(np.sum((error / [self.position, self.yaw]) ** 2, axis=2), axis=1)
-        place, found = self._between(own, along, nearest, difference[np.arange(len(flat)), nearest])
-        found[~known] = np.inf
-        place = np.where(known, place, done)
+        length, nearest_error = self._between(poses, along, nearest, difference[np.arange(len(flat)), nearest])
+        nearest_error[~known] = np.inf
+        length = np.where(known, length, done)
         shape = np.shape(pose)[:-1]
-        return place.reshape(shape), found.reshape(*shape, 2)
+        return length.reshape(shape), nearest_error.reshape(*shape, 2)
 
     def _between(
-        self, own: Float64Array, along: Float64Array, nearest: np.ndarray, away: Float64Array
+        self, poses: Float64Array, along: Float64Array, nearest: np.ndarray, away: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        """Length of path of the nearest point on the lines from the `nearest` of the poses `own`, and distance and angle from it.
+        """Length of path of the nearest point on the lines from the `nearest` of the `poses`, and distance and angle from it.
 
         `away`: difference of each pose from its nearest one, shape (n, 3).
         """
         away = np.column_stack([away[:, :2], wrap_angle(away[:, 2])])
-        best, place, weight = away, along[nearest], self.tolerance**-2.0
+        best, length, weight = away, along[nearest], self.tolerance**-2.0
         for side in (-1, 1):
-            other = np.clip(nearest + side, 0, len(own) - 1)
-            step = own[other] - own[nearest]
+            other = np.clip(nearest + side, 0, len(poses) - 1)
+            step = poses[other] - poses[nearest]
             share = np.clip(np.sum(weight * away * step, axis=1) / np.maximum(np.sum(weight * step**2, axis=1), 1e-12), 0.0, 1.0)
             moved = away - share[:, None] * step
             better = np.sum(weight * moved**2, axis=1) < np.sum(weight * best**2, axis=1)
             best = np.where(better[:, None], moved, best)
-            place = np.where(better, along[nearest] + share * (along[other] - along[nearest]), place)
-        return place, np.column_stack([np.linalg.norm(best[:, :2], axis=1), np.abs(best[:, 2])])
+            length = np.where(better, along[nearest] + share * (along[other] - along[nearest]), length)
+        return length, np.column_stack([np.linalg.norm(best[:, :2], axis=1), np.abs(best[:, 2])])
 
 
 def _headings(poses: Float64Array, along: Float64Array) -> Float64Array:
     step = np.diff(poses[:, :2], axis=0)
-    moves = np.flatnonzero(np.linalg.norm(step, axis=1) > _STILL)
+    # Two poses within a micrometre have no direction.
+    moves = np.flatnonzero(np.linalg.norm(step, axis=1) > 1e-6)
     middle = 0.5 * (along[moves] + along[moves + 1])
     return np.stack([middle, np.unwrap(np.arctan2(step[moves, 1], step[moves, 0]))])
 
@@ -195,8 +190,8 @@ def read_path(file: Path, speed: float = 0.05) -> PathGoal:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"Cannot read the path in {file}: {error}.") from None
     rows = [(number, line.strip()) for number, line in enumerate(lines, 1) if line.strip() and not line.strip().startswith("#")]
-    if len(rows) > _MOST_POSES:
-        raise InputError(f"{file} has {len(rows)} poses, expected {_MOST_POSES} at most; thin them out.")
+    if len(rows) > 10_000:
+        raise InputError(f"{file} has {len(rows)} poses, expected 10000 at most; thin them out.")
     return PathGoal(np.array([_numbers(file, number, row) for number, row in rows]).reshape(-1, 3), speed)
 
 

@@ -1,32 +1,23 @@
 """The next push along a path: with the tool steered as long as one contact holds the object on it, else a straight one.
 
-A face holds an object on a path only where the force that the path needs lies within its cone of friction. Whether one does, the planner of
-steered pushes says by the error of the best contact. Where none holds it within tolerance, straight pushes go on, each from another side,
-or bring it back.
+A face holds an object on a path only where the force that the path needs lies within its cone of friction. The planner of steered pushes
+decides that by the error of the best contact. Where none holds it within tolerance, straight pushes continue, each from another side.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 from push_ident.planning.belief import Belief
 from push_ident.planning.curved_planner import CurvedPathPlanner, CurvedPush
 from push_ident.planning.path_follower import PathFollower
 from push_ident.planning.path_goal import PathGoal
-from push_ident.planning.path_planner import PathPlanner, PathPush, PathStatus
+from push_ident.planning.path_planner import PathOptions, PathPlanner, PathPush, PathStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["PathStep", "PathSteps", "may_steer_after"]
-
-_BEARABLE: Final = math.sqrt(2.0)
-"""Root of the mean square error that is expected of a steered push, up to which it is made rather than a straight one: with distance and
-angle both at their tolerance [tolerances]."""
-_STUCK: Final = 0.005
-"""A steered push that brings the object less far along the path is no use there [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +77,7 @@ class PathSteps:
         curved = self._curved.plan(belief, pose, path, done, obstacles, failed) if steers else CurvedPush(PathStatus.UNREACHABLE, done)
         if curved.status is PathStatus.ARRIVED:
             return PathStep(curved.status, curved.done)
-        if curved.status is not PathStatus.PUSH or curved.expected_error > _BEARABLE:
+        if curved.status is not PathStatus.PUSH or curved.expected_error > PathOptions().bearable_error:
             straight = self._planner(path.speed).plan(belief, pose, path, done, obstacles, failed)
             if straight.status is PathStatus.PUSH or curved.status is not PathStatus.PUSH:
                 return PathStep(straight.status, straight.done, straight=straight if straight.status is PathStatus.PUSH else None)
@@ -108,4 +99,4 @@ def may_steer_after(step: PathStep, before: float, done: float) -> bool:
         before: length of path that was behind then [m].
         done: and that is behind now [m].
     """
-    return step.steered is None or done > before + _STUCK
+    return step.steered is None or done > before + PathOptions().stuck_progress

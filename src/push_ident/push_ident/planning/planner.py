@@ -1,23 +1,23 @@
 """The next push towards a goal.
 
-A library of pushes (`library.py`) holds what each stroke of each length does to the object, for the mean model and for models that may be
-true. A push is worth the pushes that are expected after it:
+A library of pushes (`library.py`) holds the motion of the object by each stroke of each length, for the mean model and for models of the
+posterior. The value of a push is the expected number of pushes from it on:
 
     J(a) = 1 + mean over models of (1 - s) (1 + (1 - p) r)        s: whether the object is at the goal after a under that model
                                                                   p: chance that the best push from there ends at the goal
                                                                   r: pushes after that one, from the distance that it leaves
 
-All strokes and lengths are judged by the mean model, the best by all models, and the best of these in the table frame: those that leave the
-workspace or touch something else first are passed over. Contact, direction and length of a push that may be the last one are then improved
-by the exact derivative, and what is expected of it is taken from more models and from the uncertainty of the pose.
+All strokes and lengths are judged by the mean model, the best by all models, and the best of these in the table frame, without those that
+leave the workspace or touch something else first. Contact, direction and length of a push that may be the last one are then improved
+by the exact derivative, and its expectation is taken over more models and the uncertainty of the pose.
 
-Effects that were found are part of the models. Where they make a motion depend on the place, the library is made anew where the object
+Diagnosed effects are part of the models. Where they make a motion depend on the place, the library is made anew where the object
 lies.
 
 At an edge of the table these last simulations know which cells have left it. A push whose chance p_f to bring the
 centre of mass nearer to the border of its support than the margin is more than `EdgeHold.limit` is not proposed, unless the object is no
-less at risk where it lies; below that it costs p_f times `_FALL` pushes. Models under which the object would have fallen where it stands
-are not asked.
+less at risk at its present pose; below that it costs p_f times `PlannerOptions.fall_cost` pushes. Models under which the object would have
+fallen there are left out.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Final
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -42,30 +41,33 @@ from push_ident.planning.refine import refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["GoalPlanner", "GoalPush", "PlanStatus"]
+__all__ = ["GoalPlanner", "GoalPush", "PlanStatus", "PlannerOptions"]
 
-_SCREENED: Final = 400
-"""Pushes that the mean model likes best, judged by all models then."""
-_JUDGED: Final = 12
-"""Of these, feasible ones that are judged in the table frame."""
-_DRAWS: Final = 8
-"""Models in the library beside the mean."""
-_FINAL_DRAWS: Final = 32
-"""Models that the expectation of a push is taken from."""
-_FINALISTS: Final = 6
-"""Candidates that all of these models judge; the first `_DRAWS` choose them."""
-_NEIGHBOURS: Final = 4
-"""Second pushes that are looked at for each first one."""
-_PUSH_TRAVEL: Final = 0.1
-"""Distance that a further push is expected to cover [m]."""
-_NEAR: Final = 5.0
-"""Error, in units of the tolerance, up to which a push may be the last one and is improved: strokes are that coarse."""
-_WAY: Final = 4
-"""Poses along a push, the first included, at which an overhanging object is looked at first."""
-_FALL: Final = 20.0
-"""Pushes that a fall is worth: as many as are made for a goal at most."""
-_FRAMES: Final = 8
-"""Poses along a push at which the margin of an overhanging object is looked at."""
+
+@dataclass(frozen=True, slots=True)
+class PlannerOptions:
+    """Size of the search, and the costs of `GoalPlanner`."""
+
+    screened: int = 400
+    """Pushes that are best under the mean model, and are then judged by all models of the library."""
+    judged: int = 12
+    """Feasible ones of these that are judged in the table frame."""
+    n_models: int = 8
+    """Models in the library beside the mean."""
+    finalists: int = 6
+    """Candidates that are judged by the final models; the first `n_models` of these choose them."""
+    n_final_models: int = 32
+    """Models that the expectation of a push is taken from."""
+    neighbours: int = 4
+    """Second pushes that are compared for each first one."""
+    push_travel: float = 0.1
+    """Distance that a further push is expected to cover [m]."""
+    near: float = 5.0
+    """Error up to which a push may be the last one and is refined [tolerances]: the spacing of the strokes is that coarse."""
+    fall_cost: float = 20.0
+    """Pushes that a fall counts as: as many as are made for a goal at most."""
+    frames: int = 8
+    """Poses along a push at which the margin of an overhanging object is computed."""
 
 
 class PlanStatus(Enum):
@@ -100,17 +102,21 @@ class GoalPush:
 
 
 class GoalPlanner:
-    """Plans pushes of one object; what it has simulated it keeps until the belief changes.
+    """Plans pushes of one object; simulations are kept until the belief changes.
 
     Args:
         shape: of the object.
         settings: limits of pushes and the pusher.
         seed: of the models that are drawn.
-        greedy: look one push ahead only: the one that is expected to end nearest to the goal. What other planners are compared with.
+        greedy: look one push ahead only: the one that is expected to end nearest to the goal. The baseline of comparisons.
+        options: size of the search, and costs.
     """
 
-    def __init__(self, shape: ObjectShape, settings: PushSettings, seed: int = 0, *, greedy: bool = False) -> None:
+    def __init__(
+        self, shape: ObjectShape, settings: PushSettings, seed: int = 0, *, greedy: bool = False, options: PlannerOptions | None = None
+    ) -> None:
         self._shape, self._settings, self._seed, self._greedy = shape, settings, seed, greedy
+        self._options = options or PlannerOptions()
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
         self._library: Library | None = None
@@ -119,9 +125,11 @@ class GoalPlanner:
     def _library_of(self, belief: Belief, pose: Float64Array) -> Library:
         if belief is not self._belief:
             self._belief, self._library = belief, None
-            self._judges = belief.models(_FINAL_DRAWS, np.random.default_rng(self._seed + 1))
+            self._judges = belief.models(self._options.n_final_models, np.random.default_rng(self._seed + 1))
         if self._library is None or not self._library.holds_at(belief, pose):
-            self._library = Library.of(belief, self._strokes, self._settings, pose, _DRAWS, np.random.default_rng(self._seed))
+            self._library = Library.of(
+                belief, self._strokes, self._settings, pose, self._options.n_models, np.random.default_rng(self._seed)
+            )
         return self._library
 
     def plan(
@@ -137,7 +145,7 @@ class GoalPlanner:
         """The next push.
 
         Args:
-            belief: what is known of the object.
+            belief: about the object.
             pose: of the object in the table frame, shape (3,).
             covariance: of that pose, shape (3, 3).
             goal: pose with tolerances.
@@ -145,13 +153,13 @@ class GoalPlanner:
             failed: pushes from this pose that did not move the object, or could not be made.
             hold: an edge of the table near the goal, and by how much the object must be held there.
         """
-        there = None if hold is None else hold.seen_from(belief.camera)
-        seen = _seen_by_the_arm(belief.camera, pose, covariance, goal)
+        hold_in_arm = None if hold is None else hold.in_frame(belief.camera)
+        in_arm = _in_arm_frame(belief.camera, pose, covariance, goal)
         outlines = [transform_points(inverse(belief.camera), outline) for outline in obstacles]
-        found = self._plan(belief, *seen, Surroundings(outlines, failed, there))
-        if found.plan is None:
-            return found
-        return replace(found, end=compose(belief.camera, found.end), ends=compose(belief.camera, found.ends))
+        push = self._plan(belief, *in_arm, Surroundings(outlines, failed, hold_in_arm))
+        if push.plan is None:
+            return push
+        return replace(push, end=compose(belief.camera, push.end), ends=compose(belief.camera, push.ends))
 
     def _plan(
         self,
@@ -171,27 +179,27 @@ class GoalPlanner:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
         library = self._library_of(belief, pose)
         wanted = Goal(compose(inverse(pose), goal.pose), goal.position, goal.yaw)
-        further = _Distance(goal) if self._greedy else _FurtherPushes(library, goal)
-        ranked = _ranked(library, further, wanted)
-        own = library.strokes
-        present = _Present(around.hold, self._shape, library.centres, pose)
+        further = _Distance(goal) if self._greedy else _FurtherPushes(library, goal, self._options)
+        ranked = _ranked(library, further, wanted, self._options)
+        strokes_of = library.strokes
+        risks = _EdgeRisk(around.hold, self._shape, library.centres, pose)
         candidates: list[tuple[Strokes, int, float]] = []
         motions: list[Float64Array] = []
         for number, k in ranked:
-            plan = placed(own, number, pose, float(library.lengths[k]), self._settings.speed_range[0])
+            plan = placed(strokes_of, number, pose, float(library.lengths[k]), self._settings.speed_range[0])
             motion = library.motion[0, number, k]
             every = library.motion[:, number, k]
-            if is_possible(self._shape, self._settings, plan, pose, motion, around) and present.allows(every):
-                candidates.append((own, number, float(library.lengths[k])))
+            if is_possible(self._shape, self._settings, plan, pose, motion, around) and risks.allows(every, around.n_poses):
+                candidates.append((strokes_of, number, float(library.lengths[k])))
                 motions.append(motion)
-            if len(candidates) == _JUDGED:
+            if len(candidates) == self._options.judged:
                 break
         if not candidates:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
         for (_, number, length), motion in zip(list(candidates), motions, strict=True):
-            if wanted.relative_error(motion) > _NEAR:
+            if wanted.relative_error(motion) > self._options.near:
                 continue
-            better = refine(belief, own.picked(number), length, wanted, self._settings, pose)
+            better = refine(belief, strokes_of.picked(number), length, wanted, self._settings, pose)
             if better is not None:
                 plan = placed(better.stroke, 0, pose, better.length, self._settings.speed_range[0])
                 if is_possible(self._shape, self._settings, plan, pose, better.motion, around):
@@ -210,27 +218,27 @@ class GoalPlanner:
     ) -> GoalPush:
         """The candidate after which the fewest pushes are expected, by more models and with the uncertainty of the pose."""
         models = self._displaced_judges(pose, covariance)
-        pushes = [(own.picked(number), length) for own, number, length in candidates]
+        pushes = [(group.picked(number), length) for group, number, length in candidates]
         if hold is None:
-            # A few models tell which pushes are worth asking all of them.
-            ends, _ = self._ends(belief, models[: 1 + _DRAWS], pushes, pose, hold)
-            most = np.argsort(np.nan_to_num(_value(further, ends, goal), nan=np.inf))[:_FINALISTS]
+            # A few models choose the pushes that all of them judge.
+            ends, _ = self._ends(belief, models[: 1 + self._options.n_models], pushes, pose, hold)
+            most = np.argsort(np.nan_to_num(_value(further, ends, goal), nan=np.inf))[: self._options.finalists]
             candidates, pushes = [candidates[k] for k in most], [pushes[k] for k in most]
         ends, margins = self._ends(belief, models, pushes, pose, hold)
-        present = _Present(hold, self._shape, np.array([model.body.centre for model in models]), pose)
-        risk = present.risk(margins)
-        value, allowed = _value(further, ends, goal) + _FALL * risk, risk <= present.allowed
+        risks = _EdgeRisk(hold, self._shape, np.array([model.body.centre for model in models]), pose)
+        risk = risks.risk(margins)
+        value, allowed = _value(further, ends, goal) + self._options.fall_cost * risk, risk <= risks.allowed
         if not np.any(allowed):
             return GoalPush(PlanStatus.UNHELD, goal.chance(pose, covariance), risk=float(np.min(risk)))
         value = np.where(allowed, value, np.nan)
         if not np.any(np.isfinite(value)):
             return GoalPush(PlanStatus.UNREACHABLE, goal.chance(pose, covariance))
         best = int(np.nanargmin(value))
-        own, number, length = candidates[best]
+        group, number, length = candidates[best]
         return GoalPush(
             PlanStatus.PUSH,
             float(np.mean(np.asarray(goal.relative_error(ends[:, best])) <= 1.0)),
-            placed(own, number, pose, length, self._settings.speed_range[0]),
+            placed(group, number, pose, length, self._settings.speed_range[0]),
             ends[0, best],
             ends[:, best],
             float(value[best]),
@@ -238,13 +246,13 @@ class GoalPlanner:
         )
 
     def _displaced_judges(self, pose: Float64Array, covariance: Float64Array) -> list[BatchModel]:
-        """The mean model at the observed pose, then models that may be true, each with an object that lies elsewhere by an error of it."""
+        """The mean model at the observed pose, then posterior models, each with an object displaced by an error of that pose."""
         root = np.linalg.cholesky(covariance + 1e-18 * np.eye(3))
-        errors = np.random.default_rng(self._seed + 2).normal(size=(_FINAL_DRAWS, 3)) @ root.T
-        beside = compose(inverse(pose), pose + np.vstack([np.zeros(3), errors]))
+        errors = np.random.default_rng(self._seed + 2).normal(size=(self._options.n_final_models, 3)) @ root.T
+        displacements = compose(inverse(pose), pose + np.vstack([np.zeros(3), errors]))
         # A model that is known to be true judges alone.
-        models = self._judges * (len(beside) // len(self._judges))
-        return [model._replace(displacement=own) for model, own in zip(models, beside, strict=True)]
+        models = self._judges * (len(displacements) // len(self._judges))
+        return [model._replace(displacement=shift) for model, shift in zip(models, displacements, strict=True)]
 
     def _ends(
         self,
@@ -254,14 +262,14 @@ class GoalPlanner:
         pose: Float64Array,
         hold: EdgeHold | None,
     ) -> tuple[Float64Array, Float64Array]:
-        """Ends of pushes of an object that is seen at a pose, under models, shape (n_models, n_pushes, 3), and the least margin on the way
-        [m], shape (n_models, n_pushes)."""
-        settings, frames = self._settings, 1 if hold is None else _FRAMES
+        """Ends of pushes of an object that is observed at a pose, under models, shape (n_models, n_pushes, 3), and the least margin during
+        them [m], shape (n_models, n_pushes)."""
+        settings, frames = self._settings, 1 if hold is None else self._options.frames
         speed, batch = settings.speed_range[0], []
-        for own, length in pushes:
-            path = path_of(own.tool[0], own.heading()[0], length, speed, settings)
+        for stroke, length in pushes:
+            path = path_of(stroke.tool[0], stroke.heading()[0], length, speed, settings)
             first = 0.0 if hold is None else settings.clearance / speed
-            # The tool goes where the observed pose has it.
+            # The path of the tool follows from the observed pose.
             batch.append(BatchPush(moved(pose, path), pose, np.linspace(first, path.time[-1], frames + 1)[1:]))
         poses = simulated(belief, models, batch, None if hold is None else hold.edge)
         if hold is None:
@@ -271,10 +279,10 @@ class GoalPlanner:
         return poses[:, :, -1], np.min(margins, axis=2)
 
 
-def _seen_by_the_arm(
+def _in_arm_frame(
     camera: Float64Array, pose: Float64Array, covariance: Float64Array, goal: Goal
 ) -> tuple[Float64Array, Float64Array, Goal]:
-    """What the camera sees, in the table frame of the arm: pose, covariance, goal."""
+    """Pose, covariance and goal in the table frame of the arm, from that of the camera."""
     away = inverse(camera)
     turn = np.eye(3)
     turn[:2, :2] = rotation(float(away[2]))
@@ -282,11 +290,11 @@ def _seen_by_the_arm(
     return compose(away, pose), turn @ covariance @ turn.T, there
 
 
-def _ranked(library: Library, further: _FurtherPushes | _Distance, wanted: Goal) -> list[tuple[int, int]]:
+def _ranked(library: Library, further: _FurtherPushes | _Distance, wanted: Goal, options: PlannerOptions) -> list[tuple[int, int]]:
     """Strokes and lengths by the pushes that are expected from now on, the best first: by the mean model, then by all models."""
     mean = library.motion[0]
     value = _value(further, mean.reshape(1, -1, 3), wanted)
-    first = np.argsort(np.where(np.isfinite(value), value, np.inf))[:_SCREENED]
+    first = np.argsort(np.where(np.isfinite(value), value, np.inf))[: options.screened]
     motion = library.motion.reshape(len(library.motion), -1, 3)[:, first]
     value = _value(further, motion, wanted)
     order = np.argsort(np.where(np.isfinite(value), value, np.inf))
@@ -297,16 +305,17 @@ def _ranked(library: Library, further: _FurtherPushes | _Distance, wanted: Goal)
 def _value(further: _FurtherPushes | _Distance, motion: Float64Array, wanted: Goal) -> Float64Array:
     """Pushes expected from now on for each motion that a push may make, shape (n_models, n_motions, 3), or for each pose where it may end;
     `wanted` in the same frame: shape (n_motions,)."""
-    there = _softly(wanted.relative_error(motion))
-    left = compose(inverse(motion), wanted.pose)
-    after = further.after(left.reshape(-1, 3)).reshape(there.shape)
-    return 1.0 + np.asarray(np.mean((1.0 - there) * after, axis=0))
+    at_goal = _probability_within_tolerance(wanted.relative_error(motion))
+    remaining = compose(inverse(motion), wanted.pose)
+    after = further.after(remaining.reshape(-1, 3)).reshape(at_goal.shape)
+    return 1.0 + np.asarray(np.mean((1.0 - at_goal) * after, axis=0))
 
 
 class _FurtherPushes:
     """Pushes that are expected to make a motion within the tolerances of a goal, looked up in the motions of the mean model."""
 
-    def __init__(self, library: Library, goal: Goal) -> None:
+    def __init__(self, library: Library, goal: Goal, options: PlannerOptions) -> None:
+        self._options = options
         flat, variance = library.motion[0].reshape(-1, 3), library.variance.reshape(-1, 3)
         known = np.all(np.isfinite(flat), axis=1)
         self._goal, self._tree = goal, KDTree(flat[known] / goal.tolerance)
@@ -318,14 +327,14 @@ class _FurtherPushes:
         finite = np.all(np.isfinite(wanted), axis=1)
         query = np.where(finite[:, None], wanted, 0.0)
         query[:, 2] = wrap_angle(query[:, 2])
-        distance, index = self._tree.query(query / self._goal.tolerance, k=_NEIGHBOURS)
-        chance = _softly(np.hypot(distance, self._spread[index]))
-        beyond = np.maximum(distance - 1.0, 0.0) * self._goal.position / _PUSH_TRAVEL
+        distance, index = self._tree.query(query / self._goal.tolerance, k=self._options.neighbours)
+        chance = _probability_within_tolerance(np.hypot(distance, self._spread[index]))
+        beyond = np.maximum(distance - 1.0, 0.0) * self._goal.position / self._options.push_travel
         return np.where(finite, np.min(1.0 + (1.0 - chance) * (1.0 + beyond), axis=1), np.nan)
 
 
-class _Present:
-    """What an object at the edge risks where it lies, under models with given centres of mass, shape (n_models, 2)."""
+class _EdgeRisk:
+    """Risks of an object at an edge, under models with given centres of mass, shape (n_models, 2)."""
 
     def __init__(self, hold: EdgeHold | None, shape: ObjectShape, centres: Float64Array, pose: Float64Array) -> None:
         self._hold, self._shape, self._centres, self._pose = hold, shape, centres, pose
@@ -334,35 +343,35 @@ class _Present:
             now = hold.margins(shape.cells.centres, centres, np.tile(pose, (len(centres), 1)))
         self._stands = now >= 0.0 if np.any(now >= 0.0) else np.ones(len(now), dtype=bool)
         self.allowed = max(0.0 if hold is None else hold.limit, float(self.risk(now)))
-        """Largest risk of a push [1]: one that brings the object back to the table may not be refused for the risk of lying there."""
+        """Largest risk of a push [1]: not below that of the present pose, so that pushes back onto the table are allowed."""
 
     def risk(self, margins: Float64Array) -> Float64Array:
-        """Of pushes with given least margins, shape (n_models, ...), under the models by which the object stands where it does: (...)."""
+        """Risk of pushes with given least margins, shape (n_models, ...), under the models by which the object is held now: (...)."""
         if self._hold is None:
             return np.zeros(margins.shape[1:])
         return self._hold.risk(margins[self._stands])
 
-    def allows(self, motions: Float64Array) -> bool:
-        """Whether the object is held well enough during a motion, shape (n_models, 3): a first look, at few poses and models."""
+    def allows(self, motions: Float64Array, n_poses: int) -> bool:
+        """Whether the risk of a motion, shape (n_models, 3), is allowed, by `n_poses` poses along it: a coarse check."""
         if self._hold is None:
             return True
-        way = compose(self._pose, np.linspace(0.0, 1.0, _WAY)[1:, None, None] * motions)
-        margins = self._hold.margins(self._shape.cells.centres, self._centres, way)
+        poses = compose(self._pose, np.linspace(0.0, 1.0, n_poses)[1:, None, None] * motions)
+        margins = self._hold.margins(self._shape.cells.centres, self._centres, poses)
         return bool(self.risk(np.min(margins, axis=0)) <= self.allowed)
 
 
 class _Distance:
-    """What is left to a goal, in tolerances, in place of pushes: who looks one push ahead knows no more."""
+    """Remaining error in tolerances, in place of further pushes: the value of a planner that looks one push ahead."""
 
     def __init__(self, goal: Goal) -> None:
         self._goal = goal
 
     def after(self, wanted: Float64Array) -> Float64Array:
         """Root sum of squares of each of the motions, shape (n, 3), in tolerances: shape (n,)."""
-        left = np.column_stack([wanted[:, :2], wrap_angle(wanted[:, 2])]) / self._goal.tolerance
-        return np.asarray(np.linalg.norm(left, axis=1))
+        error = np.column_stack([wanted[:, :2], wrap_angle(wanted[:, 2])]) / self._goal.tolerance
+        return np.asarray(np.linalg.norm(error, axis=1))
 
 
-def _softly(error: Float64Array) -> Float64Array:
-    """Whether an error, in units of its tolerance, is within it: between 1 at no error and 0 at many, since few models are asked."""
+def _probability_within_tolerance(error: Float64Array) -> Float64Array:
+    """Smooth probability that an error [tolerances] is within 1: from 1 at no error to 0 at large ones, since the models are few."""
     return np.asarray(1.0 / (1.0 + np.nan_to_num(error, nan=np.inf) ** 4))

@@ -23,18 +23,24 @@ from push_ident.types import Float64Array, SolveStatus
 
 __all__ = ["RefinedStroke", "end_by_push", "refine"]
 
-_EVALUATIONS: Final = 5
-"""Simulations of a push with their derivative."""
-_SHORTER: Final = 0.3
-"""Factor on a step that led further away [1]."""
-_DAMPING: Final = 0.5
-"""Weight of a change of the push by its whole range, in tolerances [1]: changes that hardly move the end are not made."""
+
+@dataclass(frozen=True, slots=True)
+class RefineOptions:
+    """Numbers of the refinement of a push."""
+
+    evaluations: int = 5
+    """Simulations of a push with their derivative."""
+    damping: float = 0.5
+    """Weight of a change of the push by its whole range, in tolerances [1]: changes that hardly move the end are not made."""
+    least_length: float = 0.003
+    """Least travel after contact [m]."""
+    end_window: float = 0.003
+    """Travel over which the motion at the end is averaged [m]: an object that has been hit runs ahead of the pusher for a moment."""
+
+
+_OPTIONS: Final = RefineOptions()
 _RANGE: Final = np.array([0.01, 0.3, 0.03])
 """Largest change of contact [m], direction [rad] and length [m] in a step: the derivative holds on one side of a switch only."""
-_SHORTEST: Final = 0.003
-"""Travel after contact [m]."""
-_WINDOW: Final = 0.003
-"""Travel over which the motion at the end is averaged [m]: an object that has been hit runs ahead of the pusher for a moment."""
 _NUMERICS: Final = SimulationSettings(step=1.0 / 120.0, resolve_events=True)
 _ORIGIN: Final = np.zeros(3)
 
@@ -61,10 +67,10 @@ def refine(
     best: RefinedStroke | None = None
     first = least = np.inf
     step = np.zeros(3)
-    for _ in range(_EVALUATIONS):
+    for _ in range(_OPTIONS.evaluations):
         origin = best or RefinedStroke(stroke, length, np.zeros(3))
         tried = origin.stroke.changed(float(step[0]), float(step[1]))
-        longer = float(np.clip(origin.length + step[2], _SHORTEST, settings.max_distance))
+        longer = float(np.clip(origin.length + step[2], _OPTIONS.least_length, settings.max_distance))
         end, by_push = end_by_push(belief, tried, longer, settings, pose)
         if end is None or by_push is None:
             break
@@ -72,11 +78,11 @@ def refine(
         cost = float(residual @ residual)
         first = min(first, cost) if best is None else first
         if cost >= least:
-            step *= _SHORTER
+            step *= 0.3  # a shorter step from the best push so far
             continue
         best, least = RefinedStroke(tried, longer, end), cost
         scaled = by_push / wanted.tolerance[:, None] * _RANGE
-        step = _RANGE * np.clip(-np.linalg.solve(scaled.T @ scaled + _DAMPING**2 * np.eye(3), scaled.T @ residual), -1.0, 1.0)
+        step = _RANGE * np.clip(-np.linalg.solve(scaled.T @ scaled + _OPTIONS.damping**2 * np.eye(3), scaled.T @ residual), -1.0, 1.0)
     return best if least < first else None
 
 
@@ -89,8 +95,8 @@ def end_by_push(
     """
     tool, heading = stroke.tool[0], stroke.heading()[0]
     path = path_of(tool, heading, length, settings.speed_range[0], settings)
-    just_before = float(path.time[-1]) - _WINDOW / settings.speed_range[0]
-    first = pose if belief.depends_on_place else _ORIGIN
+    just_before = float(path.time[-1]) - _OPTIONS.end_window / settings.speed_range[0]
+    first = pose if belief.depends_on_pose else _ORIGIN
     scenario = PushScenario(moved(first, path), first, np.array([just_before, path.time[-1]]))
     law = belief.numerics
     numerics = replace(_NUMERICS, smoothing_speed=law.smoothing_speed, quasi_static=law.quasi_static)
@@ -104,5 +110,5 @@ def end_by_push(
     tangent = stroke.tangent[0]
     moves = np.array([[tangent[0], tangent[1], 0.0], [tool[1], -tool[0], 1.0]])
     columns = [move + move[2] * np.array([-end[1], end[0], 0.0]) - by_first @ move for move in moves]
-    by_length = (end - before) / _WINDOW
+    by_length = (end - before) / _OPTIONS.end_window
     return end, np.column_stack([*columns, by_length])

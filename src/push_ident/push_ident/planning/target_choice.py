@@ -1,4 +1,4 @@
-"""Where the object of a goal shall be: the pose of the goal, or one at an edge, chosen when a model is there."""
+"""Target of a goal: its pose, or one at an edge that is chosen when a model is known; exploring pushes that keep to the table."""
 
 from __future__ import annotations
 
@@ -6,19 +6,58 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from push_ident.errors import PlanningError
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
-from push_ident.planning.explore import push_on_table
-from push_ident.planning.goal import Goal
+from push_ident.planning.goal import Goal, Target
 from push_ident.planning.goal_ports import GoalPorts, KnownModel, UnderWay
-from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
-from push_ident.pushing.push import PushPlan2D
-from push_ident.types import Float64Array
+from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
+from push_ident.pushing.sampling import sample_push
+from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["TargetChoice"]
+__all__ = ["TargetChoice", "push_on_table"]
+
+
+def push_on_table(
+    shape: ObjectShape,
+    pose: Float64Array,
+    seed: int,
+    settings: PushSettings,
+    edges: Sequence[TableEdge],
+    obstacles: Sequence[Float64Array] = (),
+    *,
+    n_draws: int = 200,
+    clearance: float = 0.01,
+) -> PushPlan2D:
+    """A random push after which the object, moved along all of it, is on the table; where it is not now, nearer to that.
+
+    The outline may turn out over the edge; the centre of mass may not: no push moves it further than the tool goes.
+
+    Args:
+        shape: of the object.
+        pose: of it, shape (3,), table frame.
+        seed: of the push.
+        settings: limits of pushes.
+        edges: of the table.
+        obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
+        n_draws: random pushes that are tried.
+        clearance: least distance of the outline from the edge after the push [m]: it slides on by up to 2.5 mm, and poses have errors.
+
+    Raises:
+        PlanningError: UNREACHABLE where no such push is found.
+    """
+    outline, rng = transform_points(pose, shape.outline), np.random.default_rng(seed)
+    # Where it overhangs already, the push must lead back by the clearance.
+    allowed = [max(-clearance, float(np.max(edge.beyond(outline))) - clearance) for edge in edges]
+    for _ in range(n_draws):
+        push = sample_push(shape, pose, rng, settings, obstacles)
+        after = outline + push.distance * push.heading
+        if all(float(np.max(edge.beyond(after))) <= most for edge, most in zip(edges, allowed, strict=True)):
+            return push
+    raise PlanningError(PushCode.UNREACHABLE, f"none of {n_draws} random pushes keeps the object on the table; move it away from the edge.")
 
 
 class TargetChoice:
@@ -52,21 +91,21 @@ class TargetChoice:
         return self._ports.known_edges() if given is None else [given]
 
     def forget(self) -> None:
-        """At an edge another place may be chosen."""
+        """At an edge another pose may be chosen."""
         if self.is_at_edge:
             self.target = None
 
-    def begin(self, model: KnownModel, seen: TrackedObject) -> UnderWay[Target] | None:
+    def begin(self, model: KnownModel, observed: TrackedObject) -> UnderWay[Target] | None:
         """Begin to choose or judge with a model; None where nothing is to be done. What comes of it is for `take`."""
         if not isinstance(self._goal, EdgeGoal) or (self.target is not None and self._judged_by is model.posterior):
             return None
-        return self._ports.begin_target(model, seen, self._goal, self.edges(), self.target)
+        return self._ports.begin_target(model, observed, self._goal, self.edges(), self.target)
 
     def take(self, target: Target, model: KnownModel) -> None:
         """Keep what came of `begin` with the same model."""
         self.target, self._judged_by = target, model.posterior
 
-    def random_push(self, seen: TrackedObject, seed: int) -> PushPlan2D | int:
+    def random_push(self, observed: TrackedObject, seed: int) -> PushPlan2D | int:
         """An exploring push; its seed where the executor may choose it. Beside an edge it may not: it knows of none.
 
         Raises:
@@ -75,7 +114,7 @@ class TargetChoice:
         settings = self._ports.push_settings()
         if not self.is_at_edge or settings is None:
             return seed
-        return push_on_table(seen.shape, seen.pose, seed, settings, self.edges(), self._ports.obstacles(seen.object_id))
+        return push_on_table(observed.shape, observed.pose, seed, settings, self.edges(), self._ports.obstacles(observed.object_id))
 
     def is_off_table(self, outline: Float64Array, pose: Float64Array) -> bool:
         """Whether all of an outline, shape (n, 2), object frame, lies beyond the edge of the target at a pose, shape (3,)."""

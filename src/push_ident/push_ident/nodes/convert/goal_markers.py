@@ -16,11 +16,11 @@ from push_ident.geometry.se2 import transform_points
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
 from push_ident.nodes.convert.marker import MARKERS, marker
 from push_ident.nodes.convert.messages import TABLE_FRAME
+from push_ident.planning.goal import Target
 from push_ident.planning.goal_ports import GoalProgress, GoalState
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush
-from push_ident.planning.target import Target
 from push_ident.pushing.push import PushPlan2D
 from push_ident.types import Float64Array
 

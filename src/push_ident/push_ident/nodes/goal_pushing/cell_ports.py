@@ -25,11 +25,11 @@ from push_ident.nodes.input.table import TableInput
 from push_ident.nodes.input.tracked_objects import TrackedObjects
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal, edges_of
+from push_ident.planning.goal import Target
 from push_ident.planning.goal_ports import KnownModel, Wish
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush
-from push_ident.planning.target import Target
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.steering import PathRequest, ToolCorrection

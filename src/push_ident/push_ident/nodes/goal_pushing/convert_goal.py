@@ -15,10 +15,9 @@ from push_ident.limits import LIMITS, check_coordinates, plain_text
 from push_ident.nodes.convert.messages import TABLE_FRAME, planar_pose_of
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
-from push_ident.planning.goal import Goal
+from push_ident.planning.goal import Goal, Target
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest
 from push_ident.planning.path_goal import PathGoal
-from push_ident.planning.target import Target
 from push_ident.types import Float64Array
 from push_ident_msgs.action import PushToGoal
 

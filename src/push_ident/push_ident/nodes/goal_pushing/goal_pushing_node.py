@@ -37,7 +37,7 @@ from push_ident.nodes.goal_pushing.settings import GOAL_PUSHING
 from push_ident.nodes.input.table import TableInput
 from push_ident.nodes.input.tracked_objects import TrackedObjects
 from push_ident.planning.edge_goal import EdgeGoal
-from push_ident.planning.goal_code import GoalCode, GoalRefusedError
+from push_ident.planning.goal import GoalCode, GoalRefusedError
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState, Wish
 from push_ident.planning.goal_session import GoalSession
 from push_ident.planning.path_goal import PathGoal
