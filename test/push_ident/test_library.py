@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import push_ident as pi
 from helpers.objects import hammer, random_records, square
-from push_ident.api.one_thread import in_one_thread
+from push_ident.api.calls import in_one_thread
 from push_ident.bags.records import write_records
 from push_ident.errors import InputError
 from push_ident.identification.results.model_file import save_model

@@ -11,16 +11,16 @@ Everything that can go wrong with data raises a `PushIdentError` of one line; a 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import wraps
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from push_ident.api.one_thread import in_one_thread
 from push_ident.diagnosis.diagnose import diagnose as _diagnose
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
@@ -43,6 +43,33 @@ if TYPE_CHECKING:
     from push_ident.api.plots import Picture
 
 __all__ = ["diagnose", "identify", "load", "next_push", "plot", "predict"]
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+_CHOSEN: Final = "OPENBLAS_NUM_THREADS"
+
+
+def in_one_thread(call: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Let numpy and scipy use one thread while a function runs, in the whole process, and as many as before afterwards.
+
+    The matrices of an identification are small: with the two threads that OpenBLAS starts on two cores it takes half as long again, and
+    how they share a sum decides how it is rounded. The command line and the nodes choose one thread before numpy is loaded;
+    a notebook has loaded it. What `OPENBLAS_NUM_THREADS` says is kept. Without the package `threadpoolctl`, which a ROS installation does
+    not bring, nothing is changed.
+    """
+
+    @wraps(call)
+    def called(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        if _CHOSEN in os.environ:
+            return call(*args, **kwargs)
+        try:
+            from threadpoolctl import threadpool_limits
+        except ModuleNotFoundError:
+            return call(*args, **kwargs)
+        with threadpool_limits(limits=1, user_api="blas"):
+            return call(*args, **kwargs)
+
+    return called
 
 
 def load(*bags: str | PathLike[str], object_id: str = "", camera_in_table: ArrayLike | None = None) -> LoadedPushes:

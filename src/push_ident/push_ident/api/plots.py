@@ -27,13 +27,7 @@ from push_ident.types import Float64Array, ObjectShape, PushRecord
 
 __all__ = ["Picture", "draw", "draw_cells"]
 
-_DPI = 80
 _ACCENT, _LIGHT, _WARM, _GREY = "#1f5fa8", "#9fb8d6", "#c0561d", "#8a95a1"
-_CHARACTERS = 12
-"""Of a title per inch of width."""
-_MAX_PANELS = 8
-"""Pushes that are drawn one beside another; of more, the first."""
-_COLUMNS = 4
 
 
 class Picture(Figure):
@@ -41,17 +35,17 @@ class Picture(Figure):
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=_DPI)
+        self.savefig(buffer, format="png", dpi=80)
         return buffer.getvalue()
 
 
-def draw(thing: Any, title: str = "") -> Picture:
+def draw(result: Any, title: str = "") -> Picture:
     """See `push_ident.plot`."""
     for kinds, make in _FIGURES:
-        if isinstance(thing, kinds):
-            return make(thing, title)
+        if isinstance(result, kinds):
+            return make(result, title)
     raise InputError(
-        f"There is no figure of a {type(thing).__name__}; plot() draws pushes and the results of identify, predict, diagnose, next_push."
+        f"There is no figure of a {type(result).__name__}; plot() draws pushes and the results of identify, predict, diagnose, next_push."
     )
 
 
@@ -164,8 +158,8 @@ def draw_cells(ax: Axes, shape: ObjectShape, values: Float64Array, colours: str,
 
 
 def _grid(n: int) -> tuple[Picture, list[Any]]:
-    n = min(n, _MAX_PANELS)
-    columns = min(n, _COLUMNS)
+    n = min(n, 8)  # of more pushes, the first
+    columns = min(n, 4)
     rows = -(-n // columns)
     figure = Picture(figsize=(max(4.8, 3.2 * columns), 3.0 * rows + 0.4), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -193,7 +187,7 @@ def _text(text: str) -> str:
 
 
 def _titled(figure: Picture, title: str) -> Picture:
-    width = int(_CHARACTERS * figure.get_figwidth())
+    width = int(12 * figure.get_figwidth())  # characters
     figure.suptitle("\n".join(textwrap.wrap(_text(title), width)), fontsize=12)
     return figure
 

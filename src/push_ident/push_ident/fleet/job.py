@@ -74,10 +74,10 @@ def find_jobs(paths: Sequence[Path], options: FleetOptions) -> list[Job]:
     for path in paths:
         if not path.exists():
             raise InputError(f"{path} does not exist; name bags, or folders with bags in them.")
-        found = list(_bags_in(path))
-        if not found:
+        in_path = list(_bags_in(path))
+        if not in_path:
             raise InputError(f"There is no bag in {path}, expected files {', '.join(_SUFFIXES)} or folders with metadata.yaml.")
-        bags.update(dict.fromkeys(sorted(found)))
+        bags.update(dict.fromkeys(sorted(in_path)))
     text = json.dumps(asdict(options), sort_keys=True) + push_ident.__version__
     return [Job(bag, f"{bag.stem}-{_digest(bag, text)}") for bag in bags]
 

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any
 
 from push_ident.errors import InputError, PushIdentError
 from push_ident.extras import need
@@ -19,11 +19,6 @@ __all__ = ["FleetProgress", "run_fleet"]
 
 FleetProgress = Callable[[Outcome], None]
 """Called with each outcome, those of an earlier run included."""
-
-_AHEAD: Final = 3
-"""Bags queued per worker, so that no worker waits for the next one."""
-_RETRIES: Final = 1
-"""Number of times that a bag is tried again after its worker was killed."""
 
 
 def run_fleet(
@@ -91,10 +86,11 @@ def _work(
 def _run_all(
     ray: Any, todo: Sequence[Job], options: FleetOptions, folder: Path, outcomes: dict[str, Outcome], on_outcome: FleetProgress
 ) -> None:
-    remote = ray.remote(num_cpus=1, max_retries=_RETRIES)(identify_bag)
+    remote = ray.remote(num_cpus=1, max_retries=1)(identify_bag)
     waiting = list(reversed(todo))
     under_way: dict[Any, Job] = {}
-    limit = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+    # Three bags queued per worker, so that none waits for the next one.
+    limit = 3 * max(1, int(ray.cluster_resources().get("CPU", 1)))
     while waiting or under_way:
         while waiting and len(under_way) < limit:
             job = waiting.pop()

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from typing import Final
 
 import numpy as np
 import pinocchio as pin
 
 from push_ident.errors import InputError
+from push_ident.geometry.frames import TABLE_FRAME
 from push_ident.geometry.rod import Rod
 from push_ident.types import Float64Array
 
 __all__ = ["ArmShape"]
-
-_ROOT: Final = "table"
 
 
 class ArmShape:
@@ -35,8 +33,8 @@ class ArmShape:
             links = ET.fromstring(urdf_xml).findall("link")
         except (ValueError, RuntimeError, ET.ParseError) as error:
             raise InputError(f"The robot description is not a valid URDF: {str(error).strip()}") from None
-        if _ROOT not in [link.get("name") for link in links]:
-            raise InputError(f"The robot description has no link `{_ROOT}`; root it there, so that its poses are in the table frame.")
+        if TABLE_FRAME not in [link.get("name") for link in links]:
+            raise InputError(f"The robot description has no link `{TABLE_FRAME}`; root it there, so that its poses are in the table frame.")
         self._data = self._model.createData()
         self._index = {
             name: self._model.joints[number].idx_q

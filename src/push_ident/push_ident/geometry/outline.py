@@ -28,10 +28,6 @@ __all__ = [
 ]
 
 _Corner = tuple[int, int]
-_PAIRS = 1_000_000
-"""Pairs of points and vertices that are worked on at once: 50 MB."""
-_LATTICE_TOLERANCE = 0.02
-"""Largest distance of a cell from the lattice, in cells: rounding to float32 causes far less, a wrong size far more."""
 
 
 def polygon_area(polygon: ArrayLike) -> float:
@@ -92,7 +88,7 @@ def _distance(points: Float64Array, start: Float64Array) -> Float64Array:
 
 def _in_blocks(function: Callable[[Float64Array, Float64Array], Any], points: Float64Array, polygon: Float64Array) -> NDArray[Any]:
     """`function` of the points, so many at once that all pairs of points and vertices fit into little memory."""
-    size = max(1, _PAIRS // max(1, len(polygon)))
+    size = max(1, 1_000_000 // max(1, len(polygon)))  # pairs: 50 MB
     if len(points) <= size:
         return np.asarray(function(points, polygon))
     return np.concatenate([function(points[at : at + size], polygon) for at in range(0, len(points), size)])
@@ -131,7 +127,7 @@ def outline_of_cells(centres: ArrayLike, size: float, *, yaw: float = 0.0) -> Fl
     lattice = (centres - centres[0]) @ rotation(yaw) / size
     indices = np.rint(lattice).astype(np.int64)
     error = float(np.abs(lattice - indices).max())
-    if error > _LATTICE_TOLERANCE:
+    if error > 0.02:  # [cells]: rounding to float32 causes far less, a wrong size far more
         raise InputError(f"cell centres lie up to {error * size:.2g} m from a lattice of {size:g} m; pass its size and yaw.")
     loops = _boundary_loops({(int(i), int(j)) for i, j in indices})
     corners = max(loops, key=polygon_area)

@@ -11,9 +11,6 @@ from push_ident.types import Float64Array
 
 __all__ = ["pose_of_quaternion", "quaternion_of_pose"]
 
-_UNIT = 1e-3
-"""Largest deviation of the norm of a quaternion from one."""
-
 
 def pose_of_quaternion(position: ArrayLike, quaternion: ArrayLike) -> Float64Array:
     """Pose (4, 4) of a frame at `position` [m], shape (3,), turned by `quaternion` (x, y, z, w).
@@ -22,7 +19,7 @@ def pose_of_quaternion(position: ArrayLike, quaternion: ArrayLike) -> Float64Arr
         InputError: The quaternion does not have unit length, a value is not finite, or a shape is wrong.
     """
     shift, turn = np.asarray(position, dtype=np.float64), np.asarray(quaternion, dtype=np.float64)
-    is_unit = turn.shape == (4,) and abs(float(np.linalg.norm(turn)) - 1.0) < _UNIT
+    is_unit = turn.shape == (4,) and abs(float(np.linalg.norm(turn)) - 1.0) < 1e-3
     if shift.shape != (3,) or not np.isfinite(shift).all() or not is_unit:
         raise InputError(f"A pose is a position (x, y, z) and a unit quaternion (x, y, z, w), got {shift.tolist()} and {turn.tolist()}.")
     pose = np.eye(4)

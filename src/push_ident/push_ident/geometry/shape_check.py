@@ -6,6 +6,7 @@ unit, scaled, mirrored or displaced is refused where it is read, before a fit le
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -17,25 +18,32 @@ from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["check_pusher_radius", "check_shape", "crossing_edges"]
 
-_LEAST_EXTENT: Final = 2e-3
-"""Of an object [m]: a camera that locates objects to a millimetre sees no smaller one; metres taken for millimetres make 0.06 mm of 60."""
-_CROSSING: Final = 1e-6
-"""Depth from which edges cross [m]: outlines are sent in single precision, which rounds by 6e-8 m at 1 m."""
-_CELLS_OUTSIDE: Final = 1.0
-"""Distance of a cell's centre outside the outline [cells]: a cell that touches the outline with a corner has it 0.7 cells outside. Largest
-of 16 recordings: 0 (real triangles, tracked and simulated objects)."""
-_OUTLINE_BEYOND: Final = 3.0
-"""Distance of the outline from the nearest centre of a cell [cells]: the tip of a wedge of 20 degrees is 2.8 away from the first centre
-that is inside. Largest of 16 recordings: 1.6, the tip of a triangle."""
-_OVERLAP: Final = 0.04
-"""Depth to which neighbouring cells may overlap [cells]: each lies within 0.02 of its lattice (`outline_of_cells`)."""
-_AREA: Final = 1.0
-"""Difference between the area of the cells and that of the outline, over the length of the outline [cells]. Cells whose centres are inside
-differ by 0.26 at most (20,000 random polygons of 2 to 150 cells), cells that touch the outline by 0.7; on a square of 10 x 10 cells, a size
-that is a fifth too small by 1.1."""
 
-_MOST_POINTS: Final = 1_000
-"""Points of one edge that are looked at, however small the cells are."""
+@dataclass(frozen=True, slots=True)
+class ShapeLimits:
+    """Agreement of cells and outline of one shape."""
+
+    least_extent: float = 2e-3
+    """Least width of an object [m]: a camera with millimetre accuracy sees no smaller one; 60 mm given in the wrong unit are 0.06 mm."""
+    crossing_depth: float = 1e-6
+    """Depth from which edges cross [m]: outlines are sent in single precision, which rounds by 6e-8 m at 1 m."""
+    cell_outside: float = 1.0
+    """Largest distance of a cell's centre outside the outline [cells]: a cell that touches the outline with a corner has it 0.7 cells
+    outside. Largest of 16 recordings: 0 (real triangles, tracked and simulated objects)."""
+    outline_beyond: float = 3.0
+    """Largest distance of the outline from the nearest centre of a cell [cells]: the tip of a wedge of 20 degrees is 2.8 from the first
+    centre inside. Largest of 16 recordings: 1.6, the tip of a triangle."""
+    overlap: float = 0.04
+    """Largest overlap of neighbouring cells [cells]: each lies within 0.02 of its lattice (`outline_of_cells`)."""
+    area: float = 1.0
+    """Largest difference between the areas of cells and outline, over the length of the outline [cells]. Cells whose centres are inside
+    differ by 0.26 at most (20,000 random polygons of 2 to 150 cells), cells that touch the outline by 0.7; on a square of 10 x 10 cells, a
+    size that is a fifth too small by 1.1."""
+    edge_points: int = 1_000
+    """Largest number of points of one edge that are compared with the cells."""
+
+
+_LIMITS: Final = ShapeLimits()
 
 
 def check_shape(shape: ObjectShape, *, remedy: str = "") -> ObjectShape:
@@ -52,8 +60,8 @@ def check_shape(shape: ObjectShape, *, remedy: str = "") -> ObjectShape:
     remedy = remedy or "Give cells and outline of the same object, in the object frame, in metres."
     extent = float(np.max(np.ptp(shape.outline, axis=0)))
     LIMITS.EXTENT.check(extent, "Outline", remedy=remedy)
-    if extent < _LEAST_EXTENT:
-        raise InputError(f"The outline is {extent:.2g} m wide, expected at least {_LEAST_EXTENT:g} m. {remedy}")
+    if extent < _LIMITS.least_extent:
+        raise InputError(f"The outline is {extent:.2g} m wide, expected at least {_LIMITS.least_extent:g} m. {remedy}")
     LIMITS.EXTENT.check(shape.cells.size, "Cell", remedy=remedy)
     if shape.outline_std is not None:
         LIMITS.EXTENT.check(float(np.max(shape.outline_std)), "Deviation of an outline", remedy=remedy)
@@ -64,11 +72,11 @@ def check_shape(shape: ObjectShape, *, remedy: str = "") -> ObjectShape:
         )
     centres, size = shape.cells.centres, shape.cells.size
     outside = float(np.max(signed_distance(centres, shape.outline)))
-    if outside > _CELLS_OUTSIDE * size:
+    if outside > _LIMITS.cell_outside * size:
         raise InputError(f"Cells lie up to {outside:.3g} m outside the outline, expected at most a cell of {size:.3g} m. {remedy}")
-    beyond = _distance_to_cells(shape, _OUTLINE_BEYOND * size)
-    if beyond > _OUTLINE_BEYOND * size:
-        most = f"{_OUTLINE_BEYOND:g} cells of {size:.3g} m"
+    beyond = _distance_to_cells(shape, _LIMITS.outline_beyond * size)
+    if beyond > _LIMITS.outline_beyond * size:
+        most = f"{_LIMITS.outline_beyond:g} cells of {size:.3g} m"
         raise InputError(f"The outline lies {beyond:.3g} m away from the cells, expected at most {most}. {remedy}")
     _check_cells(shape, remedy)
     return shape
@@ -79,10 +87,10 @@ def _check_cells(shape: ObjectShape, remedy: str) -> None:
     centres, size, along = shape.cells.centres, shape.cells.size, np.roll(shape.outline, -1, axis=0) - shape.outline
     distance = np.linalg.norm(centres[:, None] - centres, axis=2) + np.diag(np.full(len(centres), np.inf))
     nearest = float(np.min(distance))
-    if nearest < (1.0 - _OVERLAP) * size:
+    if nearest < (1.0 - _LIMITS.overlap) * size:
         raise InputError(f"Two cells are {nearest:.3g} m apart, expected at least their size of {size:.3g} m. {remedy}")
     covered, enclosed = len(centres) * size**2, polygon_area(shape.outline)
-    if abs(covered - enclosed) > _AREA * size * float(np.sum(np.linalg.norm(along, axis=1))):
+    if abs(covered - enclosed) > _LIMITS.area * size * float(np.sum(np.linalg.norm(along, axis=1))):
         raise InputError(f"Cells of {size:.3g} m cover {covered:.3g} m^2, expected about the {enclosed:.3g} m^2 of the outline. {remedy}")
 
 
@@ -106,7 +114,7 @@ def crossing_edges(outline: Float64Array) -> tuple[int, int] | None:
         from_others = [_cross(along[others], point - start[others]) / length[others] for point in (start[i], end[i])]
         crosses = np.ones(len(start[others]), dtype=bool)
         for a, b in (from_this, from_others):
-            crosses &= (a * b < 0) & (np.minimum(np.abs(a), np.abs(b)) > _CROSSING)
+            crosses &= (a * b < 0) & (np.minimum(np.abs(a), np.abs(b)) > _LIMITS.crossing_depth)
         if np.any(crosses):
             return i, i + 2 + int(np.argmax(crosses))
     return None
@@ -126,7 +134,7 @@ def _distance_to_cells(shape: ObjectShape, allowed: float) -> float:
     along = np.roll(start, -1, axis=0) - start
     worst = 0.0
     for a, edge in zip(start, along, strict=True):
-        n = min(int(np.linalg.norm(edge) / (0.5 * shape.cells.size)) + 1, _MOST_POINTS)
+        n = min(int(np.linalg.norm(edge) / (0.5 * shape.cells.size)) + 1, _LIMITS.edge_points)
         points = a + np.arange(n)[:, None] / n * edge
         distance2 = np.min(np.sum((points[:, None] - shape.cells.centres) ** 2, axis=2), axis=1)
         worst = max(worst, float(np.sqrt(np.max(distance2))))

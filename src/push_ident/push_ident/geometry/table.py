@@ -1,4 +1,4 @@
-"""The table that objects stand on, where its border is known."""
+"""The table that objects stand on, as a polygon."""
 
 from __future__ import annotations
 
@@ -10,9 +10,6 @@ from push_ident.errors import InputError
 from push_ident.types import Float64Array
 
 __all__ = ["Table"]
-
-_LEAST_SIDE = 0.01
-"""Of a table [m]: shorter sides are mistakes of the unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +28,8 @@ class Table:
         if corners.ndim != 2 or corners.shape[1:] != (2,) or len(corners) < 3 or not np.isfinite(corners).all():
             raise InputError(f"A table has corners of shape {corners.shape}, expected three or more pairs x, y of finite numbers [m].")
         side = np.roll(corners, -1, axis=0) - corners
-        if float(np.linalg.norm(side, axis=1).min()) < _LEAST_SIDE:
-            raise InputError(f"A side of the table is shorter than {1e3 * _LEAST_SIDE:.0f} mm; give its corners in metres, each once.")
+        if float(np.linalg.norm(side, axis=1).min()) < 0.01:
+            raise InputError("A side of the table is shorter than 10 mm; give its corners in metres, each once.")
         following = np.roll(side, -1, axis=0)
         bend = side[:, 0] * following[:, 1] - side[:, 1] * following[:, 0]
         turns = np.arctan2(bend, np.sum(side * following, axis=1))

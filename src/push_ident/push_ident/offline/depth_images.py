@@ -28,14 +28,8 @@ __all__ = ["CAMERA_INFO", "DepthImages", "OrganisedCloud", "read_camera_info", "
 CAMERA_INFO: Final = "camera_info.yaml"
 """File with the intrinsics beside the images, as `camera_calibration` of ROS writes it."""
 _SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".pcd")
-_PERIOD: Final = 1 / 30
-"""Between the stamps that the images of a folder get [s]: files have none; depth cameras have 30 Hz."""
 _PLAUSIBLE: Final = (0.05, 20.0)
 """Range of the median depth of an image of a table [m]: nearer than any depth camera measures, and farther."""
-_INTEGER_UNIT: Final = 1e-3
-"""Metres per unit of an image of integers (REP 118)."""
-_MIN_POINTS: Final = 100
-"""Least number of measured points of a cloud that give the intrinsics, four numbers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +50,7 @@ class DepthImages:
     intrinsics: tuple[float, float, float, float] | None = None
     """fx, fy, cx, cy [px]; None: from `camera_info.yaml`, or from the points."""
     unit: float | None = None
-    """Metres per unit of an image; None: 0.001 for integers, 1 for real numbers. Clouds are in metres."""
+    """Metres per unit of an image; None: 0.001 for integers (REP 118), 1 for real numbers. Clouds are in metres."""
     skipped: list[str] = field(default_factory=list)
     """What was left out of the folder and why, one line each; filled while frames are read."""
 
@@ -79,7 +73,7 @@ class DepthImages:
                     raise
                 self.skipped.append(str(error))
                 continue
-            first = DepthFrame(0.0 if first is None else first.stamp + _PERIOD, frame.depth, frame.intrinsics)
+            first = DepthFrame(0.0 if first is None else first.stamp + 1 / 30, frame.depth, frame.intrinsics)
             yield first
         if first is None:
             why = f"the first: {self.skipped[0]}" if self.skipped else f"it has no {', '.join(_SUFFIXES)}"
@@ -94,10 +88,9 @@ class DepthImages:
 
     def _read(self, path: Path, stamp: float) -> DepthFrame:
         if path.suffix.lower() == ".pcd":
-            own = read_cloud(path).frame
-            if self.intrinsics is None:
-                return DepthFrame(stamp, own.depth, own.intrinsics)
-            return DepthFrame(stamp, own.depth, self._camera(path, own.depth.shape))
+            cloud = read_cloud(path).frame
+            intrinsics = cloud.intrinsics if self.intrinsics is None else self._camera(path, cloud.depth.shape)
+            return DepthFrame(stamp, cloud.depth, intrinsics)
         depth = _metres(path, _array_of(path), self.unit)
         frame = DepthFrame(stamp, depth, self._camera(path, depth.shape))
         try:
@@ -185,8 +178,8 @@ def read_cloud(path: Path) -> OrganisedCloud:
     depth = points[..., 2].astype(np.float32)
     with np.errstate(invalid="ignore"):
         depth[~(np.isfinite(points).all(axis=2) & (depth > 0))] = np.nan
-    if np.count_nonzero(np.isfinite(depth)) < _MIN_POINTS:
-        raise InputError(f"{path} has {np.count_nonzero(np.isfinite(depth))} measured points, expected at least {_MIN_POINTS}.")
+    if np.count_nonzero(np.isfinite(depth)) < 100:  # they determine four intrinsics
+        raise InputError(f"{path} has {np.count_nonzero(np.isfinite(depth))} measured points, expected at least 100.")
     return OrganisedCloud(DepthFrame(0.0, depth, _intrinsics(points, depth)), label)
 
 
@@ -242,7 +235,7 @@ def _metres(path: Path, image: NDArray[Any], unit: float | None) -> NDArray[np.f
     """Depth [m], NaN where nothing was measured. Raises InputError for types and values that are no depths."""
     if image.dtype.kind not in "uif" or image.dtype.itemsize < 2:
         raise InputError(f"{path} has pixels of type {image.dtype}, expected 16-bit integers or 32-bit real numbers; 8 bits hold no depth.")
-    scale = unit if unit is not None else _INTEGER_UNIT if image.dtype.kind in "ui" else 1.0
+    scale = unit if unit is not None else 1e-3 if image.dtype.kind in "ui" else 1.0
     depth = np.asarray(image, dtype=np.float32) * np.float32(scale)
     with np.errstate(invalid="ignore"):
         depth[~(np.isfinite(depth) & (depth > 0))] = np.nan

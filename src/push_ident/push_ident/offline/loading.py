@@ -28,13 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["LoadedPushes", "load_pushes", "most_pushed", "touching_radius", "track_from_depth"]
 
 _CONTACT: Final = tuple(effect.name for effect in EFFECTS.values() if effect.acts == OnContact("offset"))
-"""Of the surface that the pusher touches: it stands for an error of the outline, or of the pusher's radius."""
-_MAX_AGE: Final = 0.1
-"""Longest time between a depth image and the pusher's pose that places it in the image [s]."""
-_ENOUGH_PUSHES: Final = 100
-"""Number of pushes of an object from which it is seen whether they touch it."""
-_MOST: Final = 0.5
-"""Share of impossible pushes above which frames, units or clocks are wrong rather than single poses [-]: the fit then names the cause."""
+"""Effects of the surface that the pusher touches: an error of the outline, or of the pusher's radius."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +91,8 @@ def load_pushes(
         paths: bags. Where one has no object poses, they are tracked in its depth images.
         object_id: the object; empty: the only one, or the one with the most pushes.
         camera_in_table: extrinsics for depth bags without them, homogeneous, shape (4, 4).
-        possible_with: to learn from: poses and pushes that no push of an object of this prior can have made are left out. None: all, as a
-            diagnosis looks at them.
+        possible_with: prior of the object: poses and pushes that are impossible under it are left out. None: keep all, as for a
+            diagnosis.
         on_progress: called with a line of text for each step.
 
     Raises:
@@ -149,7 +143,8 @@ def _possible(pushes: list[PushRecord], prior: Prior) -> tuple[list[PushRecord],
             continue
         possible.append(checked.record)
         notes += [f"{push.source}: {checked.note}"] if checked.note else []
-    if len(refused) > _MOST * len(pushes):
+    # Above one half, frames, units or clocks are wrong rather than single poses: the fit then names the cause.
+    if len(refused) > 0.5 * len(pushes):
         cause = "look at frames, units and clocks of poses and pusher"
         return pushes, [f"{len(refused)} of {len(pushes)} pushes are impossible but not left out; {cause}. The first is {refused[0]}"]
     return possible, notes + [f"left out is {text}" for text in refused]
@@ -176,11 +171,12 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
             f"{contents.path}: depth images without the pose of the camera; record /tf_static (`table` -> camera), or give --camera FILE."
         )
     pusher, radius = contents.pusher, contents.pusher_radius or 0.0
+    max_age = 0.1  # [s] between a depth image and the pose that places the pusher in it
 
     def robot_at(stamp: float) -> list[Cylinder]:
         """The pusher, if its position is known at that time."""
         after = int(np.searchsorted(pusher.time, stamp))
-        if np.min(np.abs(pusher.time[max(after - 1, 0) : after + 1] - stamp)) > _MAX_AGE:
+        if np.min(np.abs(pusher.time[max(after - 1, 0) : after + 1] - stamp)) > max_age:
             return []
         x, y = (float(np.interp(stamp, pusher.time, pusher.value[:, axis])) for axis in (0, 1))
         return [Cylinder(x=x, y=y, radius=radius)]
@@ -204,8 +200,8 @@ def most_pushed(contents: BagContents) -> str:
     touched = {}
     for object_id, records in pushes_by_object(contents).items():
         if records:
-            # A part of very many pushes shows as well which object is pushed.
-            some = records[:: 1 + len(records) // _ENOUGH_PUSHES]
+            # About 100 pushes show which object is touched.
+            some = records[:: 1 + len(records) // 100]
             touched[object_id] = float(np.mean([observe_push(record).touched for record in some])) * len(records)
     if not touched:
         reasons = " ".join(note for note in contents.notes if note.startswith("object "))

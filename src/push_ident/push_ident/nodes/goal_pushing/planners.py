@@ -13,11 +13,11 @@ from push_ident.nodes.goal_pushing.settings import GOAL_PUSHING
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import EdgeGoal, edge_target, held_target
+from push_ident.planning.goal import Target
 from push_ident.planning.library import compile_planning
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_steps import PathStep, PathSteps
 from push_ident.planning.planner import GoalPlanner, GoalPush
-from push_ident.planning.goal import Target
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape
