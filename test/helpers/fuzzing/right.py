@@ -40,9 +40,8 @@ from push_ident.nodes.convert.tool_path import correction_to_msg, path_goal
 from push_ident.perception.refusals import Reason, Refusal
 from push_ident.physics.overhang import TableEdge
 from push_ident.physics.scenario import PushScenario
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.steering import PathRequest, ToolCorrection
-from push_ident.pushing.tool_path import ToolPath
+from push_ident.pushing.tool_path import Corridor, ToolPath
 from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, PusherPath
 from push_ident_msgs.action import ExecutePush, PushToGoal
 from push_ident_msgs.msg import GapReport, HandCommand, HandStatus, PushRecord

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from push_ident.types import ObjectModel, PusherPath
 from push_ident_sim.studies.common.random_objects import random_object
 
 OF_MOTION = [name for name, effect in EFFECTS.items() if not isinstance(effect.acts, OnTimes | OnPoses | OnForces | OnForceTimes)]
-PLACE = np.array([0.1, -0.2, 2.0])
+POSE = np.array([0.1, -0.2, 2.0])
 """Pose of an object that effects of the table see from another side."""
 
 
@@ -42,11 +43,14 @@ def models() -> list[ObjectModel]:
     return [first, ObjectModel(first.shape, first.mass[::-1].copy(), first.friction, 0.1)]
 
 
-def test_batch_equals_single_simulations() -> None:
+@pytest.mark.parametrize("law", [{}, {"smoothing_speed": 0.5, "quasi_static": True}], ids=["fast", "slow"])
+def test_batch_equals_single_simulations(law: dict[str, Any]) -> None:
     both, pushes = models(), pushes_of(np.random.default_rng(0), 70)
     bodies = [body_of_cells(model.shape, model.mass, model.friction) for model in both]
-    found = rollouts(both[0].shape, [BatchModel(b, m.pusher_friction) for b, m in zip(bodies, both, strict=True)], pushes, step=1 / 120)
-    numerics = SimulationSettings(step=1 / 120, resolve_events=True)
+    found = rollouts(
+        both[0].shape, [BatchModel(b, m.pusher_friction) for b, m in zip(bodies, both, strict=True)], pushes, step=1 / 120, **law
+    )
+    numerics = SimulationSettings(step=1 / 120, resolve_events=True, **law)
     expected = [
         [
             simulate_body(
@@ -145,28 +149,16 @@ def test_a_surface_beside_its_outline_is_that_of_the_effect() -> None:
             np.testing.assert_allclose(pose, single.pose, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "name", [name for name, effect in EFFECTS.items() if not isinstance(effect.acts, OnTimes | OnPoses | OnForces | OnForceTimes)]
-)
+@pytest.mark.parametrize("name", OF_MOTION)
 def test_effects_act_as_in_single_simulations(name: str) -> None:
     model, rng = models()[0], np.random.default_rng(5)
-    pushes = [BatchPush(moved(PLACE, push.pusher), PLACE, push.time) for push in pushes_of(rng, 5)]
+    pushes = [BatchPush(moved(POSE, push.pusher), POSE, push.time) for push in pushes_of(rng, 5)]
     body, numerics = body_of_cells(model.shape, model.mass, model.friction), SimulationSettings(step=1 / 120, resolve_events=True)
     sizes = [effect_values({name: [scale * p.typical + p.nominal for p in EFFECTS[name].parameters]}) for scale in (0.5, 1.0)]
     batch = [BatchModel(body, model.pusher_friction, effects=own) for own in sizes]
     found = rollouts(model.shape, batch, pushes, step=1 / 120)
     for poses, own in zip(found, sizes, strict=True):
         for pose, push in zip(poses, pushes, strict=True):
-            scenario = PushScenario(push.pusher, PLACE, push.time)
+            scenario = PushScenario(push.pusher, POSE, push.time)
             single = simulate_body(model.shape, body, model.pusher_friction, scenario, settings=numerics, effects=own)
             np.testing.assert_array_equal(pose, single.pose)
-
-
-def test_slow_laws_of_friction_are_those_of_single_simulations() -> None:
-    model, pushes = models()[0], pushes_of(np.random.default_rng(6), 5)
-    body = body_of_cells(model.shape, model.mass, model.friction)
-    found = rollouts(model.shape, [BatchModel(body, 0.1)], pushes, step=1 / 120, smoothing_speed=0.5, quasi_static=True)[0]
-    numerics = SimulationSettings(step=1 / 120, resolve_events=True, smoothing_speed=0.5, quasi_static=True)
-    for pose, push in zip(found, pushes, strict=True):
-        single = simulate_body(model.shape, body, 0.1, PushScenario(push.pusher, np.zeros(3), push.time), settings=numerics)
-        np.testing.assert_array_equal(pose, single.pose)

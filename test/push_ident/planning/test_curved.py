@@ -34,6 +34,17 @@ PERIOD = 1.0 / 30.0
 FRAME = np.diag([1e-6, 1e-6, 1e-4])
 
 
+@pytest.fixture(scope="module")
+def planner() -> CurvedPathPlanner:
+    return CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1)
+
+
+@pytest.fixture(scope="module")
+def plan(planner: CurvedPathPlanner) -> CurvedPush:
+    """The first push along the circle."""
+    return planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+
+
 def known() -> ModelBatch:
     return ModelBatch(MODEL.shape, KNOWN.models(0, np.random.default_rng(0)), SETTINGS.pusher_radius)
 
@@ -66,8 +77,7 @@ def between(time: Float64Array, values: Float64Array, at: Float64Array) -> Float
     return np.column_stack([np.interp(at, time, column) for column in values.T])
 
 
-def test_tool_without_unknowns_moves_as_if_fixed_to_the_object_on_its_path_and_with_them_turns_and_speeds_up() -> None:
-    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+def test_tool_without_unknowns_moves_as_if_fixed_to_the_object_on_its_path_and_with_them_turns_and_speeds_up(plan: CurvedPush) -> None:
     start, horizon = start_of(plan), Horizon.of(CIRCLE.speed, 0.08, np.array([-0.2, 0.0]))
     changed = np.zeros((1, 2, N_SEGMENTS, 2))
     changed[0, 1, 0] = 0.5, 0.3
@@ -114,8 +124,7 @@ def test_unknowns_of_a_later_look_ahead_are_the_same_motion(delay: float) -> Non
         np.testing.assert_allclose(offset(moved, end), offset(unknowns, end + delay) - offset(unknowns, delay), atol=1e-12)
 
 
-def test_improved_push_is_what_the_engine_makes_of_it_and_costs_less() -> None:
-    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+def test_improved_push_is_what_the_engine_makes_of_it_and_costs_less(plan: CurvedPush) -> None:
     pushes, horizon = CurvedPushes(SETTINGS, CIRCLE), Horizon.of(CIRCLE.speed, 0.08, np.array([-0.2, 0.0]))
     start = replace(start_of(plan), pose=CIRCLE.poses[0] + np.array([0.004, -0.005, 0.06]))
     lead = start.lead + np.array([0.004, -0.005])
@@ -159,16 +168,14 @@ def follow(
     return correction.status, np.array(poses), gaps
 
 
-def test_object_is_kept_on_a_circle_in_one_contact_that_is_never_lost() -> None:
-    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+def test_object_is_kept_on_a_circle_in_one_contact_that_is_never_lost(plan: CurvedPush) -> None:
     status, poses, gaps = follow(World(MODEL, CIRCLE.poses[0]), plan, noise=1.0)
     _, error = CIRCLE.error(poses, 0.0, CIRCLE.length)
     assert status is FollowStatus.ARRIVED and max(gaps[3:]) < 1e-3
     assert np.sqrt(np.mean(error[:, 0] ** 2)) < 0.003 and np.sqrt(np.mean(error[:, 1] ** 2)) < np.radians(2.0)
 
 
-def test_corrections_that_are_due_at_once_go_on_from_the_ones_before() -> None:
-    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+def test_corrections_that_are_due_at_once_go_on_from_the_ones_before(plan: CurvedPush) -> None:
     status, poses, gaps = follow(World(MODEL, CIRCLE.poses[0]), plan, noise=1.0, late=2)
     _, error = CIRCLE.error(poses, 0.0, CIRCLE.length)
     assert status is FollowStatus.ARRIVED and max(gaps[3:]) < 1e-3
@@ -181,8 +188,7 @@ def test_corrections_that_are_due_at_once_go_on_from_the_ones_before() -> None:
     assert rolled.cost[0, 0] == np.min(pushes.roll(known(), horizon, [start_of(plan)], guesses).cost)
 
 
-def test_object_that_was_displaced_on_its_way_is_brought_back_by_the_same_contact() -> None:
-    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
+def test_object_that_was_displaced_on_its_way_is_brought_back_by_the_same_contact(plan: CurvedPush) -> None:
     along = CIRCLE.direction(0.0)
     aside = np.array([np.cos(along + 1.0), np.sin(along + 1.0), 0.0]) * 0.01 + [0.0, 0.0, 0.1]
     status, poses, _ = follow(World(MODEL, CIRCLE.poses[0]), plan, 0.0, aside)
@@ -190,8 +196,7 @@ def test_object_that_was_displaced_on_its_way_is_brought_back_by_the_same_contac
     assert status is FollowStatus.ARRIVED and np.max(error[:, 0]) > 0.005 and np.max(error[-15:, 0]) < 0.004
 
 
-def test_tool_that_would_leave_its_corridor_is_said_so() -> None:
-    planner = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1)
+def test_tool_that_would_leave_its_corridor_is_said_so(planner: CurvedPathPlanner) -> None:
     plan = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
     assert plan.tool is not None and plan.corridor is not None
     assert np.max(plan.corridor.excess(plan.tool)) == 0.0
@@ -206,8 +211,7 @@ def test_tool_that_would_leave_its_corridor_is_said_so() -> None:
         Corridor(np.zeros((2, 2)), 0.0)
 
 
-def test_contacts_that_failed_and_paths_out_of_reach_are_not_planned() -> None:
-    planner = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1)
+def test_contacts_that_failed_and_paths_out_of_reach_are_not_planned(planner: CurvedPathPlanner) -> None:
     first = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
     assert first.status is PathStatus.PUSH and isinstance(first.contact, PushPlan2D) and first.expected_done > 0.05
     second = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0, failed=[first.contact])

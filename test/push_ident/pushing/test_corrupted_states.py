@@ -12,7 +12,6 @@ from helpers.memory_cell import CONTACT, SETTINGS, Bench
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.motion import joint_limits
 from push_ident.pushing.take_over import stand_at
-from push_ident_sim.cell.robot import HOME, robot_description
 
 STREAMS = int(os.environ.get("STREAMS", "24"))
 """Random streams of states; `make states STREAMS=10000` for more."""
@@ -20,11 +19,6 @@ SEED = int(os.environ.get("SEED", "1"))
 ROUNDING = 2e-3
 STATES = 300
 """Of a push, up to its rest."""
-
-
-@pytest.fixture(scope="module")
-def kinematics() -> ArmKinematics:
-    return ArmKinematics(robot_description(), neutral=HOME)
 
 
 @pytest.mark.parametrize("stream", range(STREAMS))

@@ -17,17 +17,6 @@ from push_ident.pushing.ports import Phase
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.push_request import ExecutionSettings, Mode, PushOutcome, PushRequest
 from push_ident.types import Float64Array
-from push_ident_sim.cell.robot import HOME, robot_description
-
-
-@pytest.fixture(scope="module")
-def kinematics() -> ArmKinematics:
-    return ArmKinematics(robot_description(), neutral=HOME)
-
-
-@pytest.fixture
-def bench(kinematics: ArmKinematics) -> Bench:
-    return Bench(kinematics)
 
 
 def test_push_carries_the_box_along_and_reports_each_phase(bench: Bench) -> None:
@@ -275,3 +264,23 @@ def test_pose_that_no_push_can_have_made_is_no_success(bench: Bench, jump: tuple
     outcome = bench.push(CONTACT, settings)
     assert code_of(outcome) == PushCode.OBJECT_LOST and "cannot be where its pose says" in str(outcome.error)
     assert bench.pushes[0].error is outcome.error
+
+
+@pytest.mark.parametrize(("behind", "rate"), [(0.0, 0.3), (3.0, 1.0), (3.0, 0.3)], ids=["slow", "behind", "slow and behind"])
+def test_record_has_the_times_of_the_tool_where_the_clock_is_wrong(kinematics: ArmKinematics, behind: float, rate: float) -> None:
+    bench = Bench(kinematics)
+    lowered: list[float] = []
+
+    def note(cell: Cell) -> None:
+        if bench.execution.is_pushing:
+            lowered.append(cell.time)
+
+    bench.cell.events.append(note)
+    bench.cell.now = lambda: 100.0 - behind + rate * (bench.cell.time - 100.0)  # type: ignore[method-assign]
+    outcome = bench.push()
+    assert outcome.error is None, outcome.error
+    (push,) = bench.pushes
+    start, stop, end = push.times()
+    assert start == pytest.approx(lowered[0], abs=0.03) and end == pytest.approx(lowered[-1], abs=0.03)
+    assert push.contact is not None and start < push.contact < stop < end
+    assert end - stop == pytest.approx(SETTINGS.motion.rest, abs=0.05) and stop - start > CONTACT.distance / CONTACT.speed

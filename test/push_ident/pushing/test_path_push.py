@@ -14,7 +14,7 @@ from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.steering import CorrectionFault, PathRequest, Steering, ToolCorrection
 from push_ident.pushing.tool_path import Corridor, ToolMotion, ToolPath, rounded, stopping
 from push_ident.types import Float64Array
-from push_ident_sim.cell.robot import HOME, robot_description
+from push_ident_sim.cell.robot import HOME
 
 PARKED = (0.5, *HOME[1:])
 MOTION = MotionSettings(home=PARKED, free_speed=0.5, settle=0.2, rest=0.4)
@@ -26,11 +26,6 @@ SPEED = 0.1
 PATH = ToolPath(np.append(0.0, 0.3 + 0.12 * ANGLE / SPEED), BEND)
 CORRIDOR = Corridor(BEND, 0.04)
 PUSH = PushPlan2D(np.array([0.018, 0.0]), BEND[1], 0.0, 0.1, SPEED)
-
-
-@pytest.fixture(scope="module")
-def kinematics() -> ArmKinematics:
-    return ArmKinematics(robot_description(), neutral=HOME)
 
 
 @pytest.fixture(scope="module")

@@ -21,10 +21,9 @@ from system.faults.suite import THE_PUSH, Trial, fault
 from push_ident.bags.reader import read_bag
 from push_ident.geometry.outline import signed_distance
 from push_ident.nodes.convert.tool_path import correction_to_msg, path_goal
-from push_ident.pushing.corridor import Corridor
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.steering import PathRequest, ToolCorrection
-from push_ident.pushing.tool_path import ToolPath
+from push_ident.pushing.tool_path import Corridor, ToolPath
 from push_ident_msgs.msg import MassFrictionMap
 from push_ident_sim.objects import make_object
 

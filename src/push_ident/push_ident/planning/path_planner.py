@@ -139,10 +139,10 @@ class PathPlanner:
         in_arm = compose(camera_in_arm, pose)
         library = self._library_of(belief, in_arm)
         around = Surroundings([transform_points(camera_in_arm, outline) for outline in obstacles], failed)
-        for number, k, reached in self._ranked(library, pose, path, now):
+        for number, k, expected in self._ranked(library, pose, path, now):
             plan = placed(library.strokes, number, in_arm, float(library.lengths[k]), self._settings.speed_range[0])
             if is_possible(self._shape, self._settings, plan, in_arm, library.motion[0, number, k], around):
-                return PathPush(PathStatus.PUSH, now, plan, reached)
+                return PathPush(PathStatus.PUSH, now, plan, expected)
         return PathPush(PathStatus.UNREACHABLE, now)
 
     def _rate(self, library: Library, pose: Float64Array, path: PathGoal, now: float) -> float:
