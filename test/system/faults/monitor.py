@@ -28,12 +28,12 @@ ASK_AGAIN = 2.5
 """A server that was killed is known to the graph for some seconds: after so long without an answer it is asked again [s]."""
 
 
-def until(condition: Callable[[], object], patience: float, missing: str) -> None:
-    """Fail, saying what is `missing`, where `condition` is not true within `patience` [s]."""
+def until(condition: Callable[[], object], patience: float, missing: str, every: float = 0.005) -> None:
+    """Fail, saying what is `missing`, where `condition` is not true within `patience` [s]; looks at it `every` so many seconds."""
     deadline = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < deadline, f"{missing} within {patience:.0f} s"
-        time.sleep(0.005)
+        time.sleep(every)
 
 
 @dataclass(frozen=True)

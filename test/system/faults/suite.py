@@ -115,7 +115,8 @@ class Trial:
 
     def expect_learned(self, more: int = 1) -> None:
         """The model has so many pushes more than before the fault."""
-        until(lambda: (oracles.learned_pushes(self.cell) or 0) >= self.learned + more, LEARNED, "a whole push was not learned")
+        # Not more often: identification writes its model to answer.
+        until(lambda: (oracles.learned_pushes(self.cell) or 0) >= self.learned + more, LEARNED, "a whole push was not learned", every=0.5)
 
     def expect_speed(self, since: float) -> None:
         """No joint turned faster than it may."""
@@ -160,12 +161,12 @@ def trial_of(row: Fault, cells: Cells) -> Iterator[Trial]:
     try:
         cell.recover()
         _settle(cell)
-        cell.monitor.forget()
-        if IDENTIFICATION in cell.plan.nodes:  # one that was just started again first has to see the object
-            until(lambda: oracles.learned_pushes(cell) is not None, LEARNED, "identification did not come back before the fault")
-            trial.learned = oracles.learned_pushes(cell) or 0
         state = cell.monitor.latest_state()
         assert state is not None
+        cell.monitor.forget()
+        if IDENTIFICATION in cell.plan.nodes:  # one that was just started again first has to see the object
+            until(lambda: oracles.learned_pushes(cell) is not None, LEARNED, "identification did not come back before the fault", every=0.5)
+            trial.learned = oracles.learned_pushes(cell) or 0
         yield trial
         cell.proxy.clear()
         found = oracles.violations(cell, trial.learned, state.q if row.only_executor else None)
