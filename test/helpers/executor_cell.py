@@ -223,7 +223,10 @@ class Call:
 
 
 def ask(node: Node, question: Callable[[], Any]) -> Any:
-    """What `question` gives in the thread that spins: in another one an answer may come before rclpy has noted the request, and be lost."""
+    """What `question` gives in the thread that spins.
+
+    In another thread an answer may come before rclpy has noted the request, and be lost; what is destroyed there ends the spin.
+    """
     task = node.executor.create_task(question)
     wait_for(task.done)
     return task.result()

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
-from helpers.executor_cell import QUICK, Cell, Stalls, start_node, wait_for, wait_until_ready
+from helpers.executor_cell import QUICK, Cell, Stalls, ask, start_node, wait_for, wait_until_ready
 from push_ident.cli.supervisor import node_command
 
 pytestmark = pytest.mark.alone
@@ -149,7 +149,7 @@ def test_message_that_cannot_be_used_does_not_stop_ctrl_c_of_a_client(cell: Cell
             process.send_signal(signal.SIGINT)
             stands = stands_after(cell, time.monotonic())
         output = process.communicate()[0]
-    cell.destroy_publisher(poses)
+    ask(cell, lambda: cell.destroy_publisher(poses))
     assert stands < 2 * REACTION + 4 * stalls.worst
     assert output.count("\n") == 1 and "refused: objects/box/pose" in output, output
 

@@ -19,7 +19,7 @@ from shape_msgs.msg import SolidPrimitive
 from visualization_msgs.msg import Marker
 
 from helpers.depth_scene import CAMERA, HAMMER, INTRINSICS, Prism, rectangle, render
-from helpers.executor_cell import Stalls
+from helpers.executor_cell import Stalls, ask
 from helpers.lifecycle import Lifecycle
 from helpers.node_process import Talker
 from helpers.played_camera import POSE, SECOND, THIRD, Camera, send_until, start, wait_for
@@ -192,7 +192,7 @@ def test_images_of_a_second_camera_driver_are_refused_by_name(camera, node):
         latest = camera.stamp
         send_until(camera, lambda: stamp_from_msg(camera.poses[-1].header.stamp) > latest)  # all older ones have come by then
     finally:
-        camera.destroy_publisher(other)
+        ask(camera, lambda: camera.destroy_publisher(other))
     assert camera.values().get("restarts") == restarts
 
 
@@ -339,7 +339,7 @@ def test_a_publisher_of_another_quality_of_service_is_named_with_the_policy(came
         wait_for(lambda: int(camera.values().get("incompatible_qos", 0)) > 0)
         assert "/pusher/shape" in camera.values()["last_error"] and "DURABILITY" in camera.values()["last_error"]
     finally:
-        camera.destroy_publisher(publisher)
+        ask(camera, lambda: camera.destroy_publisher(publisher))
 
 
 def test_a_clock_that_does_not_tick_is_reported():

@@ -22,6 +22,7 @@ from helpers.executor_cell import (
     RADIUS,
     Cell,
     Stalls,
+    ask,
     begin_push,
     is_hold,
     send,
@@ -271,7 +272,7 @@ def test_wrong_poses_in_the_middle_of_a_push_are_refused_and_end_neither_push_no
         assert call.end().error_code == 0
         wait_for(lambda: n_refused() > before)
     finally:
-        cell.destroy_publisher(wrong)
+        ask(cell, lambda: cell.destroy_publisher(wrong))
     assert values()["last refusal"].startswith("/objects/box/pose") and node.poll() is None
 
 

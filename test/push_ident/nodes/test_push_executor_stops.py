@@ -22,6 +22,7 @@ from helpers.executor_cell import (
     QUICK,
     Cell,
     Stalls,
+    ask,
     begin_push,
     is_hold,
     send,
@@ -153,7 +154,7 @@ def test_executor_that_has_just_started_waits_for_the_first_joint_states_and_the
         result = call.end()
         assert result.error_code == 0, result.error_text
     finally:
-        the_cell.destroy_publisher(later)
+        ask(the_cell, lambda: the_cell.destroy_publisher(later))
         processes[-1].kill()
         processes[-1].wait(5.0)
 
