@@ -163,11 +163,3 @@ def test_what_is_not_known_is_not_risked() -> None:
     known, unknown = (planner.plan(belief, start, SURE, goal, hold=hold) for belief in (KNOWN, Belief.of(prior_posterior(MODEL.shape))))
     assert known.status is PlanStatus.PUSH and known.chance > 0.8 and known.risk <= RISK
     assert unknown.plan is None or (unknown.chance < 0.1 and unknown.risk <= RISK)
-
-
-def test_who_looks_one_push_ahead_proposes_what_ends_nearest() -> None:
-    goal = Goal(np.array([0.0, 0.1, -1.5]))
-    greedy, planner = GoalPlanner(MODEL.shape, SETTINGS, greedy=True), GoalPlanner(MODEL.shape, SETTINGS)
-    ends = [own.plan(KNOWN, START, SURE, goal).end for own in (greedy, planner)]
-    left = [float(np.linalg.norm((goal.pose - end) / goal.tolerance)) for end in ends]
-    assert left[0] <= left[1]

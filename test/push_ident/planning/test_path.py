@@ -61,12 +61,6 @@ def test_object_far_beside_its_path_is_brought_back_before_it_goes_on(side: floa
     assert place < LINE.length / 2 + 0.04
 
 
-def test_who_looks_one_push_ahead_needs_more_contacts() -> None:
-    greedy, planner = (PathPlanner(MODEL.shape, SETTINGS, LINE.speed, greedy=greedy) for greedy in (True, False))
-    progress = [own.plan(KNOWN, LINE.poses[0], LINE, 0.0).expected_done for own in (greedy, planner)]
-    assert progress[0] < progress[1]
-
-
 def test_failed_pushes_are_not_repeated_and_none_is_proposed_out_of_reach() -> None:
     planner = PathPlanner(MODEL.shape, SETTINGS, LINE.speed)
     first = planner.plan(KNOWN, LINE.poses[0], LINE, 0.0).plan

@@ -157,15 +157,7 @@ def simulated(
 ) -> Float64Array:
     """As `rollouts`, with the law of friction of a belief."""
     law = belief.numerics
-    return rollouts(
-        belief.shape,
-        models,
-        pushes,
-        step=step,
-        edge=edge,
-        smoothing_speed=law.smoothing_speed,
-        quasi_static=law.quasi_static,
-    )
+    return rollouts(belief.shape, models, pushes, step=step, edge=edge, smoothing_speed=law.smoothing_speed, quasi_static=law.quasi_static)
 
 
 def moved(pose: Float64Array, path: PusherPath) -> PusherPath:

@@ -151,14 +151,7 @@ class ContactTracker:
         return face
 
 
-_SWINGS: Final = np.array(
-    [
-        [[0.0, 0.4], [0.0, 0.0]],
-        [[-0.5, 0.5], [0.0, 0.0]],
-        [[-0.8, 0.25], [0.4, -0.1]],
-        [[-0.25, 0.85], [0.2, -0.4]],
-    ]
-)
+_SWINGS: Final = np.array([[[0.0, 0.4], [0.0, 0.0]], [[-0.5, 0.5], [0.0, 0.0]], [[-0.8, 0.25], [0.4, -0.1]], [[-0.25, 0.85], [0.2, -0.4]]])
 """Of the velocity in the first two segments, along and across the path [1, in its speed]: changes that are tried to either side. Small
 steps from a contact that sticks never find that it may slide; these make it slide, by up to some 5 mm, with and without a move back."""
 

@@ -47,8 +47,6 @@ class PathOptions:
     """Pushes that are best under the mean model, and are then judged by all models."""
     n_models: int = 8
     """Models in the library beside the mean."""
-    greedy_look_ahead: float = 0.03
-    """Distance ahead of the object that a planner of one push aims at [m]."""
     bearable_error: float = math.sqrt(2.0)
     """Largest expected root mean square error of a steered push that is preferred to a straight one [tolerances]: distance and angle both
     at their tolerance."""
@@ -84,21 +82,13 @@ class PathPlanner:
         settings: limits of pushes and the pusher.
         speed: of the pushes [m/s].
         seed: of the models that are drawn.
-        greedy: aim at a point 30 mm ahead with the push that ends nearest to it. The baseline of comparisons.
         options: costs, and size of the search.
     """
 
     def __init__(
-        self,
-        shape: ObjectShape,
-        settings: PushSettings,
-        speed: float,
-        seed: int = 0,
-        *,
-        greedy: bool = False,
-        options: PathOptions | None = None,
+        self, shape: ObjectShape, settings: PushSettings, speed: float, seed: int = 0, *, options: PathOptions | None = None
     ) -> None:
-        self._shape, self._seed, self._greedy, self._options = shape, seed, greedy, options or PathOptions()
+        self._shape, self._seed, self._options = shape, seed, options or PathOptions()
         self._settings = replace(settings, speed_range=(speed, max(speed, settings.speed_range[1])))
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
@@ -175,11 +165,6 @@ class PathPlanner:
         """J of each motion, infinite where it is no use, and the length of path that is behind after it [m]: each of shape (n_models,
         n_strokes, n_lengths)."""
         cost, reached, square = self._cost(motion, pose, path, now)
-        if self._greedy:
-            aim = path.poses[int(np.searchsorted(path.along, min(now + self._options.greedy_look_ahead, path.length)))]
-            poses = compose(pose, motion)
-            error = np.concatenate([poses[..., :2] - aim[:2], wrap_angle(poses[..., 2:] - aim[2])], axis=-1) / path.tolerance
-            return np.where(np.isfinite(error[..., 0]), np.sum(error**2, axis=-1), np.inf), reached
         here = _square(path, path.error(pose, now, self._options.look_ahead)[1])
         progress = reached - now
         is_use = (progress >= min(self._options.least_progress, path.length - now)) | (

@@ -108,14 +108,11 @@ class GoalPlanner:
         shape: of the object.
         settings: limits of pushes and the pusher.
         seed: of the models that are drawn.
-        greedy: look one push ahead only: the one that is expected to end nearest to the goal. The baseline of comparisons.
         options: size of the search, and costs.
     """
 
-    def __init__(
-        self, shape: ObjectShape, settings: PushSettings, seed: int = 0, *, greedy: bool = False, options: PlannerOptions | None = None
-    ) -> None:
-        self._shape, self._settings, self._seed, self._greedy = shape, settings, seed, greedy
+    def __init__(self, shape: ObjectShape, settings: PushSettings, seed: int = 0, *, options: PlannerOptions | None = None) -> None:
+        self._shape, self._settings, self._seed = shape, settings, seed
         self._options = options or PlannerOptions()
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
@@ -161,14 +158,7 @@ class GoalPlanner:
             return push
         return replace(push, end=compose(belief.camera, push.end), ends=compose(belief.camera, push.ends))
 
-    def _plan(
-        self,
-        belief: Belief,
-        pose: Float64Array,
-        covariance: Float64Array,
-        goal: Goal,
-        around: Surroundings,
-    ) -> GoalPush:
+    def _plan(self, belief: Belief, pose: Float64Array, covariance: Float64Array, goal: Goal, around: Surroundings) -> GoalPush:
         """As `plan`, all of it in the table frame of the arm."""
         chance = goal.chance(pose, covariance)
         if chance >= CERTAIN and (around.hold is None or held_target(goal, around.hold, belief).is_reached(pose, covariance)):
@@ -179,7 +169,7 @@ class GoalPlanner:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
         library = self._library_of(belief, pose)
         wanted = Goal(compose(inverse(pose), goal.pose), goal.position, goal.yaw)
-        further = _Distance(goal) if self._greedy else _FurtherPushes(library, goal, self._options)
+        further = _FurtherPushes(library, goal, self._options)
         ranked = _ranked(library, further, wanted, self._options)
         strokes_of = library.strokes
         risks = _EdgeRisk(around.hold, self._shape, library.centres, pose)
@@ -209,7 +199,7 @@ class GoalPlanner:
     def _best(
         self,
         belief: Belief,
-        further: _FurtherPushes | _Distance,
+        further: _FurtherPushes,
         candidates: Sequence[tuple[Strokes, int, float]],
         pose: Float64Array,
         covariance: Float64Array,
@@ -290,7 +280,7 @@ def _in_arm_frame(
     return compose(away, pose), turn @ covariance @ turn.T, there
 
 
-def _ranked(library: Library, further: _FurtherPushes | _Distance, wanted: Goal, options: PlannerOptions) -> list[tuple[int, int]]:
+def _ranked(library: Library, further: _FurtherPushes, wanted: Goal, options: PlannerOptions) -> list[tuple[int, int]]:
     """Strokes and lengths by the pushes that are expected from now on, the best first: by the mean model, then by all models."""
     mean = library.motion[0]
     value = _value(further, mean.reshape(1, -1, 3), wanted)
@@ -302,7 +292,7 @@ def _ranked(library: Library, further: _FurtherPushes | _Distance, wanted: Goal,
     return [(int(first[k] // n_lengths), int(first[k] % n_lengths)) for k in order if np.isfinite(value[k])]
 
 
-def _value(further: _FurtherPushes | _Distance, motion: Float64Array, wanted: Goal) -> Float64Array:
+def _value(further: _FurtherPushes, motion: Float64Array, wanted: Goal) -> Float64Array:
     """Pushes expected from now on for each motion that a push may make, shape (n_models, n_motions, 3), or for each pose where it may end;
     `wanted` in the same frame: shape (n_motions,)."""
     at_goal = _probability_within_tolerance(wanted.relative_error(motion))
@@ -358,18 +348,6 @@ class _EdgeRisk:
         poses = compose(self._pose, np.linspace(0.0, 1.0, n_poses)[1:, None, None] * motions)
         margins = self._hold.margins(self._shape.cells.centres, self._centres, poses)
         return bool(self.risk(np.min(margins, axis=0)) <= self.allowed)
-
-
-class _Distance:
-    """Remaining error in tolerances, in place of further pushes: the value of a planner that looks one push ahead."""
-
-    def __init__(self, goal: Goal) -> None:
-        self._goal = goal
-
-    def after(self, wanted: Float64Array) -> Float64Array:
-        """Root sum of squares of each of the motions, shape (n, 3), in tolerances: shape (n,)."""
-        error = np.column_stack([wanted[:, :2], wrap_angle(wanted[:, 2])]) / self._goal.tolerance
-        return np.asarray(np.linalg.norm(error, axis=1))
 
 
 def _probability_within_tolerance(error: Float64Array) -> Float64Array:

@@ -80,10 +80,7 @@ def push_along_path(
     if (excess := settings.excess(path.position)) > 0.0:
         raise PlanningError(PushCode.LIMIT, f"tool_path leaves the workspace {settings.workspace} m by {1e3 * excess:.1f} mm.")
     # Until it touches, the tool keeps clear of the object, as far as its pose is known; of others all the way.
-    checks = [
-        (_line(first, second), outline, tolerance),
-        *((path.dense(), other, settings.contact_rounding) for other in obstacles),
-    ]
+    checks = [(_line(first, second), outline, tolerance), *((path.dense(), other, settings.contact_rounding) for other in obstacles)]
     for points, other, overlap in checks:
         gaps = signed_distance(points, other) - settings.pusher_radius
         if gaps[0] < settings.lowering_gap or float(np.min(gaps)) < -overlap:

@@ -108,12 +108,7 @@ def joint_move(q_from: Float64Array, q_to: Float64Array, max_velocity: Float64Ar
 
 
 def path_move(
-    postures: Float64Array,
-    length: float,
-    max_speed: float,
-    acceleration: float,
-    max_velocity: Float64Array,
-    max_acceleration: Float64Array,
+    postures: Float64Array, length: float, max_speed: float, acceleration: float, max_velocity: Float64Array, max_acceleration: Float64Array
 ) -> JointTrajectory:
     """Minimum-jerk motion along a path, as fast as the limits allow.
 

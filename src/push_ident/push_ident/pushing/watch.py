@@ -271,10 +271,7 @@ class ArmWatch:
         )
 
     def _follow(
-        self,
-        under_way: _UnderWay,
-        check_wanted: Callable[[], None],
-        on_look: Callable[[float, float, ArmState], ArmMotion | None],
+        self, under_way: _UnderWay, check_wanted: Callable[[], None], on_look: Callable[[float, float, ArmState], ArmMotion | None]
     ) -> None:
         """Make a motion from where the arm stands: one thread, and nothing follows the hold."""
         clock, limits = under_way.clock, under_way.limits
