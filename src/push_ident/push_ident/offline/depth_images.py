@@ -52,7 +52,7 @@ class DepthImages:
     unit: float | None = None
     """Metres per unit of an image; None: 0.001 for integers (REP 118), 1 for real numbers. Clouds are in metres."""
     skipped: list[str] = field(default_factory=list)
-    """What was left out of the folder and why, one line each; filled while frames are read."""
+    """Files that were left out of the folder and why, one line each; filled while frames are read."""
 
     def frames(self) -> Iterator[DepthFrame]:
         """Frames one by one, 1/30 s apart; a file that is no depth image of this camera is skipped and noted.

@@ -96,9 +96,9 @@ def face_of(outline: Float64Array, tool: Float64Array) -> tuple[Face, float]:
     length = np.linalg.norm(edge, axis=1)
     tangent = edge / np.maximum(length, 1e-12)[:, None]
     along = np.clip(np.sum((tool - outline) * tangent, axis=1), 0.0, length)
-    away = tool - outline - along[:, None] * tangent
-    distance = np.linalg.norm(away, axis=1)
-    side = tangent[:, 1] * away[:, 0] - tangent[:, 0] * away[:, 1]
+    offset = tool - outline - along[:, None] * tangent
+    distance = np.linalg.norm(offset, axis=1)
+    side = tangent[:, 1] * offset[:, 0] - tangent[:, 0] * offset[:, 1]
     # At a corner both faces are equally near: the one that the tool is in front of.
     k = int(np.lexsort((-side, np.round(distance, 9)))[0])
     turn = np.roll(edge, 1, axis=0)
@@ -317,10 +317,10 @@ class CurvedPushes:
 
     def _contact(self, prepared: _Prepared, tool: Float64Array, poses: Float64Array) -> Float64Array:
         """How far the contact is beyond its face, and the tool away, at the frames: shape (n_models, n_starts, n_variants, n_frames, 2)."""
-        away = tool[:, :, prepared.horizon.at_frames] - poses[..., :2]
+        offset = tool[:, :, prepared.horizon.at_frames] - poses[..., :2]
         cos, sin = np.cos(poses[..., 2]), np.sin(poses[..., 2])
         start, tangent, normal, length, opens = prepared.faces
-        x, y = cos * away[..., 0] + sin * away[..., 1] - start[..., 0], cos * away[..., 1] - sin * away[..., 0] - start[..., 1]
+        x, y = cos * offset[..., 0] + sin * offset[..., 1] - start[..., 0], cos * offset[..., 1] - sin * offset[..., 0] - start[..., 1]
         margin = np.minimum(_OPTIONS.face_margin, 0.3 * length)
         along = x * tangent[..., 0] + y * tangent[..., 1]
         beyond = opens[..., 0] * np.maximum(margin - along, 0.0) + opens[..., 1] * np.maximum(along - length + margin, 0.0)

@@ -204,8 +204,8 @@ def _along(contacts: Strokes, observed: Float64Array, path: PathGoal, now: float
     """Of each contact the stroke whose heading is nearest to the motion of that point of the object along the path; shape (n,)."""
     tool = transform_points(observed, contacts.tool)
     step = min(_COSTS.least_progress, path.length - now)
-    here, there = path.at(now), path.at(now + step)
-    moved = transform_points(there, transform_points(inverse(here), tool)) - tool
+    here, ahead = path.at(now), path.at(now + step)
+    moved = transform_points(ahead, transform_points(inverse(here), tool)) - tool
     wanted = np.arctan2(moved[:, 1], moved[:, 0])
     inward = np.arctan2(contacts.tangent[:, 0], -contacts.tangent[:, 1]) + observed[2]
     pushable = np.abs(wrap_angle(wanted - inward)) < _OPTIONS.max_angle
@@ -218,7 +218,7 @@ def _along(contacts: Strokes, observed: Float64Array, path: PathGoal, now: float
 
 
 def _rate(rolled: RolledPushes, first: int) -> Float64Array:
-    """What pushes of one variant each, cut off at each frame, cost for each metre of path, shape (n_models, n_starts, n_frames); infinite
+    """Cost per metre of path of pushes of one variant each, truncated at each frame, shape (n_models, n_starts, n_frames); infinite
     without progress, and where they are cut off before the frame of number `first`."""
     progress, square = rolled.progress[:, :, 0], rolled.error[:, :, 0] ** 2
     steps = np.maximum(np.diff(progress, axis=-1, prepend=0.0), 0.0)

@@ -41,7 +41,7 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class GoalState(IntEnum):
-    """What is under way; the numbers are those of the feedback of action/PushToGoal."""
+    """Present step; the numbers are those of the feedback of action/PushToGoal."""
 
     OBSERVE = 0
     EXPLORE = 1

@@ -1,7 +1,7 @@
 """Pushing an object to a goal: observe, explore, plan, push, learn, until it is there or a reason to end occurs.
 
 The steps know the cell only through `GoalPorts`; the node has those of ROS, a test has its own. A step that takes time is begun and then
-looked at every 10 ms, so that a cancellation is noticed within that time whatever is under way.
+polled every 10 ms, so that a cancellation is noticed within that time during any step.
 """
 
 from __future__ import annotations

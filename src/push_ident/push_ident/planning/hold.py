@@ -22,8 +22,8 @@ from push_ident.types import Float64Array
 __all__ = ["RISK", "EdgeHold"]
 
 RISK: Final = 0.01
-"""Largest chance that a push brings the centre of mass nearer to the border than the margin, where nothing else is said [1]: of falling it
-is far smaller."""
+"""Default of the largest chance that a push brings the centre of mass nearer to the border than the margin [1]: that of a fall is much
+smaller."""
 
 
 @dataclass(frozen=True, slots=True)

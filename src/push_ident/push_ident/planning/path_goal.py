@@ -127,19 +127,19 @@ class PathGoal:
         return length.reshape(shape), nearest_error.reshape(*shape, 2)
 
     def _between(
-        self, poses: Float64Array, along: Float64Array, nearest: np.ndarray, away: Float64Array
+        self, poses: Float64Array, along: Float64Array, nearest: np.ndarray, difference: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
         """Length of path of the nearest point on the lines from the `nearest` of the `poses`, and distance and angle from it.
 
-        `away`: difference of each pose from its nearest one, shape (n, 3).
+        `difference`: of each pose from its nearest one, shape (n, 3).
         """
-        away = np.column_stack([away[:, :2], wrap_angle(away[:, 2])])
-        best, length, weight = away, along[nearest], self.tolerance**-2.0
+        difference = np.column_stack([difference[:, :2], wrap_angle(difference[:, 2])])
+        best, length, weight = difference, along[nearest], self.tolerance**-2.0
         for side in (-1, 1):
             other = np.clip(nearest + side, 0, len(poses) - 1)
             step = poses[other] - poses[nearest]
-            share = np.clip(np.sum(weight * away * step, axis=1) / np.maximum(np.sum(weight * step**2, axis=1), 1e-12), 0.0, 1.0)
-            moved = away - share[:, None] * step
+            share = np.clip(np.sum(weight * difference * step, axis=1) / np.maximum(np.sum(weight * step**2, axis=1), 1e-12), 0.0, 1.0)
+            moved = difference - share[:, None] * step
             better = np.sum(weight * moved**2, axis=1) < np.sum(weight * best**2, axis=1)
             best = np.where(better[:, None], moved, best)
             length = np.where(better, along[nearest] + share * (along[other] - along[nearest]), length)

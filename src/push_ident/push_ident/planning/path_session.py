@@ -22,7 +22,7 @@ __all__ = ["PathSession"]
 
 
 class _Watched:
-    """A push under way during which poses are looked at."""
+    """A push under way during which poses are observed."""
 
     def __init__(self, push: PushUnderWay, look: Callable[[], None]) -> None:
         self._push, self._look = push, look

@@ -273,11 +273,11 @@ def _in_arm_frame(
     camera: Float64Array, pose: Float64Array, covariance: Float64Array, goal: Goal
 ) -> tuple[Float64Array, Float64Array, Goal]:
     """Pose, covariance and goal in the table frame of the arm, from that of the camera."""
-    away = inverse(camera)
+    arm_from_camera = inverse(camera)
     turn = np.eye(3)
-    turn[:2, :2] = rotation(float(away[2]))
-    there = Goal(compose(away, goal.pose), goal.position, goal.yaw)
-    return compose(away, pose), turn @ covariance @ turn.T, there
+    turn[:2, :2] = rotation(float(arm_from_camera[2]))
+    goal_in_arm = Goal(compose(arm_from_camera, goal.pose), goal.position, goal.yaw)
+    return compose(arm_from_camera, pose), turn @ covariance @ turn.T, goal_in_arm
 
 
 def _ranked(library: Library, further: _FurtherPushes, wanted: Goal, options: PlannerOptions) -> list[tuple[int, int]]:

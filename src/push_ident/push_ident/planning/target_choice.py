@@ -96,7 +96,7 @@ class TargetChoice:
             self.target = None
 
     def begin(self, model: KnownModel, observed: TrackedObject) -> UnderWay[Target] | None:
-        """Begin to choose or judge with a model; None where nothing is to be done. What comes of it is for `take`."""
+        """Begin to choose or judge with a model; None if that is not needed. The result is for `take`."""
         if not isinstance(self._goal, EdgeGoal) or (self.target is not None and self._judged_by is model.posterior):
             return None
         return self._ports.begin_target(model, observed, self._goal, self.edges(), self.target)

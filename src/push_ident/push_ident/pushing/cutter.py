@@ -1,14 +1,14 @@
 """Cuts the streams of a cell into pushes: the same rules for a bag, which is there as a whole, and for messages as they arrive.
 
-1. A push is an interval of time. A push record gives it. Where nobody writes records it is a run of pusher samples without a pause over
-   `gap`. Where somebody does, a run without a record is no push: the executor ended in the middle of it, and nothing says what it made.
-   Samples that go on, without a pause over `gap`, behind the end of a record that came before them are the rest of its push.
-2. A push owns the time between the midpoints to the intervals before and after it, those of failed pushes included.
-3. Of the poses that it owns, a push takes those up to `gap` around its interval. Where there is none at or before its start, it takes the
-   last one before; where there is none at or after its end, the first one after; neither is farther than a minute.
-4. It takes the pusher samples and forces within its interval.
-5. A failed push, one that lasts or travels beyond `limits.py`, one with fewer than 2 pusher samples, or one with fewer than 2 poses of an
-   object gives no record.
+1. A push is an interval of time, given by its push record. Without an executor that writes records it is a run of pusher samples without a
+   pause over `gap`. With one, a run without a record is no push: the executor ended in the middle of it. Samples that continue, without a
+   pause over `gap`, after the end of a record that came before them belong to its push.
+2. The window of a push lies between the midpoints to the intervals before and after it, those of failed pushes included.
+3. Of the poses in its window, a push has those up to `gap` around its interval. If there is none at or before its start, it has the last
+   one before; if there is none at or after its end, the first one after; neither is farther than a minute.
+4. It has the pusher samples and forces within its interval.
+5. There is no record of a failed push, one beyond the duration or travel of `limits.py`, one with fewer than 2 pusher samples, or one with
+   fewer than 2 poses of an object.
 
 Each topic arrives in order, but nothing orders one topic among the others: after a stall, or from a bag that is played fast, poses may be
 seconds ahead of the pusher. Nothing here depends on the order across streams: a push is complete when every stream that still delivers
@@ -184,7 +184,7 @@ class PushCutter:
         self.run = 1
         """Counts how often time was set back, from 1."""
         self.expects_records = False
-        """Whether somebody writes push records: from now on, and for the run under way, a run without one is no push."""
+        """Whether an executor writes push records: from now on, and for the run under way, a run without one is no push."""
 
     # ---- input
 
@@ -271,7 +271,7 @@ class PushCutter:
         elif stamp <= stream.latest:
             return False
         elif stream.is_behind:
-            # What is left from before time was set back is not later than the time then: if this is, one message was late, not the clock.
+            # Samples from before time was set back are not later than the time then: a later one means one late message, not a set clock.
             stream.is_behind = self._now < stream.latest and stamp <= self._before + _SETTINGS.clock_jump
         stream.latest = stamp
         if not stream.is_behind:

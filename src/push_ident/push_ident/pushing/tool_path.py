@@ -84,7 +84,7 @@ class ToolPath:
 
     Raises:
         InputError: less than two points, shapes that do not fit, numbers that are not finite, times that do not increase, or a path that is
-            longer or lasts longer than a push may: whoever makes it takes points every 4 mm and every 10 ms.
+            longer or lasts longer than a push may: it is sampled every 4 mm and every 10 ms.
     """
 
     time: Float64Array

@@ -14,7 +14,7 @@ class WatchLimits:
     arm_timeout: float = 0.1
     """The arm is held this long after the last joint state, by wall time, at the latest [s]."""
     start_tolerance: float = 0.02
-    """Largest distance of a joint from where it was told to be, at the start of a motion and during it [rad]."""
+    """Largest distance of a joint from its commanded position, at the start of a motion and during it [rad]."""
     tracking_tolerance: float = 0.010
     """Largest distance of the tool from its planned path [m]."""
     tracking_lag: float = 0.2

@@ -29,7 +29,7 @@ _MOVABLE: Final = ("revolute", "continuous")
 def check_robot(robot: Robot) -> tuple[list[Finding], ArmKinematics | None]:
     """Findings about description, joints, limits, frames, postures and camera; and the kinematics, where the file gives one.
 
-    What cannot be checked because of an earlier fault is left out.
+    Checks that an earlier fault prevents are left out.
     """
     try:
         urdf = read_urdf(robot)
@@ -196,7 +196,7 @@ def check_posture(kinematics: ArmKinematics, name: str, posture: Float64Array, s
 
 
 def check_reach(reach: Reach, workspace: tuple[float, float, float, float]) -> Iterator[Finding]:
-    """What the plans of pushes over the workspace show."""
+    """Findings about the reach, from plans of pushes over the workspace."""
     for axis, name in enumerate(AXES):
         impossible, limited = reach.share(axis, Outcome.UNREACHABLE), reach.share(axis, Outcome.LIMIT)
         possible = f"pushes along {name} are possible at {100 * reach.share(axis, Outcome.POSSIBLE):.0f} % of the workspace"

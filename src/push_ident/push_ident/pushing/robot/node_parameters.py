@@ -1,4 +1,4 @@
-"""What each node takes from a robot file."""
+"""Parameters of the nodes from a robot file."""
 
 from __future__ import annotations
 
