@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from push_ident.geometry.outline import outline_of_cells, signed_distance
 from push_ident.geometry.se2 import inverse, transform_points
-from push_ident.physics.contact import CONTACT_FIELDS, find_contacts, max_candidates
+from push_ident.physics.contact import Field, find_contacts, max_candidates
 from push_ident.physics.modes import MAX_CONTACTS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, body_of_cells, simulate_body
@@ -194,7 +194,7 @@ class Step:
     force: Float64Array
     """Of the pusher on the object, shape (2,)."""
     contacts: Float64Array
-    """As `find_contacts` gives them, object frame, shape (n_contacts, CONTACT_FIELDS)."""
+    """As `find_contacts` gives them, object frame, shape (n_contacts, Field.WIDTH)."""
     normal: Float64Array
     """Outward normal at the first contact, shape (2,); zeros without one."""
     point: Float64Array
@@ -231,8 +231,8 @@ def steps_of(case: Case, motion: Motion) -> list[Step]:
         spin = 0.0 if pusher.yaw is None else float(pusher.yaw[n + 1] - pusher.yaw[n]) / DT
         speed = np.hypot(*going) + abs(spin) * (core + pusher.radius)
         tips = transform_points(inverse(pose), corners_at(pusher, n))
-        contacts = np.zeros((MAX_CONTACTS, CONTACT_FIELDS))
-        found = np.zeros((max_candidates(len(tips), len(outline)), CONTACT_FIELDS))
+        contacts = np.zeros((MAX_CONTACTS, Field.WIDTH))
+        found = np.zeros((max_candidates(len(tips), len(outline)), Field.WIDTH))
         count = find_contacts(np.ascontiguousarray(tips), pusher.radius, outline, _REACH + speed * DT, found, contacts)
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         turn = np.array([[cos, -sin], [sin, cos]])

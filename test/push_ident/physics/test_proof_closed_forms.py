@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from helpers.random_pushes import DT, examples
 from push_ident.geometry.outline import outline_of_cells
-from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, NO_MODE, StepContacts
+from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, BodyParameters, SimulationSettings, body_of_cells, cell_gradient, simulate_body
@@ -101,14 +101,14 @@ def spin_once(
     twist: Float64Array, arms: Float64Array, limit: Float64Array, inertia: Float64Array, dt: float, diamond: bool, eps: float
 ) -> None:
     """Advance a body that nothing touches by one step, in place."""
-    rows, impulse = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS)), np.zeros(MAX_CONTACTS + 1)
+    rows, impulse = np.zeros((2 * MAX_CONTACTS, Row.WIDTH)), np.zeros(MAX_CONTACTS + 1)
     geometry = StepGeometry(arms, limit, inertia, 0.05, np.zeros(2), np.array([1.0, 0.0]), dt)
     contacts = StepContacts(rows, 0, 0.3)
     if diamond:
         code, _ = pyramid_step(twist, geometry, contacts, 0, impulse, new_step_scratch(), new_pyramid_scratch(len(limit)))
     else:
         code, _ = step(twist, geometry, contacts, eps, 0, impulse, new_step_scratch())
-    assert code != NO_MODE
+    assert code != Mode.NONE
 
 
 @pytest.mark.parametrize("diamond", [False, True], ids=["circle", "pyramid"])

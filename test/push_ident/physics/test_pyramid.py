@@ -8,7 +8,7 @@ import torch
 
 from helpers.objects import hammer, hammer_shape, random_push, square, straight_push, uniform
 from push_ident.errors import InputError
-from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_SLIDE_MINUS, MODE_SLIDE_PLUS, MODE_STICK, NO_MODE, StepContacts
+from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
 from push_ident.physics.reference import ReferenceModel, reference_rollout
 from push_ident.physics.scenario import PushScenario
@@ -23,7 +23,7 @@ PYRAMID = SimulationSettings(friction_cone="pyramid")
 
 def random_contacts(rng: np.random.Generator, n_contacts: int) -> Float64Array:
     """One contact; two on faces at right angles; or two on one flat face."""
-    rows = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS))
+    rows = np.zeros((2 * MAX_CONTACTS, Row.WIDTH))
     angle, corner = rng.uniform(-np.pi, np.pi), rng.uniform() < 0.5
     first = np.array([np.cos(angle), np.sin(angle)])
     velocity = -0.1 * first + 0.05 * rng.normal(size=2)
@@ -49,10 +49,10 @@ def check_contact_conditions(twist: Float64Array, rows: Float64Array, n_contacts
     if pressing:
         tangent = rows[MAX_CONTACTS + pressing[0]]
         slip = tangent[:3] @ twist - tangent[3]
-        if code % 4 == MODE_STICK:
+        if code % 4 == Mode.STICK:
             assert abs(slip) < 1e-10
         else:
-            assert code % 4 in (MODE_SLIDE_PLUS, MODE_SLIDE_MINUS)
+            assert code % 4 in (Mode.SLIDE_PLUS, Mode.SLIDE_MINUS)
             assert slip * impulse[-1] <= 1e-15
             assert abs(impulse[-1]) == pytest.approx(carried)
 
@@ -87,7 +87,7 @@ def test_step_meets_its_optimality_conditions(diamond: bool, n_contacts: int) ->
             code, _ = pyramid_step(twist, geometry, contacts, 0, impulse, scratch, cells)
         else:
             code, _ = step(twist, geometry, contacts, 1e-4, 0, impulse, scratch)
-        assert code != NO_MODE, seed
+        assert code != Mode.NONE, seed
         check_contact_conditions(twist, rows, n_contacts, mu, impulse, code)
         if diamond:
             friction = np.zeros(3)
@@ -117,7 +117,7 @@ def test_cell_dissipates_by_its_faster_axis() -> None:
         np.zeros((2, 1)),
         np.array([2.0]),
         np.array([0.5, 0.5, 1e-3]),
-        np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS)),
+        np.zeros((2 * MAX_CONTACTS, Row.WIDTH)),
     )
     for yaw in (0.0, 0.7):
         for angle, brake in ((0.0, 1.0), (np.pi / 2, 1.0), (np.pi / 4, np.sqrt(0.5))):

@@ -36,9 +36,9 @@ from push_ident.identification.results.covariance import lower_root
 from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at
 from push_ident.physics.accuracy import choose_steps
 from push_ident.physics.effect_values import true_pose
-from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, Timeline
+from push_ident.physics.tape import Param
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
 __all__ = ["Account", "AccountPart", "ExpectedErrors", "account_of", "expected_errors"]
@@ -285,4 +285,4 @@ def _end_by_unknowns(fit: Fit, problem: FitProblem, push: int) -> Float64Array |
     by_first = np.linalg.solve(cell_displacement(cells, observed.pose[0, 2]).T, by_body[:, :3].T).T
     if motion.status is not SolveStatus.CONVERGED or not np.linalg.norm(by_first, 2) < CHATTER:
         return None
-    return np.asarray(by_body[:, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:])
+    return np.asarray(by_body[:, Param.MASS :] @ mechanics.derivative[Param.MASS :])

@@ -27,8 +27,6 @@ SHARE: Final = 0.1
 """Largest effect of halving the steps on the last pose, in standard deviations of its noise [-]: it adds 1 % to a squared residual."""
 MAX_LEVEL: Final = 7
 """Finest level: steps of 1/15360 s."""
-_MAX_STEPS: Final = 10_000
-"""Largest number of steps of a push, which bounds the time of one simulation with its derivative to some 0.1 s."""
 
 EndPose = Callable[[SimulationSettings], Float64Array]
 """Simulates a push and gives its last pose, shape (3,); NaN where the simulation fails."""
@@ -112,7 +110,8 @@ def choose_steps(
             poses[level] = end_pose(at_level(settings, level))
         return poses[level]
 
-    finest = min(most, 1 + int(np.log2(max(1.0, _MAX_STEPS * DEFAULT_STEP / duration))))
+    # 10,000 steps of a push bound the time of one simulation with its derivative to some 0.1 s.
+    finest = min(most, 1 + int(np.log2(max(1.0, 10_000 * DEFAULT_STEP / duration))))
     best = first = StepChoice(at_level(settings, least), least, np.inf)
     for level in range(least, max(finest, least) + 1):
         error = _distance(pose(level), pose(max(level + 1, 2)), whitening)

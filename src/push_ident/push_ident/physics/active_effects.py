@@ -14,6 +14,7 @@ rest behind those of the body; the sums only where an effect shifts the load.
 
 from __future__ import annotations
 
+from enum import IntEnum
 from functools import cache
 from typing import NamedTuple
 
@@ -25,17 +26,23 @@ from push_ident.physics.effect_values import EffectValues
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["INPUT_CENTRE", "INPUT_MASS", "N_FIXED_INPUTS", "N_SUMS", "ActiveEffects", "Places", "active_effects"]
+__all__ = ["N_FIXED_INPUTS", "N_SUMS", "ActiveEffects", "Input", "InputIndices", "active_effects"]
 
-INPUT_MASS = 6
-INPUT_CENTRE = 7
+
+class Input(IntEnum):
+    """Inputs of the effects by their index, see above."""
+
+    MASS = 6
+    CENTRE = 7
+
+
 N_FIXED_INPUTS = 9
 N_SUMS = 6
 """Number of sums of the friction limits among the inputs."""
 
 
-class Places(NamedTuple):
-    """Where each effect of `EFFECTS` finds its numbers among the inputs."""
+class InputIndices(NamedTuple):
+    """Indices of the numbers of each effect of `EFFECTS` among the inputs."""
 
     values: NDArray[np.int64]
     """Index of its first value, -1 where it is not active, shape (n_effects,)."""
@@ -52,10 +59,10 @@ class ActiveEffects(NamedTuple):
     """Which values belong to effects that act on the table, shape (n_values,)."""
     pulled: BoolArray
     """Which of them are those of a pull, which is linear in them, shape (n_values,)."""
-    places: Places
+    indices: InputIndices
     n_memory: int
     loading: NDArray[np.int64]
-    """Places in `EFFECTS` of those that change the friction limits of the cells."""
+    """Numbers in `EFFECTS` of those that change the friction limits of the cells."""
     is_plane: BoolArray
     """Of each of `EFFECTS`, whether it does so by a factor that is linear over the object, shape (n_effects,)."""
     loads: bool
@@ -104,25 +111,25 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
 
 @cache
 def _kinds_of(names: tuple[str, ...]) -> ActiveEffects:
-    """What follows from the names of the effects alone, with nothing in place of the rest."""
+    """The part that depends on the names of the effects only; the rest is zero or empty."""
     effects = EffectValues(names, np.zeros(sum(len(EFFECTS[name].parameters) for name in names)))
     first_value = N_FIXED_INPUTS + sum(effect.memory.size for effect in effects.effects if effect.memory is not None)
-    places = Places(np.full(len(EFFECTS), -1, dtype=np.int64), np.zeros(len(EFFECTS), dtype=np.int64))
+    indices = InputIndices(np.full(len(EFFECTS), -1, dtype=np.int64), np.zeros(len(EFFECTS), dtype=np.int64))
     on_table, pulled, moves = (np.zeros(len(effects), dtype=np.bool_) for _ in range(3))
     catalogue = list(EFFECTS)
     quantities = {"offset": -1, "restitution": -1}
     n_memory = 0
     rebound = -1
-    for effect, own in [(effect, effects.slice_of(effect.name)) for effect in effects.effects]:
-        place, acts = catalogue.index(effect.name), effect.acts
-        places.values[place] = first_value + own.start
-        on_table[own], moves[own] = isinstance(acts, OnTable), isinstance(acts, OnPusherPath)
-        pulled[own] = isinstance(acts, OnTable) and acts.pull is not None
+    for effect, positions in [(effect, effects.slice_of(effect.name)) for effect in effects.effects]:
+        index, acts = catalogue.index(effect.name), effect.acts
+        indices.values[index] = first_value + positions.start
+        on_table[positions], moves[positions] = isinstance(acts, OnTable), isinstance(acts, OnPusherPath)
+        pulled[positions] = isinstance(acts, OnTable) and acts.pull is not None
         if isinstance(acts, OnContact):
-            quantities[acts.quantity] = own.start
+            quantities[acts.quantity] = positions.start
             rebound = n_memory if acts.quantity == "restitution" else rebound
         if effect.memory is not None:
-            places.memory[place] = N_FIXED_INPUTS + n_memory
+            indices.memory[index] = N_FIXED_INPUTS + n_memory
             n_memory += effect.memory.size
     loading = np.array(
         [catalogue.index(e.name) for e in effects.effects if isinstance(e.acts, OnTable) and (e.acts.load or e.acts.is_plane)],
@@ -133,7 +140,7 @@ def _kinds_of(names: tuple[str, ...]) -> ActiveEffects:
         values=effects.values,
         on_table=on_table,
         pulled=pulled,
-        places=places,
+        indices=indices,
         n_memory=n_memory,
         loading=loading,
         is_plane=np.array([isinstance(effect.acts, OnTable) and effect.acts.is_plane for effect in EFFECTS.values()]),

@@ -34,12 +34,6 @@ from push_ident.types import Float64Array, ObjectShape, PusherPath
 
 __all__ = ["BatchClock", "BatchModel", "BatchPush", "ModelBatch", "rollouts"]
 
-_TASKS_A_CALL = 64
-"""Simulations that a thread takes at a time, at most: enough that the call costs nothing, few enough that all threads end together."""
-
-_TASKS_A_THREAD = 16
-"""Simulations for which a thread is worth starting: they take some 2 ms."""
-
 
 class BatchModel(NamedTuple):
     """A model of the object."""
@@ -205,8 +199,8 @@ def rollouts(
     geometry = _Shape(owned(shape.outline), np.zeros((1, 2)) if pusher.polygon is None else owned(pusher.polygon), float(pusher.radius))
     edges = None if edge is None else _edges(edge, models)
     eps = SimulationSettings().smoothing_speed if smoothing_speed is None else smoothing_speed
-    ready = _Ready(len(shape.cells), geometry, _models(shape, models), _actives(shape, models), eps, quasi_static)
-    return _roll(ready, _pushes(pushes, step), len(pushes[0].time), edges, n_threads)
+    prepared = _Prepared(len(shape.cells), geometry, _models(shape, models), _actives(shape, models), eps, quasi_static)
+    return _roll(prepared, _pushes(pushes, step), len(pushes[0].time), edges, n_threads)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,25 +252,25 @@ class ModelBatch:
         self.models = tuple(models)
         geometry = _Shape(owned(shape.outline), np.zeros((1, 2)), float(pusher_radius))
         smoothing = SimulationSettings().smoothing_speed
-        self._ready = _Ready(len(shape.cells), geometry, _models(shape, models), _actives(shape, models), smoothing, False)
+        self._prepared = _Prepared(len(shape.cells), geometry, _models(shape, models), _actives(shape, models), smoothing, False)
 
     def __len__(self) -> int:
         return len(self.models)
 
     def picked(self, numbers: Sequence[int]) -> ModelBatch:
         """Some of them, in the order of their `numbers`."""
-        ready, found = self._ready, object.__new__(ModelBatch)
-        found.shape, found.models = self.shape, tuple(self.models[k] for k in numbers)
-        own = _Models(*(array[list(numbers)] for array in ready.models))
-        found._ready = ready._replace(models=own, actives=[ready.actives[k] for k in numbers])
-        return found
+        prepared, batch = self._prepared, object.__new__(ModelBatch)
+        batch.shape, batch.models = self.shape, tuple(self.models[k] for k in numbers)
+        models = _Models(*(array[list(numbers)] for array in prepared.models))
+        batch._prepared = prepared._replace(models=models, actives=[prepared.actives[k] for k in numbers])
+        return batch
 
     def displaced(self, displacement: Float64Array) -> ModelBatch:
         """The same with `BatchModel.displacement` of each, shape (n_models, 3)."""
-        found = object.__new__(ModelBatch)
-        found.shape, found.models = self.shape, self.models
-        found._ready = self._ready._replace(models=self._ready.models._replace(displacement=owned(displacement)))
-        return found
+        batch = object.__new__(ModelBatch)
+        batch.shape, batch.models = self.shape, self.models
+        batch._prepared = self._prepared._replace(models=self._prepared.models._replace(displacement=owned(displacement)))
+        return batch
 
     def roll(self, clock: BatchClock, tool: Float64Array, pose: Float64Array, velocity: Float64Array) -> Float64Array:
         """Poses of every model under every push, shape (n_models, n_pushes, n_frames, 3); NaN where a simulation failed.
@@ -287,10 +281,10 @@ class ModelBatch:
             pose: of the object at the start, shape (n_pushes, 3).
             velocity: of the object frame then [m/s, m/s, rad/s], shape (n_pushes, 3).
         """
-        return _roll(self._ready, clock.pushes(tool, pose, velocity), len(clock.frames.step), None, None)
+        return _roll(self._prepared, clock.pushes(tool, pose, velocity), len(clock.frames.step), None, None)
 
 
-class _Ready(NamedTuple):
+class _Prepared(NamedTuple):
     """What does not depend on the pushes."""
 
     n_cells: int
@@ -302,33 +296,35 @@ class _Ready(NamedTuple):
     quasi_static: bool
 
 
-def _roll(ready: _Ready, pushes: _Pushes, n_frames: int, edges: Overhang | None, n_threads: int | None) -> Float64Array:
-    n_models, n_pushes = len(ready.actives), len(pushes.pose)
+def _roll(prepared: _Prepared, pushes: _Pushes, n_frames: int, edges: Overhang | None, n_threads: int | None) -> Float64Array:
+    n_models, n_pushes = len(prepared.actives), len(pushes.pose)
     poses = np.empty((n_models, n_pushes, n_frames, 3))
     n_tasks = n_models * n_pushes
-    threads = min(n_threads or _n_cores(), -(-n_tasks // _TASKS_A_THREAD))
-    left = deque(_ranges(ready, pushes, min(_TASKS_A_CALL, -(-n_tasks // threads))))
+    # A thread is worth starting for 16 simulations, which take some 2 ms. It takes up to 64 at a time: enough that the call costs nothing,
+    # few enough that all threads end together.
+    threads = min(n_threads or _n_cores(), -(-n_tasks // 16))
+    remaining = deque(_ranges(prepared, pushes, min(64, -(-n_tasks // threads))))
 
-    def roll(own: _Range) -> None:
+    def roll(tasks: _Range) -> None:
         scratch, tape = None, new_tape(0)
-        if own.active is not None:
-            scratch, tape = new_effect_scratch(ready.n_cells, own.active), _tape(ready.n_cells, own.active)
+        if tasks.active is not None:
+            scratch, tape = new_effect_scratch(prepared.n_cells, tasks.active), _tape(prepared.n_cells, tasks.active)
         _roll_range(
-            own.first, own.last, ready.geometry, ready.models, own.pushes, edges, own.active, ready.eps, ready.quasi_static,
-            scratch, tape, poses,
+            tasks.first, tasks.last, prepared.geometry, prepared.models, tasks.pushes, edges, tasks.active, prepared.eps,
+            prepared.quasi_static, scratch, tape, poses,
         )  # fmt: skip
 
-    def roll_what_is_left() -> None:
-        while left:
+    def roll_remaining() -> None:
+        while remaining:
             try:
-                own = left.popleft()
+                tasks = remaining.popleft()
             except IndexError:  # another thread was first
                 return
-            roll(own)
+            roll(tasks)
 
     # This thread works too: on a busy machine others may get a core only when nothing is left to be done.
-    others = [_pool(threads - 1, os.getpid()).submit(roll_what_is_left) for _ in range(threads - 1)]
-    roll_what_is_left()
+    others = [_pool(threads - 1, os.getpid()).submit(roll_remaining) for _ in range(threads - 1)]
+    roll_remaining()
     for other in others:
         if not other.cancel():
             other.result()
@@ -373,24 +369,24 @@ def _actives(shape: ObjectShape, models: Sequence[BatchModel]) -> list[tuple[Eff
     """Effects of each model on its motion; None for all where no model has any, since models without effects share a faster kernel."""
     if all(len(model.effects) == 0 for model in models):
         return [None] * len(models)
-    found: list[tuple[EffectValues, ActiveEffects] | None] = []
+    actives: list[tuple[EffectValues, ActiveEffects] | None] = []
     for model in models:
         acting, arms = model.effects.of_motion, owned((shape.cells.centres - model.body.centre).T)
         no_derivative = np.zeros((len(acting), 0, 3))
-        found.append((acting, active_effects(acting, no_derivative, arms, float(shape.cells.size), 0.0)))
-    return found
+        actives.append((acting, active_effects(acting, no_derivative, arms, float(shape.cells.size), 0.0)))
+    return actives
 
 
-def _ranges(ready: _Ready, pushes: _Pushes, at_once: int) -> Iterator[_Range]:
+def _ranges(prepared: _Prepared, pushes: _Pushes, at_once: int) -> Iterator[_Range]:
     """All tasks, at most `at_once` together; where a model has effects, those of each model by themselves."""
     n = len(pushes.pose)
-    if all(own is None for own in ready.actives):
-        n_tasks = len(ready.actives) * n
+    if all(effects is None for effects in prepared.actives):
+        n_tasks = len(prepared.actives) * n
         yield from (_Range(first, min(first + at_once, n_tasks), pushes, None) for first in range(0, n_tasks, at_once))
         return
-    for m, own in enumerate(ready.actives):
-        assert own is not None, "all have effects, or none"
-        acting, active = own
+    for m, effects in enumerate(prepared.actives):
+        assert effects is not None, "all have effects, or none"
+        acting, active = effects
         driven = pushes._replace(path=_driven(acting, pushes)) if acting.move_pusher else pushes
         for first in range(m * n, (m + 1) * n, at_once):
             yield _Range(first, min(first + at_once, (m + 1) * n), driven, active)
@@ -399,8 +395,8 @@ def _ranges(ready: _Ready, pushes: _Pushes, at_once: int) -> Iterator[_Range]:
 def _driven(effects: EffectValues, pushes: _Pushes) -> Float64Array:
     """The paths that the pusher drives where those of the pushes are reported."""
     path = pushes.path.copy()
-    for own, n, dt in zip(path, pushes.n_steps, pushes.dt, strict=True):
-        own[: n + 1] = driven_path(effects, dt[:n], own[: n + 1])[0]
+    for driven, n, dt in zip(path, pushes.n_steps, pushes.dt, strict=True):
+        driven[: n + 1] = driven_path(effects, dt[:n], driven[: n + 1])[0]
     return path
 
 
@@ -432,11 +428,11 @@ def _pushes(pushes: Sequence[BatchPush], step: float) -> _Pushes:
     path, dt = np.zeros((n, longest + 1, 3)), np.zeros((n, longest))
     frame_step, fraction = np.zeros((n, n_frames), dtype=np.int64), np.zeros((n, n_frames))
     for i, (push, (clock, frames)) in enumerate(zip(pushes, each, strict=True)):
-        own = slice(0, clock.n_steps + 1)
+        steps = slice(0, clock.n_steps + 1)
         for axis in (0, 1):
-            path[i, own, axis] = np.interp(clock.ends, push.pusher.time, push.pusher.position[:, axis])
+            path[i, steps, axis] = np.interp(clock.ends, push.pusher.time, push.pusher.position[:, axis])
         if push.pusher.yaw is not None:
-            path[i, own, 2] = np.interp(clock.ends, push.pusher.time, push.pusher.yaw)
+            path[i, steps, 2] = np.interp(clock.ends, push.pusher.time, push.pusher.yaw)
         dt[i, : clock.n_steps] = clock.lengths
         frame_step[i], fraction[i] = frames.step, frames.fraction
     first = np.array([push.pose_object_in_table for push in pushes], dtype=np.float64)

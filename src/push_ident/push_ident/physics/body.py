@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from push_ident.errors import InputError
 from push_ident.physics.contact import count_inside
 from push_ident.physics.support import GRAVITY
-from push_ident.physics.tape import PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MASS
+from push_ident.physics.tape import Param
 from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["BodyParameters", "body_of_cells", "cell_gradient", "check_body", "owned"]
@@ -79,12 +79,12 @@ def cell_gradient(
     """
     total = float(np.sum(mass))
     centre = mass @ shape.cells.centres / total
-    by_limit = gradient[..., PARAM_LIMIT : PARAM_LIMIT + len(mass)]
+    by_limit = gradient[..., Param.LIMIT : Param.LIMIT + len(mass)]
     by_mass = (
-        gradient[..., PARAM_MASS, None]
-        + gradient[..., PARAM_CENTRE : PARAM_CENTRE + 2] @ ((shape.cells.centres - centre) / total).T
+        gradient[..., Param.MASS, None]
+        + gradient[..., Param.CENTRE : Param.CENTRE + 2] @ ((shape.cells.centres - centre) / total).T
         # The centre moves too, but about the centre of mass the inertia does not change with that.
-        + gradient[..., PARAM_INERTIA, None] * _moments(shape, centre)
+        + gradient[..., Param.INERTIA, None] * _moments(shape, centre)
         + by_limit * (friction * GRAVITY)
     )
     return by_mass, by_limit * (mass * GRAVITY)

@@ -3,7 +3,7 @@
 The pusher is a convex polygon rounded by a radius; a disc is a single point rounded by a radius. There are two kinds of contacts: a
 corner of the pusher on the outline, and a corner of the outline on a straight side of the pusher. At most five are kept: the nearest;
 its neighbours to the left and right on the same flat face (a line contact); the nearest on a face with another normal (a pusher in a
-concave corner); for a polygon one more on such a face. Of two gaps that agree to within a nanometre, the one found first along the
+concave corner); for a polygon one more on such a face. Of two gaps that agree to within a nanometre, the one that comes first along the
 outline counts as nearer: rounding must not decide at which face friction acts. Contact uses the outline, not the cells, because the
 cells would turn an oblique face into a staircase.
 
@@ -13,6 +13,8 @@ cells would turn an oblique face into a staircase.
 from __future__ import annotations
 
 import math
+from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,29 +22,39 @@ from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import MAX_CONTACTS
 from push_ident.types import Float64Array
 
-__all__ = [
-    "CONTACT_FIELDS", "CURVATURE", "GAP", "KIND", "MAX_DISC_CONTACTS", "NORMAL", "ON_CORNER", "ON_EDGE", "ON_SIDE", "OWNER", "PARALLEL",
-    "POINT", "TIP", "count_inside", "find_contacts", "max_candidates",
-]  # fmt: skip
+__all__ = ["MAX_DISC_CONTACTS", "PARALLEL", "REACH", "Field", "Kind", "count_inside", "find_contacts", "max_candidates"]
 
-GAP = 0
-NORMAL = 1
-POINT = 3
-CURVATURE = 5
-KIND = 6
-TIP = 7
-OWNER = 9
-CONTACT_FIELDS = 10
-"""Columns of a contact: gap [m], outward normal x, y, contact point x, y [m], curvature [1/m], kind, point of the pusher's core that
-determines the gap x, y [m], index of the pusher's corner (-1 for a side).
 
-The curvature c gives the rotation of the normal, dn = c (I - n n') d(tip): 0 on an edge, +-1/distance at a corner."""
-ON_EDGE = 0.0
-ON_CORNER = 1.0
-ON_SIDE = 2.0
-"""Kinds of contact. Corner of the pusher on an edge of the outline: the contact point follows the pusher. Corner of the pusher on a corner
-of the outline: the point is fixed. Corner of the outline on a side of the pusher: the point is fixed, the normal rotates with the
-pusher."""
+class Field(IntEnum):
+    """First column of each field of a contact."""
+
+    GAP = 0
+    """[m]"""
+    NORMAL = 1
+    """Outward normal x, y."""
+    POINT = 3
+    """Contact point x, y [m]."""
+    CURVATURE = 5
+    """c [1/m] gives the rotation of the normal, dn = c (I - n n') d(tip): 0 on an edge, +-1/distance at a corner."""
+    KIND = 6
+    TIP = 7
+    """Point of the pusher's core that determines the gap x, y [m]."""
+    OWNER = 9
+    """Index of the pusher's corner, -1 for a side."""
+    WIDTH = 10
+    """Number of columns."""
+
+
+class Kind(IntEnum):
+    """Kind of a contact."""
+
+    EDGE = 0
+    """Corner of the pusher on an edge of the outline: the contact point follows the pusher."""
+    CORNER = 1
+    """Corner of the pusher on a corner of the outline: the point is fixed."""
+    SIDE = 2
+    """Corner of the outline on a side of the pusher: the point is fixed, the normal rotates with the pusher."""
+
 
 MAX_DISC_CONTACTS = 2
 """Of a disc: the nearest, and one on a face with another normal."""
@@ -50,11 +62,24 @@ MAX_DISC_CONTACTS = 2
 PARALLEL = 0.9
 """Cosine between normals above which two contacts belong to the same face."""
 
-_SUPPORT = 0.3  # sine of the angle by which a corner of the pusher may lie behind the foremost one
-_TIE = 1e-9  # gaps that differ by less than this are equal [m]
-_SHALLOW = 1e-4  # overlap up to which a corner of the pusher is treated as outside for the other faces [m]
-_SAME_PLACE = 1e-4  # contacts of one face closer together than this are duplicates [m]
-_TINY = 1e-12
+REACH = 2e-3
+"""Contacts nearer than this take part in a step, in addition to what the pusher covers in it [m]."""
+
+
+class _Tolerances(NamedTuple):
+    """When contacts count as equal, lengths [m]: far below the accuracy of outlines, far above rounding."""
+
+    support: float = 0.3
+    """Sine of the angle by which a corner of the pusher may lie behind the foremost one [1]."""
+    equal_gaps: float = 1e-9
+    """Gaps that differ by less are equal."""
+    shallow: float = 1e-4
+    """Overlap up to which a corner of the pusher is treated as outside for the other faces."""
+    same_point: float = 1e-4
+    """Contacts of one face closer together are duplicates."""
+
+
+_TOLERANCES = _Tolerances()
 
 
 @kernel
@@ -64,7 +89,7 @@ def _edge_feature(px: float, py: float, outline: Float64Array, i: int) -> tuple[
     ax, ay = outline[i, 0], outline[i, 1]
     ex, ey = outline[j, 0] - ax, outline[j, 1] - ay
     length2 = ex * ex + ey * ey
-    s = 0.0 if length2 < _TINY else ((px - ax) * ex + (py - ay) * ey) / length2
+    s = 0.0 if length2 < 1e-12 else ((px - ax) * ex + (py - ay) * ey) / length2
     s = min(1.0, max(0.0, s))
     qx, qy = ax + s * ex, ay + s * ey
     return math.sqrt((px - qx) ** 2 + (py - qy) ** 2), qx, qy, s
@@ -88,15 +113,15 @@ def _fill(contact: Float64Array, px: float, py: float, radius: float, outline: F
         ex, ey = outline[j, 0] - outline[i, 0], outline[j, 1] - outline[i, 1]
         length = math.hypot(ex, ey)
         # The outline runs counter-clockwise, so the outside lies to the right of each edge.
-        contact[NORMAL], contact[NORMAL + 1] = ey / length, -ex / length
-        contact[CURVATURE], contact[KIND] = 0.0, ON_EDGE
+        contact[Field.NORMAL], contact[Field.NORMAL + 1] = ey / length, -ex / length
+        contact[Field.CURVATURE], contact[Field.KIND] = 0.0, Kind.EDGE.value
     else:
-        contact[NORMAL], contact[NORMAL + 1] = sign * (px - qx) / distance, sign * (py - qy) / distance
-        contact[CURVATURE], contact[KIND] = sign / distance, ON_CORNER
-    contact[GAP] = sign * distance - radius
-    contact[POINT], contact[POINT + 1] = qx, qy
-    contact[TIP], contact[TIP + 1] = px, py
-    contact[OWNER] = owner
+        contact[Field.NORMAL], contact[Field.NORMAL + 1] = sign * (px - qx) / distance, sign * (py - qy) / distance
+        contact[Field.CURVATURE], contact[Field.KIND] = sign / distance, Kind.CORNER.value
+    contact[Field.GAP] = sign * distance - radius
+    contact[Field.POINT], contact[Field.POINT + 1] = qx, qy
+    contact[Field.TIP], contact[Field.TIP + 1] = px, py
+    contact[Field.OWNER] = owner
 
 
 @kernel
@@ -107,28 +132,30 @@ def _fill_edge(contact: Float64Array, px: float, py: float, radius: float, outli
     length = math.hypot(ex, ey)
     nx, ny = ey / length, -ex / length
     height = nx * (px - outline[i, 0]) + ny * (py - outline[i, 1])
-    contact[GAP], contact[NORMAL], contact[NORMAL + 1] = height - radius, nx, ny
-    contact[POINT], contact[POINT + 1] = px - height * nx, py - height * ny
-    contact[CURVATURE], contact[KIND] = 0.0, ON_EDGE
-    contact[TIP], contact[TIP + 1] = px, py
-    contact[OWNER] = owner
+    contact[Field.GAP], contact[Field.NORMAL], contact[Field.NORMAL + 1] = height - radius, nx, ny
+    contact[Field.POINT], contact[Field.POINT + 1] = px - height * nx, py - height * ny
+    contact[Field.CURVATURE], contact[Field.KIND] = 0.0, Kind.EDGE.value
+    contact[Field.TIP], contact[Field.TIP + 1] = px, py
+    contact[Field.OWNER] = owner
 
 
 @kernel
 def _foremost(contact: Float64Array, tips: Float64Array, j: int) -> bool:
     """Whether corner j of the pusher is nearly the foremost one against the normal. No other corner can touch there."""
     m = tips.shape[0]
-    nx, ny = contact[NORMAL], contact[NORMAL + 1]
+    nx, ny = contact[Field.NORMAL], contact[Field.NORMAL + 1]
     for k in ((j + 1) % m, (j + m - 1) % m):
         ex, ey = tips[k, 0] - tips[j, 0], tips[k, 1] - tips[j, 1]
-        if -(nx * ex + ny * ey) > _SUPPORT * math.sqrt(ex * ex + ey * ey):
+        if -(nx * ex + ny * ey) > _TOLERANCES.support * math.sqrt(ex * ex + ey * ey):
             return False
     return True
 
 
 @kernel
-def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float64Array, reach: float, found: Float64Array, n: int) -> int:
-    """Append the contacts of corner j of the pusher to the `n` found: the nearest feature and others that it faces. Returns the new `n`."""
+def _corner_candidates(
+    tips: Float64Array, j: int, radius: float, outline: Float64Array, reach: float, candidates: Float64Array, n: int
+) -> int:
+    """Append the contacts of corner j of the pusher to the `n` candidates, the nearest feature and others that it faces. Returns `n`."""
     px, py = tips[j, 0], tips[j, 1]
     nearest, nearest_distance = 0, np.inf
     inside = False
@@ -141,22 +168,22 @@ def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float
     if not inside and nearest_distance - radius > reach:
         return n
     polygon = tips.shape[0] > 1
-    _fill(found[n], px, py, radius, outline, nearest, inside, j)
-    if not polygon or _foremost(found[n], tips, j):
+    _fill(candidates[n], px, py, radius, outline, nearest, inside, j)
+    if not polygon or _foremost(candidates[n], tips, j):
         n += 1
     if inside and not polygon:
         return n
-    if inside and nearest_distance < _SHALLOW and n > 0 and found[n - 1, OWNER] == j:
+    if inside and nearest_distance < _TOLERANCES.shallow and n > 0 and candidates[n - 1, Field.OWNER] == j:
         # The corner overlaps one face slightly. Find the other faces from its mirror image outside that face.
-        out_x, out_y = px + 2.0 * (found[n - 1, POINT] - px), py + 2.0 * (found[n - 1, POINT + 1] - py)
+        out_x, out_y = px + 2.0 * (candidates[n - 1, Field.POINT] - px), py + 2.0 * (candidates[n - 1, Field.POINT + 1] - py)
         for i in range(outline.shape[0]):
             distance, qx, qy, s = _edge_feature(out_x, out_y, outline, i)
             k = i + 1 if i + 1 < outline.shape[0] else 0
             faces = (outline[k, 1] - outline[i, 1]) * (out_x - qx) - (outline[k, 0] - outline[i, 0]) * (out_y - qy) > 0.0
             if i == nearest or not 0.0 < s < 1.0 or not faces or distance - radius > reach:
                 continue
-            _fill_edge(found[n], px, py, radius, outline, i, j)
-            if _foremost(found[n], tips, j):
+            _fill_edge(candidates[n], px, py, radius, outline, i, j)
+            if _foremost(candidates[n], tips, j):
                 n += 1
         return n
     _, _, _, s_before = _edge_feature(px, py, outline, outline.shape[0] - 1)
@@ -171,21 +198,21 @@ def _corner_candidates(tips: Float64Array, j: int, radius: float, outline: Float
         faces = (outline[k, 1] - outline[i, 1]) * (px - qx) - (outline[k, 0] - outline[i, 0]) * (py - qy) > 0.0
         if faces == inside:
             continue
-        _fill(found[n], px, py, radius, outline, i, inside, j)
-        if polygon and not _foremost(found[n], tips, j):
+        _fill(candidates[n], px, py, radius, outline, i, inside, j)
+        if polygon and not _foremost(candidates[n], tips, j):
             continue
         # A corner inside the outline leaves it through one edge only, the nearest of those that it can touch.
-        if inside and n > 0 and found[n - 1, OWNER] == j:
-            if found[n, GAP] > found[n - 1, GAP]:
-                found[n - 1] = found[n]
+        if inside and n > 0 and candidates[n - 1, Field.OWNER] == j:
+            if candidates[n, Field.GAP] > candidates[n - 1, Field.GAP]:
+                candidates[n - 1] = candidates[n]
             continue
         n += 1
     return n
 
 
 @kernel
-def _side_candidates(tips: Float64Array, radius: float, outline: Float64Array, reach: float, found: Float64Array, n: int) -> int:
-    """Append the contacts of convex corners of the outline with straight sides of the pusher to the `n` found. Returns the new `n`."""
+def _side_candidates(tips: Float64Array, radius: float, outline: Float64Array, reach: float, candidates: Float64Array, n: int) -> int:
+    """Append the contacts of convex corners of the outline with straight sides of the pusher to the `n` candidates. Returns the new `n`."""
     m = tips.shape[0]
     n_outline = outline.shape[0]
     for i in range(n_outline):
@@ -193,7 +220,7 @@ def _side_candidates(tips: Float64Array, radius: float, outline: Float64Array, r
         a, b = outline[i - 1 if i > 0 else n_outline - 1], outline[i + 1 if i + 1 < n_outline else 0]
         if (ox - a[0]) * (b[1] - oy) - (oy - a[1]) * (b[0] - ox) <= 0.0:
             continue
-        height, mx, my, place = -np.inf, 0.0, 0.0, 0.0
+        height, mx, my, along = -np.inf, 0.0, 0.0, 0.0
         for j in range(m):
             k = j + 1 if j + 1 < m else 0
             ex, ey = tips[k, 0] - tips[j, 0], tips[k, 1] - tips[j, 1]
@@ -202,16 +229,16 @@ def _side_candidates(tips: Float64Array, radius: float, outline: Float64Array, r
             # In a convex polygon the side with the greatest height faces the point.
             if h > height:
                 height, mx, my = h, ey / length, -ex / length
-                place = (ex * (ox - tips[j, 0]) + ey * (oy - tips[j, 1])) / (length * length)
-        if not 0.0 < place < 1.0 or abs(height) - radius > reach:
+                along = (ex * (ox - tips[j, 0]) + ey * (oy - tips[j, 1])) / (length * length)
+        if not 0.0 < along < 1.0 or abs(height) - radius > reach:
             continue
-        contact = found[n]
-        contact[GAP] = height - radius
-        contact[NORMAL], contact[NORMAL + 1] = -mx, -my
-        contact[POINT], contact[POINT + 1] = ox, oy
-        contact[CURVATURE], contact[KIND] = 0.0, ON_SIDE
-        contact[TIP], contact[TIP + 1] = ox, oy
-        contact[OWNER] = -1
+        contact = candidates[n]
+        contact[Field.GAP] = height - radius
+        contact[Field.NORMAL], contact[Field.NORMAL + 1] = -mx, -my
+        contact[Field.POINT], contact[Field.POINT + 1] = ox, oy
+        contact[Field.CURVATURE], contact[Field.KIND] = 0.0, Kind.SIDE.value
+        contact[Field.TIP], contact[Field.TIP + 1] = ox, oy
+        contact[Field.OWNER] = -1
         n += 1
     return n
 
@@ -231,23 +258,23 @@ def count_inside(points: Float64Array, outline: Float64Array) -> int:
 
 @kernel
 def max_candidates(n_tips: int, n_outline: int) -> int:
-    """Number of rows that `find_contacts` needs in `found`."""
+    """Number of rows that `find_contacts` needs in `candidates`."""
     return n_tips * (n_outline + 1) + n_outline + 1
 
 
 @kernel
 def _duplicates(contact: Float64Array, other: Float64Array) -> bool:
-    """Whether two contacts are the same: on one face, and of the same corner of the pusher or at the same place."""
-    mx, my = other[NORMAL], other[NORMAL + 1]
-    if contact[NORMAL] * mx + contact[NORMAL + 1] * my < PARALLEL:
+    """Whether two contacts are the same: on one face, and of the same corner of the pusher or at the same point."""
+    mx, my = other[Field.NORMAL], other[Field.NORMAL + 1]
+    if contact[Field.NORMAL] * mx + contact[Field.NORMAL + 1] * my < PARALLEL:
         return False
-    offset = -my * (contact[POINT] - other[POINT]) + mx * (contact[POINT + 1] - other[POINT + 1])
-    return (contact[OWNER] >= 0.0 and contact[OWNER] == other[OWNER]) or abs(offset) < _SAME_PLACE
+    offset = -my * (contact[Field.POINT] - other[Field.POINT]) + mx * (contact[Field.POINT + 1] - other[Field.POINT + 1])
+    return (contact[Field.OWNER] >= 0.0 and contact[Field.OWNER] == other[Field.OWNER]) or abs(offset) < _TOLERANCES.same_point
 
 
 @kernel
 def find_contacts(
-    tips: Float64Array, radius: float, outline: Float64Array, reach: float, found: Float64Array, contacts: Float64Array
+    tips: Float64Array, radius: float, outline: Float64Array, reach: float, candidates: Float64Array, contacts: Float64Array
 ) -> int:
     """Contacts of the pusher with the outline.
 
@@ -256,41 +283,45 @@ def find_contacts(
         radius: radius of the rounding [m].
         outline: counter-clockwise polygon [m], shape (n_vertices, 2), object frame.
         reach: greatest gap of a contact [m].
-        found: scratch, shape (max_candidates(n_tips, n_vertices), CONTACT_FIELDS).
-        contacts: filled with one row for each contact, shape (MAX_CONTACTS, CONTACT_FIELDS); see `CONTACT_FIELDS`.
+        candidates: scratch, shape (max_candidates(n_tips, n_vertices), Field.WIDTH).
+        contacts: filled with one row for each contact, shape (MAX_CONTACTS, Field.WIDTH); see `Field.WIDTH`.
 
     Returns:
         The number of rows filled. The first is the nearest.
     """
     n = 0
     for j in range(tips.shape[0]):
-        n = _corner_candidates(tips, j, radius, outline, reach, found, n)
+        n = _corner_candidates(tips, j, radius, outline, reach, candidates, n)
     if tips.shape[0] > 1:
-        n = _side_candidates(tips, radius, outline, reach, found, n)
+        n = _side_candidates(tips, radius, outline, reach, candidates, n)
     first = -1
     for i in range(n):
-        if found[i, GAP] <= reach and (first < 0 or found[i, GAP] < found[first, GAP] - _TIE):
+        if candidates[i, Field.GAP] <= reach and (
+            first < 0 or candidates[i, Field.GAP] < candidates[first, Field.GAP] - _TOLERANCES.equal_gaps
+        ):
             first = i
     if first < 0:
         return 0
-    contacts[0] = found[first]
-    nx, ny = contacts[0, NORMAL], contacts[0, NORMAL + 1]
+    contacts[0] = candidates[first]
+    nx, ny = contacts[0, Field.NORMAL], contacts[0, Field.NORMAL + 1]
     # On the face of the first contact, on each side of it: the contact that the smallest relative rotation would close.
     left = right = elsewhere = -1
     left_turn = right_turn = elsewhere_gap = np.inf
     for i in range(n):
-        if i == first or found[i, GAP] > reach:
+        if i == first or candidates[i, Field.GAP] > reach:
             continue
-        if found[i, NORMAL] * nx + found[i, NORMAL + 1] * ny < PARALLEL:
-            if found[i, GAP] < elsewhere_gap - _TIE:
-                elsewhere, elsewhere_gap = i, found[i, GAP]
+        if candidates[i, Field.NORMAL] * nx + candidates[i, Field.NORMAL + 1] * ny < PARALLEL:
+            if candidates[i, Field.GAP] < elsewhere_gap - _TOLERANCES.equal_gaps:
+                elsewhere, elsewhere_gap = i, candidates[i, Field.GAP]
             continue
-        if found[i, OWNER] >= 0.0 and found[i, OWNER] == contacts[0, OWNER]:
+        if candidates[i, Field.OWNER] >= 0.0 and candidates[i, Field.OWNER] == contacts[0, Field.OWNER]:
             continue
-        offset = -ny * (found[i, POINT] - contacts[0, POINT]) + nx * (found[i, POINT + 1] - contacts[0, POINT + 1])
-        if abs(offset) < _SAME_PLACE:
+        offset = -ny * (candidates[i, Field.POINT] - contacts[0, Field.POINT]) + nx * (
+            candidates[i, Field.POINT + 1] - contacts[0, Field.POINT + 1]
+        )
+        if abs(offset) < _TOLERANCES.same_point:
             continue
-        turn = (found[i, GAP] - contacts[0, GAP] + _SAME_PLACE) / abs(offset)
+        turn = (candidates[i, Field.GAP] - contacts[0, Field.GAP] + _TOLERANCES.same_point) / abs(offset)
         if offset > 0.0 and turn < left_turn:
             left, left_turn = i, turn
         elif offset < 0.0 and turn < right_turn:
@@ -299,21 +330,25 @@ def find_contacts(
     another = -1
     if elsewhere >= 0 and tips.shape[0] > 1:
         for i in range(n):
-            if i in (first, elsewhere) or found[i, GAP] > reach or found[i, NORMAL] * nx + found[i, NORMAL + 1] * ny >= PARALLEL:
+            if (
+                i in (first, elsewhere)
+                or candidates[i, Field.GAP] > reach
+                or candidates[i, Field.NORMAL] * nx + candidates[i, Field.NORMAL + 1] * ny >= PARALLEL
+            ):
                 continue
-            if _duplicates(found[i], found[elsewhere]):
+            if _duplicates(candidates[i], candidates[elsewhere]):
                 continue
-            if another < 0 or found[i, GAP] < found[another, GAP] - _TIE:
+            if another < 0 or candidates[i, Field.GAP] < candidates[another, Field.GAP] - _TOLERANCES.equal_gaps:
                 another = i
     number = 1
     while number < MAX_CONTACTS:
         best = -1
         for i in (left, right, elsewhere, another):
-            if i >= 0 and (best < 0 or found[i, GAP] < found[best, GAP]):
+            if i >= 0 and (best < 0 or candidates[i, Field.GAP] < candidates[best, Field.GAP]):
                 best = i
         if best < 0:
             break
-        contacts[number] = found[best]
+        contacts[number] = candidates[best]
         number += 1
         if best == left:
             left = -1

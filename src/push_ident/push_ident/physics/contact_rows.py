@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from push_ident.physics.contact import CURVATURE, GAP, KIND, NORMAL, ON_EDGE, ON_SIDE, PARALLEL, POINT, TIP
+from push_ident.physics.contact import PARALLEL, Field, Kind
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import BOUND, MAX_CONTACTS, SHARES_TANGENT
+from push_ident.physics.modes import MAX_CONTACTS, Row
 from push_ident.physics.step_geometry import StepGeometry
 from push_ident.types import Float64Array
 
@@ -107,27 +107,27 @@ def contact_rows(
     """
     centre, dt = geometry.centre, geometry.dt
     velocity, spin = pusher.velocity, pusher.spin[0]
-    nx, ny = contact[NORMAL], contact[NORMAL + 1]
-    ax, ay = contact[POINT] - centre[0], contact[POINT + 1] - centre[1]
-    vx = velocity[0] - spin * (contact[POINT + 1] - pusher.centre[1])
-    vy = velocity[1] + spin * (contact[POINT] - pusher.centre[0])
+    nx, ny = contact[Field.NORMAL], contact[Field.NORMAL + 1]
+    ax, ay = contact[Field.POINT] - centre[0], contact[Field.POINT + 1] - centre[1]
+    vx = velocity[0] - spin * (contact[Field.POINT + 1] - pusher.centre[1])
+    vy = velocity[1] + spin * (contact[Field.POINT] - pusher.centre[0])
     tx, ty = -ny, nx
     i = MAX_CONTACTS + k
     rows[k, 0], rows[k, 1], rows[k, 2] = -nx, -ny, -(ax * ny - ay * nx)
     rows[i, 0], rows[i, 1], rows[i, 2] = tx, ty, ax * ty - ay * tx
-    rows[k, BOUND] = -(nx * vx + ny * vy) - max(contact[GAP] / dt, -RECOVERY_SPEED)
-    rows[i, BOUND] = tx * vx + ty * vy
+    rows[k, Row.BOUND] = -(nx * vx + ny * vy) - max(contact[Field.GAP] / dt, -RECOVERY_SPEED)
+    rows[i, Row.BOUND] = tx * vx + ty * vy
     if geometry.is_struck:
-        rows[i, BOUND] *= _contact_share(contact[GAP], -(nx * vx + ny * vy), dt)
-    rows[k, SHARES_TANGENT] = 1.0 if nx * face[NORMAL] + ny * face[NORMAL + 1] >= PARALLEL else 0.0
+        rows[i, Row.BOUND] *= _contact_share(contact[Field.GAP], -(nx * vx + ny * vy), dt)
+    rows[k, Row.SHARES_TANGENT] = 1.0 if nx * face[Field.NORMAL] + ny * face[Field.NORMAL + 1] >= PARALLEL else 0.0
 
 
 @kernel
 def shift_surface(contacts: Float64Array, n_contacts: int, offset: float) -> None:
     """Move contact points to the surface, for contacts that were found with a radius larger by `offset` [m]."""
     for k in range(n_contacts):
-        contacts[k, POINT] += offset * contacts[k, NORMAL]
-        contacts[k, POINT + 1] += offset * contacts[k, NORMAL + 1]
+        contacts[k, Field.POINT] += offset * contacts[k, Field.NORMAL]
+        contacts[k, Field.POINT + 1] += offset * contacts[k, Field.NORMAL + 1]
 
 
 @kernel
@@ -137,11 +137,11 @@ def add_rebound(contact: Float64Array, k: int, rebound: Rebound, dt: float, rows
     The law acts in the step after one in which the contact pressed. That step has closed the gap without rebound, so that an impact
     takes two steps. As the restitution tends to 0, the motion tends to the one without it.
     """
-    if rebound.acts and contact[GAP] <= _TOUCHES:
+    if rebound.acts and contact[Field.GAP] <= _TOUCHES:
         before = rebound.twist
-        pusher = rows[k, BOUND] + max(contact[GAP] / dt, -RECOVERY_SPEED)
+        pusher = rows[k, Row.BOUND] + max(contact[Field.GAP] / dt, -RECOVERY_SPEED)
         approach = pusher - rows[k, 0] * before[0] - rows[k, 1] * before[1] - rows[k, 2] * before[2]
-        rows[k, BOUND] += rebound.restitution * max(0.0, approach)
+        rows[k, Row.BOUND] += rebound.restitution * max(0.0, approach)
 
 
 @kernel
@@ -158,16 +158,16 @@ def contact_rows_seed(
     centre, dt = geometry.centre, geometry.dt
     pusher, velocity, spin = relative.centre, relative.velocity, relative.spin[0]
     d_pusher, d_angle, d_centre, d_velocity = change.pusher, change.angle[0], change.centre, change.velocity
-    nx, ny = contact[NORMAL], contact[NORMAL + 1]
+    nx, ny = contact[Field.NORMAL], contact[Field.NORMAL + 1]
     tx, ty = -ny, nx
-    ax, ay = contact[POINT] - centre[0], contact[POINT + 1] - centre[1]
-    bx, by = contact[POINT] - pusher[0], contact[POINT + 1] - pusher[1]
+    ax, ay = contact[Field.POINT] - centre[0], contact[Field.POINT + 1] - centre[1]
+    bx, by = contact[Field.POINT] - pusher[0], contact[Field.POINT + 1] - pusher[1]
     vx, vy = velocity[0] - spin * by, velocity[1] + spin * bx
-    d_tip_x = d_pusher[0] - d_angle * (contact[TIP + 1] - pusher[1])
-    d_tip_y = d_pusher[1] + d_angle * (contact[TIP] - pusher[0])
+    d_tip_x = d_pusher[0] - d_angle * (contact[Field.TIP + 1] - pusher[1])
+    d_tip_y = d_pusher[1] + d_angle * (contact[Field.TIP] - pusher[0])
     along = tx * d_tip_x + ty * d_tip_y
-    turn = d_angle if contact[KIND] == ON_SIDE else contact[CURVATURE] * along
-    slide = along if contact[KIND] == ON_EDGE else 0.0
+    turn = d_angle if contact[Field.KIND] == Kind.SIDE.value else contact[Field.CURVATURE] * along
+    slide = along if contact[Field.KIND] == Kind.EDGE.value else 0.0
     dnx, dny = turn * tx, turn * ty
     dtx, dty = -dny, dnx
     d_point_x, d_point_y = slide * tx, slide * ty
@@ -183,26 +183,26 @@ def contact_rows_seed(
         dvx -= effects.d_spin * by
         dvy += effects.d_spin * bx
     # A deeper overlap closes at the recovery speed, whatever its depth.
-    if contact[GAP] <= -RECOVERY_SPEED * dt:
+    if contact[Field.GAP] <= -RECOVERY_SPEED * dt:
         d_gap = 0.0
     d_rows[k, 0], d_rows[k, 1] = -dnx, -dny
     d_rows[k, 2] = -(dax * ny + ax * dny - day * nx - ay * dnx)
     d_bound = -(dnx * vx + dny * vy + nx * dvx + ny * dvy)
-    d_rows[k, BOUND] = d_bound - d_gap / dt
-    if effects is not None and effects.rebound.acts and contact[GAP] <= _TOUCHES:
+    d_rows[k, Row.BOUND] = d_bound - d_gap / dt
+    if effects is not None and effects.rebound.acts and contact[Field.GAP] <= _TOUCHES:
         before, d_before = effects.rebound.twist, effects.d_twist
         approach = nx * (before[0] - vx) + ny * (before[1] - vy) + (ax * ny - ay * nx) * before[2]
         if approach > 0.0:
             d_approach = d_bound + nx * d_before[0] + ny * d_before[1] + (ax * ny - ay * nx) * d_before[2]
             d_approach -= d_rows[k, 0] * before[0] + d_rows[k, 1] * before[1] + d_rows[k, 2] * before[2]
-            d_rows[k, BOUND] += effects.d_restitution * approach + effects.rebound.restitution * d_approach
+            d_rows[k, Row.BOUND] += effects.d_restitution * approach + effects.rebound.restitution * d_approach
     i = MAX_CONTACTS + k
     d_rows[i, 0], d_rows[i, 1] = dtx, dty
     d_rows[i, 2] = dax * ty + ax * dty - day * tx - ay * dtx
-    d_rows[i, BOUND] = dtx * vx + dty * vy + tx * dvx + ty * dvy
+    d_rows[i, Row.BOUND] = dtx * vx + dty * vy + tx * dvx + ty * dvy
     if geometry.is_struck:
         closing = -(nx * vx + ny * vy)
-        share = _contact_share(contact[GAP], closing, dt)
-        d_rows[i, BOUND] *= share
+        share = _contact_share(contact[Field.GAP], closing, dt)
+        d_rows[i, Row.BOUND] *= share
         if 0.0 < share < 1.0:
-            d_rows[i, BOUND] += (tx * vx + ty * vy) * (contact[GAP] * d_bound / closing - d_gap) / (closing * dt)
+            d_rows[i, Row.BOUND] += (tx * vx + ty * vy) * (contact[Field.GAP] * d_bound / closing - d_gap) / (closing * dt)

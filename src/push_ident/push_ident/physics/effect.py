@@ -242,16 +242,16 @@ class OnTimes:
 class OnPoses:
     """Acts on measured poses."""
 
-    see: Callable[[ComplexArray, ComplexArray], ComplexArray]
-    """see(values, pose): reported poses for the true ones (x, y, yaw), shape (n_frames, 3), table frame."""
+    report: Callable[[ComplexArray, ComplexArray], ComplexArray]
+    """report(values, pose): reported poses for the true ones (x, y, yaw), shape (n_frames, 3), table frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class OnForces:
     """Acts on measured forces of the pusher."""
 
-    feel: Callable[[ComplexArray, ComplexArray], ComplexArray]
-    """feel(values, force): reported forces for the true ones [N], shape (n, 2), table frame; linear in the force, so that it holds for
+    report: Callable[[ComplexArray, ComplexArray], ComplexArray]
+    """report(values, force): reported forces for the true ones [N], shape (n, 2), table frame; linear in the force, so that it holds for
     means over time."""
 
 

@@ -32,9 +32,7 @@ __all__ = [
 ]  # fmt: skip
 
 ComplexArray = NDArray[np.complex128]
-_TURN = STEP_OF_INPUT * 1j
-_NEWTON_STEPS = 4
-"""Measurements change poses by little and smoothly: two steps reach rounding."""
+_IMAGINARY_STEP = STEP_OF_INPUT * 1j
 
 
 @cache
@@ -50,7 +48,7 @@ def _parameters_of(names: tuple[str, ...]) -> tuple[EffectParameter, ...]:
 
 
 @cache
-def _places_of(names: tuple[str, ...]) -> tuple[tuple[Effect, slice], ...]:
+def _positions_of(names: tuple[str, ...]) -> tuple[tuple[Effect, slice], ...]:
     """Each effect with the position of its values. A fit asks for it in every simulation."""
     ends = np.cumsum([0, *(len(effect.parameters) for effect in _effects_of(names))]).tolist()
     return tuple((effect, slice(*ends[k : k + 2])) for k, effect in enumerate(_effects_of(names)))
@@ -85,9 +83,9 @@ class EffectValues:
 
     def slice_of(self, name: str) -> slice:
         """Position of the values of an active effect."""
-        for effect, own in _places_of(self.names):
+        for effect, position in _positions_of(self.names):
             if effect.name == name:
-                return own
+                return position
         raise InputError(f"The effect {name!r} is not active, expected one of {', '.join(self.names) or 'none'}.")
 
     @property
@@ -116,15 +114,15 @@ class EffectValues:
         """All but an error of the outline."""
         return self._only(effect for effect in self.effects if not effect.moves_outline)
 
-    def _but(self, *places: type) -> EffectValues:
-        return self._only(effect for effect in self.effects if not isinstance(effect.acts, places))
+    def _but(self, *kinds: type) -> EffectValues:
+        return self._only(effect for effect in self.effects if not isinstance(effect.acts, kinds))
 
     def _only(self, kept: Iterable[Effect]) -> EffectValues:
-        own = tuple(kept)
-        if len(own) == len(self.names):
+        effects = tuple(kept)
+        if len(effects) == len(self.names):
             return self
-        values = [self.values[self.slice_of(effect.name)] for effect in own]
-        return EffectValues(tuple(effect.name for effect in own), np.concatenate([np.zeros(0), *values]))
+        values = [self.values[self.slice_of(effect.name)] for effect in effects]
+        return EffectValues(tuple(effect.name for effect in effects), np.concatenate([np.zeros(0), *values]))
 
     def with_values(self, values: ArrayLike) -> EffectValues:
         """The same effects with other values.
@@ -191,13 +189,13 @@ def _through(steps: list[tuple[slice, _Step]], effects: EffectValues, x: Float64
 
     def result() -> ComplexArray:
         y = x.astype(np.complex128)
-        for own, step in steps:
-            y = step(values[own], y)
+        for position, step in steps:
+            y = step(values[position], y)
         return y
 
-    for own, _ in steps:
-        for k in range(own.start, own.stop):
-            values[k] += _TURN
+    for position, _ in steps:
+        for k in range(position.start, position.stop):
+            values[k] += _IMAGINARY_STEP
             by_value[k] = result().imag / STEP_OF_INPUT
             values[k] = effects.values[k]
     return np.ascontiguousarray(result().real), by_value
@@ -214,8 +212,8 @@ def driven_path(effects: EffectValues, dt: float | Float64Array, path: Float64Ar
     Returns:
         The path, and its derivative by the values, shape (n_values, n_steps + 1, 3).
     """
-    acts = [(own, effect.acts) for effect, own in _places_of(effects.names)]
-    steps: list[tuple[slice, _Step]] = [(own, partial(_move, act.move, dt)) for own, act in acts if isinstance(act, OnPusherPath)]
+    acts = [(position, effect.acts) for effect, position in _positions_of(effects.names)]
+    steps: list[tuple[slice, _Step]] = [(position, partial(_move, act.move, dt)) for position, act in acts if isinstance(act, OnPusherPath)]
     return _through(steps, effects, path)
 
 
@@ -227,7 +225,9 @@ def _move(
 
 def changed_friction(effects: EffectValues, coefficient: float) -> tuple[float, Float64Array]:
     """The pusher's friction coefficient under the effects, where that of the model is `coefficient`, and its derivative by the values."""
-    steps = [(own, effect.acts.change) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnPusherFriction)]
+    steps = [
+        (position, effect.acts.change) for effect, position in _positions_of(effects.names) if isinstance(effect.acts, OnPusherFriction)
+    ]
     value, by_value = _through(steps, effects, np.array([coefficient]))
     return float(value[0]), by_value[:, 0]
 
@@ -236,7 +236,9 @@ def measurement_times(effects: EffectValues, time: Float64Array) -> tuple[Float6
     """Times [s] at which the poses reported for `time` were measured, shape (n_frames,), and their derivative by the values, shape
     (n_values, n_frames)."""
     return _through(
-        [(own, effect.acts.move) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnTimes)], effects, time
+        [(position, effect.acts.move) for effect, position in _positions_of(effects.names) if isinstance(effect.acts, OnTimes)],
+        effects,
+        time,
     )
 
 
@@ -244,7 +246,9 @@ def force_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array
     """Times [s] at which the forces reported for `time` were measured, shape (n,), and their derivative by the values, shape (n_values,
     n)."""
     return _through(
-        [(own, effect.acts.move) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnForceTimes)], effects, time
+        [(position, effect.acts.move) for effect, position in _positions_of(effects.names) if isinstance(effect.acts, OnForceTimes)],
+        effects,
+        time,
     )
 
 
@@ -254,15 +258,15 @@ def reported_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Ar
     Returns:
         The poses; their derivative by the true ones, shape (n_frames, 3, 3); and by the values, shape (n_values, n_frames, 3).
     """
-    steps = [(own, effect.acts.see) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnPoses)]
+    steps = [(position, effect.acts.report) for effect, position in _positions_of(effects.names) if isinstance(effect.acts, OnPoses)]
     value, by_value = _through(steps, effects, pose)
     by_pose = np.empty((*pose.shape, 3))
     for axis in range(3):
-        turned = pose.astype(np.complex128)
-        turned[:, axis] += _TURN
-        for own, see in steps:
-            turned = see(effects.values[own].astype(np.complex128), turned)
-        by_pose[:, :, axis] = turned.imag / STEP_OF_INPUT
+        stepped = pose.astype(np.complex128)
+        stepped[:, axis] += _IMAGINARY_STEP
+        for position, report in steps:
+            stepped = report(effects.values[position].astype(np.complex128), stepped)
+        by_pose[:, :, axis] = stepped.imag / STEP_OF_INPUT
     return value, by_pose, by_value
 
 
@@ -272,15 +276,15 @@ def measured_forces(effects: EffectValues, force: Float64Array) -> tuple[Float64
     Returns:
         The forces; their derivative by the true ones, shape (n, 2, 2); and by the values, shape (n_values, n, 2).
     """
-    steps = [(own, effect.acts.feel) for effect, own in _places_of(effects.names) if isinstance(effect.acts, OnForces)]
+    steps = [(position, effect.acts.report) for effect, position in _positions_of(effects.names) if isinstance(effect.acts, OnForces)]
     value, by_value = _through(steps, effects, force)
     by_force = np.empty((*force.shape, 2))
     for axis in range(2):
-        turned = force.astype(np.complex128)
-        turned[:, axis] += _TURN
-        for own, feel in steps:
-            turned = feel(effects.values[own].astype(np.complex128), turned)
-        by_force[:, :, axis] = turned.imag / STEP_OF_INPUT
+        stepped = force.astype(np.complex128)
+        stepped[:, axis] += _IMAGINARY_STEP
+        for position, report in steps:
+            stepped = report(effects.values[position].astype(np.complex128), stepped)
+        by_force[:, :, axis] = stepped.imag / STEP_OF_INPUT
     return value, by_force, by_value
 
 
@@ -289,7 +293,8 @@ def true_pose(effects: EffectsLike | None, reported: Float64Array) -> Float64Arr
     acting = effect_values(effects)
     pose = np.array(reported, dtype=np.float64)
     if any(isinstance(effect.acts, OnPoses) for effect in acting.effects):
-        for _ in range(_NEWTON_STEPS):
-            own, by_pose, _ = reported_poses(acting, pose[None])
-            pose -= np.linalg.solve(by_pose[0], own[0] - reported)
+        # Newton's method. Measurements change poses by little and smoothly: two steps reach rounding.
+        for _ in range(4):
+            pose_of_estimate, by_pose, _ = reported_poses(acting, pose[None])
+            pose -= np.linalg.solve(by_pose[0], pose_of_estimate[0] - reported)
     return pose

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 import torch
 from torch import Tensor
@@ -39,13 +39,25 @@ from push_ident.errors import InputError
 
 __all__ = ["Lcp", "LcpSolution", "LcpStatus", "solve_lcp"]
 
-_RATIO_FLOOR = 1e-11  # lower bound of the scaled s / gamma in the factorisation
-_SMALLEST_SIZE = 1e-8  # lower bound of max(s) max(gamma), with which each s_i gamma_i is compared: at a solution it may be zero
-_REFINED = 1e-15  # residual of a linear system, relative to its right-hand side, at which refinement ends
-_SINGULAR = 1e-8  # relative residual above which an adjoint system counts as singular
-_MAX_REFINEMENTS = 20
-# Starting points (gamma, s) of the interior-point method. If the problem is not monotone, it may fail from one and converge from another.
-_STARTS = ((1.0, 1.0), (10.0, 10.0), (1.0, 10.0), (0.1, 0.1))
+
+class _Method(NamedTuple):
+    """Of the interior-point method and its adjoint; numbers without unit, near the rounding of double precision."""
+
+    ratio_floor: float = 1e-11
+    """Lower bound of the scaled s / gamma in the factorisation."""
+    smallest_size: float = 1e-8
+    """Lower bound of max(s) max(gamma), with which each s_i gamma_i is compared: at a solution it may be zero."""
+    refined: float = 1e-15
+    """Residual of a linear system, relative to its right-hand side, at which refinement ends."""
+    max_refinements: int = 20
+    """Of an adjoint system."""
+    singular: float = 1e-8
+    """Relative residual above which an adjoint system counts as singular."""
+    starts: tuple[tuple[float, float], ...] = ((1.0, 1.0), (10.0, 10.0), (1.0, 10.0), (0.1, 0.1))
+    """Starting points (gamma, s). If the problem is not monotone, the method may fail from one and converge from another."""
+
+
+_METHOD: Final = _Method()
 
 
 class LcpStatus(Enum):
@@ -206,8 +218,8 @@ class _SolveLcp(torch.autograd.Function):
 
         g_motion = _times(N.mT, g_alpha)
         H, F_transposed = _scaled(d, G @ N, F.mT)
-        w, left = _KktSolver(ratio, H, F_transposed).solve(_times(H, g_motion) - d * g_gamma, _MAX_REFINEMENTS)
-        w = torch.where(left[:, None] <= _SINGULAR, d * w, torch.nan)
+        w, left = _KktSolver(ratio, H, F_transposed).solve(_times(H, g_motion) - d * g_gamma, _METHOD.max_refinements)
+        w = torch.where(left[:, None] <= _METHOD.singular, d * w, torch.nan)
         u = _times(N, g_motion - _times(N.mT, _times(G.mT, w)))
 
         need_M, need_q, need_G, need_F, need_m, need_A = ctx.needs_input_grad[:6]
@@ -274,7 +286,7 @@ class _KktSolver:
 
     def __init__(self, ratio: Tensor, H: Tensor, F: Tensor) -> None:
         self._ratio, self._H, self._F = ratio, H, F
-        floored = torch.clamp(ratio, min=_RATIO_FLOOR).reshape(F.shape[:3])
+        floored = torch.clamp(ratio, min=_METHOD.ratio_floor).reshape(F.shape[:3])
         self._lu, self._pivots, _ = torch.linalg.lu_factor_ex(torch.diag_embed(floored) - F)
         self._block_H = self._solve_blocks(H)
         motion = H.mT @ self._block_H
@@ -296,7 +308,7 @@ class _KktSolver:
             x = x + self._solve_floored(residual)
             residual = r - self._ratio * x - _times(self._H, _times(self._H.mT, x)) + _times_blocks(self._F, x)
             left = residual.abs().amax(dim=1) / size
-            if not bool((left > _REFINED).any()):
+            if not bool((left > _METHOD.refined).any()):
                 break
         return x, left
 
@@ -333,7 +345,7 @@ def _solve_standard(H: Tensor, F: Tensor, b: Tensor, tolerance: float, max_itera
     solved = torch.zeros(len(b), dtype=torch.bool)
     iterations = torch.zeros(len(b), dtype=torch.int64)
     left = torch.arange(len(b))
-    for start in _STARTS:
+    for start in _METHOD.starts:
         gamma[left], s[left], solved[left], used = _interior_point(H[left], F[left], b[left], start, tolerance, max_iterations)
         iterations[left] += used
         left = left[~solved[left]]
@@ -356,7 +368,7 @@ def _interior_point(
         residual = t - b[active] - _times(h, _times(h.mT, g)) + _times_blocks(f, g)
         product = t * g
         # A row with hardly any diagonal is scaled up until its b dwarfs all others, whose s and gamma are then small beside one.
-        negligible = 1e-2 * tolerance * torch.clamp(t.amax(dim=1, keepdim=True) * g.amax(dim=1, keepdim=True), _SMALLEST_SIZE, 1.0)
+        negligible = 1e-2 * tolerance * torch.clamp(t.amax(dim=1, keepdim=True) * g.amax(dim=1, keepdim=True), _METHOD.smallest_size, 1.0)
         done = (residual.abs().amax(dim=1) <= tolerance) & (product <= negligible).all(dim=1)
         solved[active[done]] = True
         iterations[active] = iteration

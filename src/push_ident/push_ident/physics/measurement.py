@@ -2,7 +2,7 @@
 
 With effects on times and poses, the pose reported for the time t is
 
-    reported(t) = see(pose(move(t))),      d reported = see' (d pose + pose' d move) + d see
+    reported(t) = report(pose(move(t))),      d reported = report' (d pose + pose' d move) + d report
 
 pose' is the velocity, the slope of the rollout between the ends of the step.
 """
@@ -15,7 +15,7 @@ import numpy as np
 
 from push_ident.physics.effect import OnPoses, OnTimes
 from push_ident.physics.effect_values import EffectValues, measurement_times, reported_poses
-from push_ident.physics.tape import PARAM_MU, Frames
+from push_ident.physics.tape import Frames, Param
 from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["Measurement", "ReportTimes", "StepClock"]
@@ -110,12 +110,12 @@ class ReportTimes:
         return len(self.by_value) > 0 and bool(np.any(self.by_value))
 
     @property
-    def wanted(self) -> Frames:
+    def simulated(self) -> Frames:
         """Frames to simulate: those reported, each after the ends of its step where the velocity is needed."""
         if not self.is_moved:
             return self.frames
-        own = self.frames.fraction
-        fraction = np.column_stack([np.zeros_like(own), np.ones_like(own), own]).ravel()
+        reported = self.frames.fraction
+        fraction = np.column_stack([np.zeros_like(reported), np.ones_like(reported), reported]).ravel()
         return Frames(np.repeat(self.frames.step, 3), fraction)
 
     def split(self, pose: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -154,7 +154,7 @@ class Measurement:
     def of_jacobian(self, jacobian: Float64Array) -> Float64Array:
         """That of the reported poses from that of the true ones."""
         n_values = len(self.mu_by_value)
-        jacobian[:, :, -n_values:] += jacobian[:, :, PARAM_MU, None] * self.mu_by_value
+        jacobian[:, :, -n_values:] += jacobian[:, :, Param.MU, None] * self.mu_by_value
         reported: Float64Array = jacobian if self.is_true else self.by_pose @ jacobian
         reported[:, :, -n_values:] += self.by_value
         return reported
@@ -162,13 +162,13 @@ class Measurement:
     def add_pusher_friction(self, by_impulse: Float64Array) -> None:
         """Add what the values do to impulses through the pusher's friction, shape (n_forces, 2, n_columns)."""
         n_values = len(self.mu_by_value)
-        by_impulse[:, :, -n_values:] += by_impulse[:, :, PARAM_MU, None] * self.mu_by_value
+        by_impulse[:, :, -n_values:] += by_impulse[:, :, Param.MU, None] * self.mu_by_value
 
     def by_true_pose(self, by_pose: Float64Array) -> Float64Array:
         """Gradient by the true poses from that by the reported ones."""
         return np.einsum("fij,fi->fj", self.by_pose, by_pose)
 
     def add_gradient(self, by_pose: Float64Array, gradient: Float64Array) -> None:
-        """Add the values' own part to the gradient of a loss."""
+        """Add the part of the values themselves to the gradient of a loss."""
         n_values = len(self.mu_by_value)
-        gradient[-n_values:] += gradient[PARAM_MU] * self.mu_by_value + np.einsum("fiv,fi->v", self.by_value, by_pose)
+        gradient[-n_values:] += gradient[Param.MU] * self.mu_by_value + np.einsum("fiv,fi->v", self.by_value, by_pose)

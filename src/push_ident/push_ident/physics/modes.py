@@ -15,6 +15,7 @@ is unsymmetric where a contact slips: the impulse acts along N + drag T, while t
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -24,40 +25,45 @@ from push_ident.physics.kernel import kernel
 from push_ident.types import Float64Array
 
 __all__ = [
-    "BOUND", "CONTACT_COLUMNS", "MAX_CONTACTS", "MODE_FREE", "MODE_SLIDE_MINUS", "MODE_SLIDE_PLUS", "MODE_STICK", "NO_MODE",
-    "SHARES_TANGENT", "ModeScratch", "StepContacts", "drag_sign", "mode_system", "new_mode_scratch", "solve_modes", "solve_small",
-    "tangent_row",
+    "MAX_CONTACTS", "Mode", "ModeScratch", "Row", "StepContacts", "drag_sign", "mode_system", "new_mode_scratch", "solve_modes",
+    "solve_small", "tangent_row",
 ]  # fmt: skip
 
 MAX_CONTACTS = 5
-
-MODE_FREE = 0
-MODE_STICK = 1
-MODE_SLIDE_PLUS = 2
-"""The object slides along +T on the pusher, so that t = -mu sum n_k."""
-MODE_SLIDE_MINUS = 3
-NO_MODE = -1
-"""No mode satisfies the inequalities. Any other mode code is the mode of the tangent + 4 * (sum of 2^k over the contacts k that press)."""
-
 _TANGENT = MAX_CONTACTS  # row of the tangent of contact 0
 
 
-BOUND = 3
-SHARES_TANGENT = 4
-CONTACT_COLUMNS = 5
-"""Contacts of one step form one array, object axes, shape (2 MAX_CONTACTS, CONTACT_COLUMNS): the rows N_k, then the rows T_k. Columns:
+class Mode(IntEnum):
+    """Mode of the tangent. A mode code is this + 4 * (sum of 2^k over the contacts k that press)."""
 
-    0-2   velocity of the contact point along -n (N_k) or along t (T_k) for a unit of each velocity of the twist
-    3     bound [m/s]: lower bound of N_k u; velocity of the pusher along t, which T_k u equals without slip
-    4     of N_k: 1 for a contact on the face of the first one, else 0
-"""
+    FREE = 0
+    STICK = 1
+    SLIDE_PLUS = 2
+    """The object slides along +T on the pusher, so that t = -mu sum n_k."""
+    SLIDE_MINUS = 3
+    NONE = -1
+    """As a code: no mode satisfies the inequalities."""
+
+
+class Row(IntEnum):
+    """Columns of the contacts of one step, object axes, shape (2 MAX_CONTACTS, Row.WIDTH): the rows N_k, then the rows T_k.
+
+    The first three are the velocity of the contact point along -n (N_k) or along t (T_k) for a unit of each velocity of the twist.
+    """
+
+    BOUND = 3
+    """[m/s]: lower bound of N_k u; velocity of the pusher along t, which T_k u equals without slip."""
+    SHARES_TANGENT = 4
+    """Of N_k: 1 for a contact on the face of the first one, else 0."""
+    WIDTH = 5
+    """Number of columns."""
 
 
 class StepContacts(NamedTuple):
     """The contacts of one step."""
 
     rows: Float64Array
-    """Shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `CONTACT_COLUMNS`."""
+    """Shape (2 MAX_CONTACTS, Row.WIDTH), see `Row.WIDTH`."""
     number: int
     """Number of contacts."""
     mu: float
@@ -118,7 +124,7 @@ def solve_small(a: Float64Array, b: Float64Array, n: int, m: int) -> bool:
 def tangent_row(code: int, contacts: Float64Array) -> int:
     """Row of the tangent along which friction acts in a mode: that of the first pressing contact of the common face."""
     for k in range(MAX_CONTACTS):
-        if (code >> (2 + k)) & 1 and contacts[k, SHARES_TANGENT] != 0.0:
+        if (code >> (2 + k)) & 1 and contacts[k, Row.SHARES_TANGENT] != 0.0:
             return _TANGENT + k
     return _TANGENT
 
@@ -127,7 +133,7 @@ def tangent_row(code: int, contacts: Float64Array) -> int:
 def drag_sign(code: int) -> float:
     """Sign of t / (mu sum n_k): -1 when the object slips along +T, +1 along -T, 0 when it does not slip."""
     mode = code % 4
-    return -1.0 if mode == MODE_SLIDE_PLUS else (1.0 if mode == MODE_SLIDE_MINUS else 0.0)
+    return -1.0 if mode == Mode.SLIDE_PLUS else (1.0 if mode == Mode.SLIDE_MINUS else 0.0)
 
 
 @kernel
@@ -138,13 +144,13 @@ def mode_system(code: int, h: Float64Array, step_contacts: StepContacts, row: ND
     n = 0
     for k in range(MAX_CONTACTS):
         if (code >> (2 + k)) & 1:
-            along = drag * contacts[k, SHARES_TANGENT]
+            along = drag * contacts[k, Row.SHARES_TANGENT]
             row[n] = k
             for i in range(3):
                 a[i, 3 + n] = -(contacts[k, i] + along * contacts[tangent, i])
                 a[3 + n, i] = contacts[k, i]
             n += 1
-    if code % 4 == MODE_STICK:
+    if code % 4 == Mode.STICK:
         row[n] = tangent
         for i in range(3):
             a[i, 3 + n] = -contacts[tangent, i]
@@ -170,11 +176,11 @@ def _exists(code: int, contacts: Float64Array, n_contacts: int) -> bool:
     for k in range(n_contacts):
         if (pressing >> k) & 1:
             number += 1
-            touches = touches or contacts[k, SHARES_TANGENT] != 0.0
-    if touches == (code % 4 == MODE_FREE):
+            touches = touches or contacts[k, Row.SHARES_TANGENT] != 0.0
+    if touches == (code % 4 == Mode.FREE):
         return False
     # Three velocities can satisfy at most three conditions.
-    return number + (1 if code % 4 == MODE_STICK else 0) <= 3
+    return number + (1 if code % 4 == Mode.STICK else 0) <= 3
 
 
 @kernel
@@ -207,13 +213,13 @@ def solve_modes(
         scratch: scratch space.
 
     Returns:
-        The code of the mode, or `NO_MODE`.
+        The code of the mode, or `Mode.NONE`.
     """
     contacts, n_contacts, mu = step_contacts.rows, step_contacts.number, step_contacts.mu
     row, a, b = scratch.row, scratch.matrix, scratch.right
     scale = 1e-12
     for k in range(n_contacts):
-        scale += 1e-12 * (abs(contacts[k, BOUND]) + abs(contacts[_TANGENT + k, BOUND]))
+        scale += 1e-12 * (abs(contacts[k, Row.BOUND]) + abs(contacts[_TANGENT + k, Row.BOUND]))
     for trial in range(-1, 4 << n_contacts):
         code = first_guess if trial < 0 else trial
         if not _exists(code, contacts, n_contacts):
@@ -228,19 +234,19 @@ def solve_modes(
 
         # Check the inequalities that the mode assumes.
         mode = code % 4
-        n_pressing = n - 1 if mode == MODE_STICK else n
+        n_pressing = n - 1 if mode == Mode.STICK else n
         carried = 0.0
         fits = True
         for i in range(n_pressing):
-            carried += b[3 + i, 0] * contacts[row[i], SHARES_TANGENT]
+            carried += b[3 + i, 0] * contacts[row[i], Row.SHARES_TANGENT]
             fits = fits and b[3 + i, 0] >= 0.0
         for k in range(n_contacts):
             fits = fits and ((code >> (2 + k)) & 1 == 1 or _reaches(contacts, k, b, miss) >= -scale)
         tangential = drag_sign(code) * mu * carried
-        if mode == MODE_STICK:
+        if mode == Mode.STICK:
             tangential = b[3 + n_pressing, 0]
             fits = fits and abs(tangential) <= mu * carried
-        elif mode != MODE_FREE:
+        elif mode != Mode.FREE:
             fits = fits and -drag_sign(code) * _reaches(contacts, tangent_row(code, contacts), b, miss) >= -scale
         if not fits:
             continue
@@ -253,4 +259,4 @@ def solve_modes(
             impulse[row[i]] = b[3 + i, 0]
         impulse[MAX_CONTACTS] = tangential
         return code
-    return NO_MODE
+    return Mode.NONE

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,13 +25,6 @@ from push_ident.physics.kernel import kernel
 from push_ident.types import Float64Array
 
 __all__ = ["Overhang", "TableEdge", "overhung_loads", "share_loads"]
-
-_ITERATIONS: Final = 30
-"""Of Newton's method: the loads are linear between the changes of the cells that bear any, and few change."""
-_SHORTEST: Final = 0.01
-"""Edge between two points [m]."""
-_EXACT: Final = 1e-9
-"""Remaining force and moment, as shares of the weight, and of the weight at the lever of the farthest cell [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +63,13 @@ class TableEdge:
         Raises:
             InputError: points that are not finite, or nearer to each other than a centimetre.
         """
+        shortest = 0.01
         first, second = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
         along = second - first
         length = float(np.linalg.norm(along))
-        if not length >= _SHORTEST or not np.isfinite(length):
+        if not length >= shortest or not np.isfinite(length):
             raise InputError(
-                f"The table's edge goes from {first.tolist()} to {second.tolist()} m, expected two finite points, {1e3 * _SHORTEST:.0f} mm "
+                f"The table's edge goes from {first.tolist()} to {second.tolist()} m, expected two finite points, {1e3 * shortest:.0f} mm "
                 "apart or more."
             )
         along /= length
@@ -127,7 +121,8 @@ def share_loads(edge: Overhang, arms: Float64Array, centre: Float64Array, cos: f
     if room <= 0.0 or reach == 0.0:
         return False
     unknown, residual, matrix = np.array([1.0, 0.0, 0.0]), np.empty(3), np.empty((3, 3))
-    for _ in range(_ITERATIONS):
+    # Newton's method: the loads are linear between the changes of the cells that bear any, and few change.
+    for _ in range(30):
         residual[0], residual[1], residual[2] = -1.0, 0.0, 0.0
         matrix[:] = 0.0
         for i in range(n_cells):
@@ -145,7 +140,8 @@ def share_loads(edge: Overhang, arms: Float64Array, centre: Float64Array, cos: f
                     matrix[1, 1] += w * x * x
                     matrix[1, 2] += w * x * y
                     matrix[2, 2] += w * y * y
-        if max(abs(residual[0]), abs(residual[1]), abs(residual[2])) < _EXACT:
+        # Shares of the weight, and of the weight at the lever of the farthest cell.
+        if max(abs(residual[0]), abs(residual[1]), abs(residual[2])) < 1e-9:
             for i in range(n_cells):
                 on = across * arms[0, i] + along * arms[1, i] <= room
                 load = unknown[0] + (unknown[1] * arms[0, i] + unknown[2] * arms[1, i]) / reach

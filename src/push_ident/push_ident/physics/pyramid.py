@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.kernel import fast_kernel, kernel
-from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, StepContacts, solve_modes
+from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts, solve_modes
 from push_ident.physics.step import StepScratch
 from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import SupportImpulse
@@ -33,16 +33,23 @@ __all__ = ["FINAL_NU", "PyramidScratch", "new_pyramid_scratch", "pyramid_frictio
 
 FINAL_NU = 1e-13
 """Products w z at the end of the central path [m/s]. A sticking cell creeps at most at this speed."""
-_STUCK = 1e3
-"""A diagonal whose stiffness exceeds this multiple of the object's mass counts as sticking, in the derivative only."""
-_MAX_ITERATIONS = 200
-_TOLERANCE = 1e-11
-# Rounding error of a velocity [m/s]. A smaller difference between w1 - w2 and the velocity is not corrected: otherwise rounding would
-# disturb the friction of a sticking cell, whose w is about 1e-13.
-_ROUNDING = 2e-15
-# Largest fraction of the distance to the boundary that a step covers, and factor of nu after a full step. The first pair suffices except
-# in rare steps where an object almost at rest slides along the pusher; the next pairs are more cautious.
-_ATTEMPTS = ((0.99, 0.01), (0.8, 0.1), (0.5, 0.3))
+
+
+class _Method(NamedTuple):
+    """Of the interior-point method."""
+
+    max_iterations: int = 200
+    tolerance: float = 1e-11
+    """Last change of the twist, relative to it [1]."""
+    rounding: float = 2e-15
+    """Rounding error of a velocity [m/s]. A smaller difference between w1 - w2 and the velocity is not corrected: otherwise rounding would
+    disturb the friction of a sticking cell, whose w is about 1e-13."""
+    attempts: tuple[tuple[float, float], ...] = ((0.99, 0.01), (0.8, 0.1), (0.5, 0.3))
+    """Largest fraction of the distance to the boundary that a step covers, and factor of nu after a full step. The first pair suffices
+    except in rare steps where an object almost at rest slides along the pusher; the next pairs are more cautious."""
+
+
+_METHOD = _Method()
 
 
 class PyramidScratch(NamedTuple):
@@ -94,7 +101,7 @@ def _model(
             c = 0.5 * dt * limit[i]
             t = w1[i] - w2[i]
             missing = dx * twist[0] + dy * twist[1] + r * twist[2] - t
-            if abs(missing) > _ROUNDING:
+            if abs(missing) > _METHOD.rounding:
                 t += missing
             k = 1.0 / (w1[i] / z1[i] + w2[i] / z2[i])
             p = c * (0.5 * (z2[i] - z1[i]) + k * (t - nu / z1[i] + nu / z2[i]))
@@ -129,7 +136,7 @@ def _longest_step(twist: Float64Array, du: Float64Array, geometry: StepGeometry,
             r = x[i] * dy - y[i] * dx
             t = all_w1[i] - all_w2[i]
             missing = dx * twist[0] + dy * twist[1] + r * twist[2] - t
-            if abs(missing) > _ROUNDING:
+            if abs(missing) > _METHOD.rounding:
                 t += missing
             t += dx * du[0] + dy * du[1] + r * du[2]
             w1, w2, r1, r2 = all_w1[i], all_w2[i], 1.0 / all_z1[i], 1.0 / all_z2[i]
@@ -177,25 +184,25 @@ def pyramid_step(
     for i in range(3):
         first_nu = max(first_nu, abs(twist[i]) * (reach if i == 2 else 1.0))
     for k in range(contacts.number):
-        first_nu = max(first_nu, abs(rows[k, BOUND]), abs(rows[MAX_CONTACTS + k, BOUND]))
+        first_nu = max(first_nu, abs(rows[k, Row.BOUND]), abs(rows[MAX_CONTACTS + k, Row.BOUND]))
     first_nu *= 0.1
     iterations = 0
-    for bold, pace in _ATTEMPTS:
+    for bold, pace in _METHOD.attempts:
         twist[:] = old
         impulse[:] = 0.0
         nu = first_nu
         _start(twist, geometry, nu, cells)
         code = last_code
-        for _ in range(_MAX_ITERATIONS):
+        for _ in range(_METHOD.max_iterations):
             iterations += 1
             _model(twist, geometry, nu, cells, friction, h)
             for i in range(3):
                 h[i, i] += inertia[i]
                 right[i] = inertia[i] * (old[i] - twist[i]) - friction[i]
             for i in range(2 * MAX_CONTACTS):
-                miss[i] = rows[i, BOUND] - rows[i, 0] * twist[0] - rows[i, 1] * twist[1] - rows[i, 2] * twist[2]
+                miss[i] = rows[i, Row.BOUND] - rows[i, 0] * twist[0] - rows[i, 1] * twist[1] - rows[i, 2] * twist[2]
             code = solve_modes(h, right, contacts, miss, code, du, new_impulse, scratch.mode)
-            if code == NO_MODE:
+            if code == Mode.NONE:
                 break
             share = _longest_step(twist, du, geometry, nu, bold, cells)
             worst = _advance(share, nu, cells)
@@ -208,10 +215,10 @@ def pyramid_step(
                 size = max(size, abs(twist[i]) * unit)
             for i in range(impulse.shape[0]):
                 impulse[i] += share * (new_impulse[i] - impulse[i])
-            if nu == FINAL_NU and share == 1.0 and change <= _TOLERANCE * size and worst <= 2.0 * nu:
+            if nu == FINAL_NU and share == 1.0 and change <= _METHOD.tolerance * size and worst <= 2.0 * nu:
                 return code, iterations
             nu = max(FINAL_NU, worst * max(pace, 1.0 - 0.99 * share))
-    return NO_MODE, iterations
+    return Mode.NONE, iterations
 
 
 @kernel
@@ -243,7 +250,7 @@ def pyramid_friction(twist: Float64Array, geometry: StepGeometry, cells: Pyramid
     impulse, stiffness, by_yaw, stuck = support.impulse, support.stiffness, support.by_yaw, support.stuck
     impulse[:], stiffness[:], by_yaw[:], stuck[:] = 0.0, 0.0, 0.0, 0.0
     x, y = arms[0], arms[1]
-    softest = _STUCK * geometry.inertia[0]
+    softest = 1e3 * geometry.inertia[0]  # a stiffer diagonal counts as sticking, in the derivative only
     row = np.empty(4)
     for e in range(2):
         dx, dy = (cos + sin, cos - sin) if e == 0 else (cos - sin, -sin - cos)
@@ -253,16 +260,16 @@ def pyramid_friction(twist: Float64Array, geometry: StepGeometry, cells: Pyramid
         sum_p = torque_p = torque_e = sum_k = first_k = second_k = sum_t = first_t = 0.0
         n_stuck = 0
         for i in range(limit.shape[0]):
-            r, turned = x[i] * dy - y[i] * dx, x[i] * ey - y[i] * ex
+            r, turn_arm = x[i] * dy - y[i] * dx, x[i] * ey - y[i] * ex
             c = 0.5 * dt * limit[i]
             p = 0.5 * c * (z2[i] - z1[i])
             k = c / (w1[i] / z1[i] + w2[i] / z2[i])
             n_stuck += 1 if k > softest else 0
             k = 0.0 if k > softest else k
-            t = ex * twist[0] + ey * twist[1] + turned * twist[2]
+            t = ex * twist[0] + ey * twist[1] + turn_arm * twist[2]
             sum_p += p
             torque_p += r * p
-            torque_e += turned * p
+            torque_e += turn_arm * p
             sum_k += k
             first_k += k * r
             second_k += k * r * r

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from push_ident.errors import InputError
-from push_ident.physics.contact import CONTACT_FIELDS, MAX_DISC_CONTACTS, find_contacts, max_candidates
+from push_ident.physics.contact import MAX_DISC_CONTACTS, REACH, Field, Kind, find_contacts, max_candidates
 from push_ident.physics.contact_rows import RECOVERY_SPEED
 from push_ident.physics.lcp import LcpStatus
 from push_ident.physics.reference_step import StepProblem, StepResult, reference_step, rotated, turned
@@ -27,9 +27,6 @@ from push_ident.physics.simulation import GRAVITY, SimulationSettings
 from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
 __all__ = ["ReferenceModel", "ReferenceMotion", "reference_rollout"]
-
-_REACH = 2e-3  # contacts nearer than this take part in a step [m]
-_REST_SPEED = 1e-9  # an object without contact that is slower than this is at rest [m/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,22 +321,23 @@ def _at_times(trajectory: Tensor, since_start: Float64Array, dt: float) -> Tenso
 def _features(
     shape: ObjectShape, pushers: Sequence[PusherPath], pusher_in_object: Tensor, travel: Float64Array
 ) -> tuple[Float64Array, NDArray[np.int64]]:
-    """Rows of `find_contacts`, shape (batch, 2, CONTACT_FIELDS), and the number of contacts, shape (batch,)."""
-    contacts = np.zeros((len(pushers), MAX_DISC_CONTACTS, CONTACT_FIELDS))
+    """Rows of `find_contacts`, shape (batch, 2, Field.WIDTH), and the number of contacts, shape (batch,)."""
+    contacts = np.zeros((len(pushers), MAX_DISC_CONTACTS, Field.WIDTH))
     count = np.zeros(len(pushers), dtype=np.int64)
-    found = np.zeros((max_candidates(1, len(shape.outline)), CONTACT_FIELDS))
+    candidates = np.zeros((max_candidates(1, len(shape.outline)), Field.WIDTH))
     outline = np.array(shape.outline)  # writable, as kernels are compiled for
     for b, centre in enumerate(pusher_in_object.detach().numpy()):
-        reach = _REACH + math.hypot(*travel[b])
-        count[b] = find_contacts(centre[None], pushers[b].radius, outline, reach, found, contacts[b])
+        reach = REACH + math.hypot(*travel[b])
+        count[b] = find_contacts(centre[None], pushers[b].radius, outline, reach, candidates, contacts[b])
     return contacts, count
 
 
 def _stays_at_rest(contacts: Float64Array, n_contacts: NDArray[np.int64], travel: Float64Array, speed: Float64Array) -> BoolArray:
     """Whether each object is at rest and its pusher does not reach it within this step, shape (batch,)."""
-    gap, distance = contacts[:, 0, 0], np.hypot(travel[:, 0], travel[:, 1])
+    rest_speed = 1e-9  # rounding of a velocity [m/s]
+    gap, distance = contacts[:, 0, Field.GAP], np.hypot(travel[:, 0], travel[:, 1])
     out_of_reach = (n_contacts == 0) | ((gap >= -1e-9) & ((distance == 0) | (gap > distance)))
-    return np.asarray((speed < _REST_SPEED) & out_of_reach)
+    return np.asarray((speed < rest_speed) & out_of_reach)
 
 
 def _contact_frames(contacts: Tensor, pusher_in_object: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -347,11 +345,11 @@ def _contact_frames(contacts: Tensor, pusher_in_object: Tensor, radius: Tensor) 
 
     `find_contacts` selects the feature. The geometry is computed again from it, so that gradients flow through the pose.
     """
-    anchor, vertex = contacts[..., 3:5], contacts[..., 6] == 1
+    anchor, vertex = contacts[..., Field.POINT : Field.POINT + 2], contacts[..., Field.KIND] == Kind.CORNER.value
     offset = pusher_in_object[:, None] - anchor
-    outside = torch.sign(contacts[..., 5])
+    outside = torch.sign(contacts[..., Field.CURVATURE])
     distance = torch.where(vertex[..., None], offset, 1.0).norm(dim=2)
-    normal = torch.where(vertex[..., None], (outside / distance)[..., None] * offset, contacts[..., 1:3])
+    normal = torch.where(vertex[..., None], (outside / distance)[..., None] * offset, contacts[..., Field.NORMAL : Field.NORMAL + 2])
     height = (normal * offset).sum(dim=2)
     point = torch.where(vertex[..., None], anchor, pusher_in_object[:, None] - height[..., None] * normal)
     return normal, point, height - radius[:, None]

@@ -44,10 +44,7 @@ from push_ident.physics.support import GRAVITY
 
 __all__ = ["StepProblem", "StepResult", "reference_lcp", "reference_step", "rotated", "turned"]
 
-_ADDED_FRICTION = 1e-7  # share of a cell's weight added to its friction limit, so that its pyramid never degenerates to a point
-
 # G has blocks of five rows. Pusher: two normals, two tangents, cone. Cell: the four rows of D, limit.
-_ROWS = 5
 _D = torch.tensor([[0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1], [0, 0, 0]], dtype=torch.float64)
 _SUPPORT_BLOCK = torch.tensor([[0, 0, 0, 0, -1]] * 4 + [[1, 1, 1, 1, 0]], dtype=torch.float64)
 _PUSHER_BLOCK = torch.tensor([[0, 0, 0, 0, 0]] * 2 + [[0, 0, 0, 0, -1]] * 2 + [[0, 0, 1, 1, 0]], dtype=torch.float64)
@@ -154,7 +151,8 @@ def reference_lcp(problem: StepProblem) -> Lcp:
     on_first = torch.nn.functional.pad(_pusher_rows(problem) * uses[..., None], (0, 3 * n_cells - 3))
     G = torch.cat([on_first, torch.block_diag(*[_D] * n_cells).expand(batch, -1, -1)], dim=1)
 
-    limit = problem.dt * (problem.limit + _ADDED_FRICTION * GRAVITY * problem.mass)
+    # A share of a cell's weight is added to its friction limit, so that its pyramid never degenerates to a point.
+    limit = problem.dt * (problem.limit + 1e-7 * GRAVITY * problem.mass)
     bounds = torch.nn.functional.pad(limit[..., None], (4, 0)).flatten(1)
     m = torch.cat([torch.where(uses, _pusher_bounds(problem, centre), 1.0), bounds], dim=1)
 
@@ -181,7 +179,7 @@ def reference_step(problem: StepProblem, *, tolerance: float = 1e-12, max_iterat
     velocity = -solution.alpha.view(batch, n_cells, 3)
     weight = problem.mass / problem.mass.sum(dim=1, keepdim=True)
     twist = torch.cat([(weight[..., None] * velocity[..., 1:]).sum(dim=1), velocity[:, 0, :1]], dim=1)
-    gamma = solution.gamma.view(batch, n_cells + 1, _ROWS)
+    gamma = solution.gamma.view(batch, n_cells + 1, len(_D))
     return StepResult(
         twist,
         gamma[:, 0, :2],

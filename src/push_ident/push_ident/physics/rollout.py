@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from push_ident.physics.active_effects import N_SUMS, ActiveEffects
-from push_ident.physics.contact import CONTACT_FIELDS, find_contacts, max_candidates
+from push_ident.physics.contact import REACH, Field, find_contacts, max_candidates
 from push_ident.physics.contact_rows import Rebound, RelativePusher, add_rebound, contact_rows, new_relative_pusher, shift_surface
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import CONTACT_COLUMNS, MAX_CONTACTS, MODE_FREE, NO_MODE, StepContacts, tangent_row
+from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts, tangent_row
 from push_ident.physics.overhang import Overhang, share_loads
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_friction, pyramid_step
 from push_ident.physics.step import TableForces, new_step_scratch, step
@@ -34,32 +34,13 @@ from push_ident.physics.table import (
     new_table_scratch,
     sum_limits,
     table_action,
+    table_sensitivity,
     update_memory,
 )
-from push_ident.physics.table_derivative import table_sensitivity
-from push_ident.physics.tape import (
-    CAME_TO_REST,
-    IDLE,
-    MOVED,
-    N_BODY_PARAMETERS,
-    PARAM_CENTRE,
-    PARAM_INERTIA,
-    PARAM_LIMIT,
-    PARAM_MASS,
-    PARAM_MU,
-    PARAM_POSE,
-    Frames,
-    Tape,
-)
+from push_ident.physics.tape import Event, Frames, Tape
 from push_ident.types import Float64Array
 
-__all__ = [
-    "N_BODY_PARAMETERS", "PARAM_CENTRE", "PARAM_INERTIA", "PARAM_LIMIT", "PARAM_MASS", "PARAM_MU", "PARAM_POSE",
-    "EffectScratch", "Numerics", "Push", "new_effect_scratch", "rollout",
-]  # fmt: skip
-
-_REACH = 2e-3  # contacts nearer than this take part in a step [m]
-_REST = 1e-3  # an object without contact is at rest below this fraction of eps
+__all__ = ["EffectScratch", "Numerics", "Push", "new_effect_scratch", "rollout"]
 
 
 class Push(NamedTuple):
@@ -243,8 +224,8 @@ def rollout(
     # Without inertia, there are neither impacts nor coasting.
     resolved = numerics.resolved and not numerics.quasi_static
     centre, arms, limit = push.centre, push.arms, push.limit
-    rows, features = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS)), np.zeros((MAX_CONTACTS, CONTACT_FIELDS))
-    found = np.zeros((max_candidates(push.corners.shape[0], push.outline.shape[0]), CONTACT_FIELDS))
+    rows, features = np.zeros((2 * MAX_CONTACTS, Row.WIDTH)), np.zeros((MAX_CONTACTS, Field.WIDTH))
+    candidates = np.zeros((max_candidates(push.corners.shape[0], push.outline.shape[0]), Field.WIDTH))
     pusher, workspace = new_relative_pusher(push.corners.shape[0]), new_step_scratch()
     cells = new_pyramid_scratch(arms.shape[1] if numerics.diamond else 0)
     sensitivity = new_sensitivity_scratch(tape.block.shape[2], workspace.mode)
@@ -261,7 +242,7 @@ def rollout(
     impulse, twist = np.zeros(MAX_CONTACTS + 1), np.zeros(3)
     friction, by_yaw, stiffness, stuck = np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4))
     support = SupportImpulse(friction, stiffness, by_yaw, stuck)
-    offset, pulled = push.surface, False
+    offset, is_pulled = push.surface, False
     borne = push.limit
     if edge is not None:
         borne, loaded = push.limit.copy(), np.ones(len(push.limit))
@@ -275,7 +256,7 @@ def rollout(
         acts_on_table = effects.loads or effects.skews or effects.pulls
         offset += effects.values[effects.offset] if effects.offset >= 0 else 0.0
         # An object under a pull is idle only if friction keeps it at rest; without inertia, friction always does.
-        pulled = effects.pulls and not numerics.quasi_static
+        is_pulled = effects.pulls and not numerics.quasi_static
         if effects.loads:
             limit = table.limit
         if effects.shifts:
@@ -294,7 +275,7 @@ def rollout(
             frame += 1
 
         speed = _locate_pusher(push, n, geometry, state, pusher)
-        n_contacts = find_contacts(pusher.corners, radius, push.outline, _REACH + speed * dt, found, features)
+        n_contacts = find_contacts(pusher.corners, radius, push.outline, REACH + speed * dt, candidates, features)
         if offset != 0.0:
             shift_surface(features, n_contacts, offset)
         if edge is not None:
@@ -309,13 +290,13 @@ def rollout(
 
         untouched = n_contacts == 0 or (features[0, 0] >= -1e-9 and (speed == 0.0 or features[0, 0] > speed * dt))
         demand = 0.0
-        if effects is not None and pulled:
+        if effects is not None and is_pulled:
             table_action(effects, centre, arms, table)
             demand = friction_demand(effects, arms, borne, table)
-        event = IDLE if untouched and not coasts and demand < 1.0 else MOVED
-        if event == IDLE:
+        event = Event.IDLE if untouched and not coasts and demand < 1.0 else Event.MOVED
+        if event == Event.IDLE:
             workspace.rate[:] = 0.0
-        if event != IDLE:
+        if event != Event.IDLE:
             twist[0], twist[1], twist[2] = cos * state[3] + sin * state[4], -sin * state[3] + cos * state[4], state[5]
             contacts = StepContacts(rows, n_contacts, push.mu)
             for k in range(n_contacts):
@@ -325,7 +306,7 @@ def rollout(
                 for k in range(n_contacts):
                     add_rebound(features[k], k, rebound, dt, rows)
                 if acts_on_table:
-                    if not pulled:
+                    if not is_pulled:
                         table_action(effects, centre, arms, table)
                     forces.skew[:], forces.pull[:] = table.result[:2], table.result[2:]
                 if effects.loads:
@@ -336,13 +317,13 @@ def rollout(
             else:
                 code, used = step(twist, geometry, contacts, eps, code, impulse, workspace, forces)
             iterations += used
-            if code == NO_MODE:
+            if code == Mode.NONE:
                 return n, iterations
             _force_of_pusher(contacts, code, impulse, geometry, force[n])
-            # An object under a pull would creep, at the share `demand` of the smoothing speed.
-            creep = max(_REST, demand) * eps if demand < 1.0 else 0.0
-            if code == MODE_FREE and max(math.hypot(twist[0], twist[1]), abs(twist[2]) * reach_of_body) < creep:
-                event = CAME_TO_REST
+            # Without contact an object is at rest below a thousandth of the smoothing speed; under a pull it would creep at `demand` of it.
+            creep = max(1e-3, demand) * eps if demand < 1.0 else 0.0
+            if code == Mode.FREE and max(math.hypot(twist[0], twist[1]), abs(twist[2]) * reach_of_body) < creep:
+                event = Event.CAME_TO_REST
             if derive:
                 if numerics.diamond:
                     pyramid_friction(twist, geometry, cells, support)
@@ -368,7 +349,7 @@ def rollout(
                     return n, iterations
                 tape.twist[n] = twist
             vx, vy = cos * twist[0] - sin * twist[1], sin * twist[0] + cos * twist[1]
-            if resolved and coasts and code == MODE_FREE:
+            if resolved and coasts and code == Mode.FREE:
                 # Friction slows the object evenly: the mean velocity is exact to second order.
                 state[0] += 0.5 * dt * (state[3] + vx)
                 state[1] += 0.5 * dt * (state[4] + vy)
@@ -385,7 +366,7 @@ def rollout(
         if derive:
             tape.event[n] = event
             tape.heading[n, 0], tape.heading[n, 1] = cos, sin
-        if event == CAME_TO_REST or (event == IDLE and numerics.quasi_static):
+        if event == Event.CAME_TO_REST or (event == Event.IDLE and numerics.quasi_static):
             state[3:] = 0.0
         cos, sin = math.cos(state[2]), math.sin(state[2])
         for j in range(begin, frame):

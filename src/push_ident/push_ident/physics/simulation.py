@@ -14,17 +14,16 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.physics.active_effects import N_SUMS, ActiveEffects, active_effects
 from push_ident.physics.body import BodyParameters, body_of_cells, cell_gradient, check_body, owned
-from push_ident.physics.chain import Chain, chain_backward, chain_forward
+from push_ident.physics.chain import Chain, chain_backward, chain_forward, chain_response
 from push_ident.physics.effect import OnTable
 from push_ident.physics.effect_values import EffectsLike, EffectValues, changed_friction, driven_path, effect_values
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.measurement import Measurement, ReportTimes, StepClock
 from push_ident.physics.pyramid import FINAL_NU
-from push_ident.physics.response import chain_response
 from push_ident.physics.rollout import Numerics, Push, new_effect_scratch, rollout
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.support import GRAVITY
-from push_ident.physics.tape import IDLE, N_BODY_PARAMETERS, PARAM_LIMIT, PARAM_MU, PARAM_POSE, Frames, Tape, new_tape
+from push_ident.physics.tape import N_BODY_PARAMETERS, Event, Frames, Param, Tape, new_tape
 from push_ident.types import BoolArray, CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
 __all__ = [
@@ -196,8 +195,8 @@ def loss_gradient(
     gradient = pull_back(by_pose)
     by_mass, by_friction = cell_gradient(model.shape, model.mass, model.friction, gradient)
     return ModelGradient(
-        float(value), by_mass, by_friction, float(gradient[PARAM_MU]), gradient[PARAM_POSE : PARAM_POSE + 3],
-        gradient[PARAM_LIMIT + len(model.mass) :], motion,
+        float(value), by_mass, by_friction, float(gradient[Param.MU]), gradient[Param.POSE : Param.POSE + 3],
+        gradient[Param.LIMIT + len(model.mass) :], motion,
     )  # fmt: skip
 
 
@@ -340,14 +339,14 @@ def simulate_body_with_response(
     chain = run.chain
     cos, sin = chain.tape.heading[:-1].T
     u, v, omega = chain.tape.twist.T
-    twist = np.column_stack([cos * u - sin * v, sin * u + cos * v, omega]) * (chain.tape.event != IDLE)[:, None]
+    twist = np.column_stack([cos * u - sin * v, sin * u + cos * v, omega]) * (chain.tape.event != Event.IDLE)[:, None]
     first = owned(scenario.pose_object_in_table)
     centre = first[:2] + np.array([[cos[0], -sin[0]], [sin[0], cos[0]]]) @ chain.centre
     start = np.append(centre, first[2])
     pose = start + np.vstack([np.zeros(3), np.cumsum(twist * chain.dt[:, None], axis=0)[:-1]])
     pusher = Timeline.of(scenario, numerics).path[:-1, :2]
     touches = np.any(run.motion.force != 0.0, axis=1)
-    moved = np.flatnonzero(chain.tape.event != IDLE)
+    moved = np.flatnonzero(chain.tape.event != Event.IDLE)
     first_step = min(int(np.min(moved, initial=len(touches))), len(touches) - 2)
     steps = slice(first_step, min(max(int(np.max(moved, initial=0)), first_step) + 2, len(touches)))
     times, poses, twists = run.motion.force_time[steps], pose[steps], twist[steps]
@@ -420,7 +419,7 @@ def _run(
     times = timeline.times.with_effects(scenario.time, effects)
     push = _push(shape, body, mu, scenario, path, arms)
     impulses = timeline.impulses
-    pose, force, tape, status = _roll(push, settings, clock, active, times.wanted, derive, len(scenario.force_time) > 0)
+    pose, force, tape, status = _roll(push, settings, clock, active, times.simulated, derive, len(scenario.force_time) > 0)
     measurement = None
     if len(effects) > 0:
         pose, measurement = Measurement.of(effects, times, pose, mu_by_value)

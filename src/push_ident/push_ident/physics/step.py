@@ -28,17 +28,28 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import BOUND, MAX_CONTACTS, NO_MODE, ModeScratch, StepContacts, new_mode_scratch, solve_modes
+from push_ident.physics.modes import MAX_CONTACTS, Mode, ModeScratch, Row, StepContacts, new_mode_scratch, solve_modes
 from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import add_skew, support_friction
 from push_ident.types import Float64Array
 
 __all__ = ["StepScratch", "TableForces", "new_step_scratch", "step"]
 
-_MAX_ITERATIONS = 1000  # about twenty are usual; the majoriser may need hundreds where the last cells come to rest at the same time
-_TOLERANCE = 1e-10
-_QUADRATIC = 0.01  # ratio of two changes below which Newton's method converges quadratically
-_PREDICTED = 1e-4  # part of the tolerance below which a change that is only predicted counts as none
+
+class _Iteration(NamedTuple):
+    """When the iteration of a step ends."""
+
+    most: int = 1000
+    """About twenty are usual; the majoriser may need hundreds where the last cells come to rest at the same time."""
+    tolerance: float = 1e-10
+    """Last change of the twist, relative to it [1]."""
+    quadratic: float = 0.01
+    """Ratio of two changes below which Newton's method converges quadratically [1]."""
+    predicted: float = 1e-4
+    """Part of the tolerance below which a change that is only predicted counts as none [1]."""
+
+
+_ITERATION = _Iteration()
 
 
 class StepScratch(NamedTuple):
@@ -98,7 +109,7 @@ def step(
         table: contributions of effects on the table; None without effects.
 
     Returns:
-        The mode code and the number of iterations; the code is `NO_MODE` when the step did not converge.
+        The mode code and the number of iterations; the code is `Mode.NONE` when the step did not converge.
     """
     old, du, gradient, right, h, miss = scratch.old, scratch.du, scratch.gradient, scratch.right, scratch.model, scratch.miss
     arms, limit, inertia, reach, dt = geometry.arms, geometry.limit, geometry.inertia, geometry.reach, geometry.dt
@@ -112,7 +123,7 @@ def step(
     last_change = np.inf
     retry_below = 0.0
     code = last_code
-    for iteration in range(_MAX_ITERATIONS):
+    for iteration in range(_ITERATION.most):
         support_friction(twist, arms, limit, eps, newton, gradient, h)
         if table is not None:
             if table.skew[0] != 0.0 or table.skew[1] != 0.0:
@@ -125,12 +136,12 @@ def step(
             h[i, i] += inertia[i]
             right[i] = inertia[i] * (old[i] - twist[i]) - dt * gradient[i]
         for i in range(2 * MAX_CONTACTS):
-            miss[i] = rows[i, BOUND] - rows[i, 0] * twist[0] - rows[i, 1] * twist[1] - rows[i, 2] * twist[2]
+            miss[i] = rows[i, Row.BOUND] - rows[i, 0] * twist[0] - rows[i, 1] * twist[1] - rows[i, 2] * twist[2]
         code_before = code
         code = solve_modes(h, right, contacts, miss, code, du, impulse, scratch.mode)
-        if code == NO_MODE:
+        if code == Mode.NONE:
             if not guesses:
-                return NO_MODE, iteration
+                return Mode.NONE, iteration
             # Once more from the twist before the step.
             twist[:] = old
             guesses, newton, was_newton = False, True, True
@@ -144,9 +155,9 @@ def step(
             twist[i] += du[i]
             size = max(size, abs(twist[i]) * unit)
         next_change = change
-        if last_change < np.inf and newton and was_newton and code == code_before and change < _QUADRATIC * last_change:
-            next_change = change * (change / last_change) * (change / last_change) / _PREDICTED
-        if newton and min(change, next_change) <= _TOLERANCE * size + 1e-16:
+        if last_change < np.inf and newton and was_newton and code == code_before and change < _ITERATION.quadratic * last_change:
+            next_change = change * (change / last_change) * (change / last_change) / _ITERATION.predicted
+        if newton and min(change, next_change) <= _ITERATION.tolerance * size + 1e-16:
             # An object that is free comes to rest, where it would not go on slowing down; and an impact is over after its step.
             for i in range(3):
                 scratch.rate[i] = (twist[i] - old[i]) / dt if code == last_code and code >= 4 else 0.0
@@ -159,6 +170,6 @@ def step(
             retry_below = 0.2 * min(last_change, change)
         elif not newton:
             # A short step of the majoriser does not prove convergence, so the last step must be Newton's.
-            newton = change < max(retry_below, _TOLERANCE * size)
+            newton = change < max(retry_below, _ITERATION.tolerance * size)
         last_change = change
-    return NO_MODE, _MAX_ITERATIONS
+    return Mode.NONE, _ITERATION.most

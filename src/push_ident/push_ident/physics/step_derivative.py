@@ -18,31 +18,10 @@ import numpy as np
 
 from push_ident.physics.contact_rows import ContactEffects, Rebound, RelativeChange, RelativePusher, contact_rows_seed
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import (
-    BOUND,
-    CONTACT_COLUMNS,
-    MAX_CONTACTS,
-    SHARES_TANGENT,
-    ModeScratch,
-    StepContacts,
-    drag_sign,
-    mode_system,
-    solve_small,
-    tangent_row,
-)
+from push_ident.physics.modes import MAX_CONTACTS, ModeScratch, Row, StepContacts, drag_sign, mode_system, solve_small, tangent_row
 from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import SupportImpulse
-from push_ident.physics.tape import (
-    BLOCK_CENTRE,
-    BLOCK_EFFECTS,
-    BLOCK_IMPULSE,
-    BLOCK_INERTIA,
-    BLOCK_MASS,
-    BLOCK_MU,
-    BLOCK_STATE,
-    BLOCK_VELOCITY,
-    BLOCK_YAW,
-)
+from push_ident.physics.tape import Block
 from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["EffectDrive", "StepBalance", "new_effect_drive", "new_sensitivity_scratch", "step_sensitivity"]
@@ -98,7 +77,7 @@ class SensitivityScratch(NamedTuple):
     others: Float64Array
     """Those that are not due to the pusher, shape (3, n_columns)."""
     d_rows: Float64Array
-    """Change of the contact rows, shape (2 MAX_CONTACTS, CONTACT_COLUMNS)."""
+    """Change of the contact rows, shape (2 MAX_CONTACTS, Row.WIDTH)."""
     change: RelativeChange
     mode: ModeScratch
 
@@ -107,7 +86,7 @@ class SensitivityScratch(NamedTuple):
 def new_sensitivity_scratch(n_columns: int, mode: ModeScratch) -> SensitivityScratch:
     """Scratch space of `step_sensitivity` for blocks of `n_columns`; `mode` is that of the step."""
     change = RelativeChange(np.zeros(2), np.zeros(1), np.zeros(2), np.zeros(2))
-    d_rows = np.zeros((2 * MAX_CONTACTS, CONTACT_COLUMNS))
+    d_rows = np.zeros((2 * MAX_CONTACTS, Row.WIDTH))
     return SensitivityScratch(np.zeros((3, 3)), np.zeros((len(mode.matrix), n_columns)), np.zeros((3, n_columns)), d_rows, change, mode)
 
 
@@ -116,7 +95,7 @@ def new_effect_drive(n_memory: int, n_values: int, n_sums: int) -> EffectDrive:
     n = n_memory + n_values + n_sums
     return EffectDrive(
         0.0, Rebound(False, 0.0, np.zeros(3)), np.zeros((n, 2)), np.zeros(n), np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.zeros(n),
-        np.zeros((n, 3)), np.zeros((3, BLOCK_EFFECTS + n)), np.zeros(n, dtype=np.bool_),
+        np.zeros((n, 3)), np.zeros((3, Block.EFFECTS + n)), np.zeros(n, dtype=np.bool_),
     )  # fmt: skip
 
 
@@ -124,12 +103,12 @@ def new_effect_drive(n_memory: int, n_values: int, n_sums: int) -> EffectDrive:
 def _contact_effects(drive: EffectDrive, column: int, d_pusher: Float64Array, d_velocity: Float64Array) -> ContactEffects:
     """Effects on the contacts per unit of one column; fills the change of the pusher where that is a value that drives it."""
     rebound = drive.rebound
-    if column < BLOCK_EFFECTS:
+    if column < Block.EFFECTS:
         d_twist = np.zeros(3)
-        if column == BLOCK_YAW:
+        if column == Block.YAW:
             d_twist[0], d_twist[1] = rebound.twist[1], -rebound.twist[0]
         return ContactEffects(drive.offset, rebound, 0.0, 0.0, 0.0, d_twist)
-    e = column - BLOCK_EFFECTS
+    e = column - Block.EFFECTS
     d_pusher[:], d_velocity[:] = drive.pusher[e], drive.velocity[e]
     return ContactEffects(drive.offset, rebound, drive.spin[e], drive.by_offset[e], drive.restitution[e], drive.twist[e])
 
@@ -200,23 +179,23 @@ def step_sensitivity(
         h[i, i] += inertia[i]
     n = mode_system(code, h, contacts, row, scratch.matrix)
     size = _add_stuck(stuck, 3 + n, scratch.matrix)
-    n_columns = BLOCK_EFFECTS if drive is None else drive.seeds.shape[1]
+    n_columns = Block.EFFECTS if drive is None else drive.seeds.shape[1]
     b, others, change = space.right, space.others, space.change
     b[:size] = 0.0
     if drive is not None:
         b[:3] = drive.seeds
     for i in range(3):
-        b[i, BLOCK_IMPULSE + i] = 1.0
+        b[i, Block.IMPULSE + i] = 1.0
     others[:] = b[:3]
     d_pusher, d_angle, d_centre, d_velocity = change.pusher, change.angle, change.centre, change.velocity
-    for column in range(BLOCK_STATE, n_columns):
+    for column in range(Block.STATE, n_columns):
         d_pusher[:], d_centre[:], d_velocity[:] = 0.0, 0.0, 0.0
         d_angle[0] = 0.0
-        if column == BLOCK_STATE:
+        if column == Block.STATE:
             d_pusher[0], d_pusher[1] = -cos, sin
-        elif column == BLOCK_STATE + 1:
+        elif column == Block.STATE + 1:
             d_pusher[0], d_pusher[1] = -sin, -cos
-        elif column == BLOCK_YAW:
+        elif column == Block.YAW:
             # A rotation of the object by d rotates everything else by -d in object axes.
             d_angle[0] = -1.0
             d_pusher[0], d_pusher[1] = pusher.centre[1] - centre[1], -(pusher.centre[0] - centre[0])
@@ -227,21 +206,21 @@ def step_sensitivity(
                 b[i, column] -= step.support.by_yaw[i]
             for j in range(3 + n, size):
                 b[j, column] = -stuck[j - 3 - n, 3] / _stuck_size(stuck, j - 3 - n)
-        elif column == BLOCK_VELOCITY:
+        elif column == Block.VELOCITY:
             b[0, column] += inertia[0] * cos
             b[1, column] -= inertia[1] * sin
-        elif column == BLOCK_VELOCITY + 1:
+        elif column == Block.VELOCITY + 1:
             b[0, column] += inertia[0] * sin
             b[1, column] += inertia[1] * cos
-        elif column == BLOCK_VELOCITY + 2:
+        elif column == Block.VELOCITY + 2:
             b[2, column] += inertia[2]
-        elif column == BLOCK_MASS:
+        elif column == Block.MASS:
             if inertia[0] > 0.0:
                 b[0, column] += old[0] - twist[0]
                 b[1, column] += old[1] - twist[1]
-        elif column == BLOCK_CENTRE or column == BLOCK_CENTRE + 1:
-            d_centre[column - BLOCK_CENTRE] = 1.0
-            d_pusher[column - BLOCK_CENTRE] = 1.0
+        elif column == Block.CENTRE or column == Block.CENTRE + 1:
+            d_centre[column - Block.CENTRE] = 1.0
+            d_pusher[column - Block.CENTRE] = 1.0
             # Cell arms shrink by dc: their velocities change by omega (dc_y, -dc_x), their torques by -dc x force.
             sx, sy = twist[2] * d_centre[1], -twist[2] * d_centre[0]
             for i in range(3):
@@ -249,31 +228,31 @@ def step_sensitivity(
             for j in range(3 + n, size):
                 b[j, column] = -(scratch.matrix[j, 0] * sx + scratch.matrix[j, 1] * sy)
             b[2, column] += d_centre[0] * step.support.impulse[1] - d_centre[1] * step.support.impulse[0]
-        elif column == BLOCK_INERTIA:
+        elif column == Block.INERTIA:
             if inertia[2] > 0.0:
                 b[2, column] += old[2] - twist[2]
-        elif column == BLOCK_MU:
+        elif column == Block.MU:
             carried = 0.0
             for k in range(n_contacts):
-                carried += impulse[k] * rows[k, SHARES_TANGENT]
+                carried += impulse[k] * rows[k, Row.SHARES_TANGENT]
             for i in range(3):
                 b[i, column] += sign * carried * rows[tangent, i]
-        if column != BLOCK_MU:
+        if column != Block.MU:
             for i in range(3):
                 others[i, column] = b[i, column]
         if n == 0 or not (
-            BLOCK_STATE <= column <= BLOCK_YAW or column == BLOCK_CENTRE or column == BLOCK_CENTRE + 1 or column >= BLOCK_EFFECTS
+            Block.STATE <= column <= Block.YAW or column == Block.CENTRE or column == Block.CENTRE + 1 or column >= Block.EFFECTS
         ):
             continue
-        if drive is not None and column >= BLOCK_EFFECTS and not drive.touches[column - BLOCK_EFFECTS]:
+        if drive is not None and column >= Block.EFFECTS and not drive.touches[column - Block.EFFECTS]:
             continue
         if drive is None:
             for k in range(n_contacts):
                 contact_rows_seed(features[k], k, geometry, pusher, change, None, d_rows)
         else:
             effects = _contact_effects(drive, column, d_pusher, d_velocity)
-            if column >= BLOCK_EFFECTS:
-                d_angle[0] = drive.angle[column - BLOCK_EFFECTS]
+            if column >= Block.EFFECTS:
+                d_angle[0] = drive.angle[column - Block.EFFECTS]
             for k in range(n_contacts):
                 contact_rows_seed(features[k], k, geometry, pusher, change, effects, d_rows)
         for i in range(3):
@@ -282,7 +261,7 @@ def step_sensitivity(
                 b[i, column] += d_rows[k, i] * impulse[k]
         for j in range(n):
             k = row[j]
-            b[3 + j, column] = d_rows[k, BOUND] - d_rows[k, 0] * twist[0] - d_rows[k, 1] * twist[1] - d_rows[k, 2] * twist[2]
+            b[3 + j, column] = d_rows[k, Row.BOUND] - d_rows[k, 0] * twist[0] - d_rows[k, 1] * twist[1] - d_rows[k, 2] * twist[2]
     if not solve_small(scratch.matrix, b, size, n_columns):
         return False
     block[:] = b[:3]

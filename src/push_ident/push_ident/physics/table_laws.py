@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.active_effects import N_FIXED_INPUTS, Places
+from push_ident.physics.active_effects import N_FIXED_INPUTS, InputIndices
 from push_ident.physics.effect import Body, Cell, Effect, Equation, Load, OnTable, equation
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array
@@ -28,47 +28,47 @@ def _cell_of(body: Body, rx: Any, ry: Any) -> Cell:
 
 
 @equation
-def _no_plane(places: Places, inputs: Any, turned: int, body: Body, load: Load, dx: Any, dy: Any, planes: Any) -> None:
+def _no_plane(indices: InputIndices, inputs: Any, stepped: int, body: Body, load: Load, dx: Any, dy: Any, planes: Any) -> None:
     planes[:] = 0.0
 
 
 @equation
-def _no_load(places: Places, inputs: Any, turned: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any) -> None:
+def _no_load(indices: InputIndices, inputs: Any, stepped: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any) -> None:
     pass
 
 
 @equation
-def _no_skew(places: Places, inputs: Any, body: Body) -> Any:
+def _no_skew(indices: InputIndices, inputs: Any, body: Body) -> Any:
     return body.mass * 0.0, body.mass * 0.0
 
 
 @equation
-def _no_pull(places: Places, inputs: Any, body: Body) -> Any:
+def _no_pull(indices: InputIndices, inputs: Any, body: Body) -> Any:
     return body.mass * 0.0, body.mass * 0.0, body.mass * 0.0
 
 
 @equation
-def _no_memory(places: Places, inputs: Any, body: Body, dt: float, after: Any) -> None:
+def _no_memory(indices: InputIndices, inputs: Any, body: Body, dt: float, after: Any) -> None:
     after[:] = 0.0
 
 
 @equation
-def _is_turned(places: Places, turned: int, place: int, n_values: int, n_memory: int) -> bool:
-    """Whether a turned input (-1: all of them) changes what this effect does to the cells: values and memory of another one do not."""
-    own, past = places.values[place], places.memory[place]
-    return turned < N_FIXED_INPUTS or own <= turned < own + n_values or past <= turned < past + n_memory
+def _is_affected(indices: InputIndices, stepped: int, number: int, n_values: int, n_memory: int) -> bool:
+    """Whether an input with the complex step (-1: all of them) changes this effect on the cells: those of other effects do not."""
+    first, first_memory = indices.values[number], indices.memory[number]
+    return stepped < N_FIXED_INPUTS or first <= stepped < first + n_values or first_memory <= stepped < first_memory + n_memory
 
 
-def _with_plane(others: Equation, effect: Effect, plane: Equation, place: int) -> Equation:
+def _with_plane(others: Equation, effect: Effect, plane: Equation, number: int) -> Equation:
     n_values, n_memory = len(effect.parameters), effect.memory.size if effect.memory else 0
 
     @equation
-    def planes_of(places: Places, inputs: Any, turned: int, body: Body, load: Load, dx: Any, dy: Any, planes: Any) -> None:
-        others(places, inputs, turned, body, load, dx, dy, planes)
-        own = places.values[place]
-        if own >= 0 and _is_turned(places, turned, place, n_values, n_memory):
-            even, x, y = plane(inputs[own:], body, load, inputs[places.memory[place] :])
-            planes[place, 0], planes[place, 1], planes[place, 2] = even - x * dx - y * dy, x, y
+    def planes_of(indices: InputIndices, inputs: Any, stepped: int, body: Body, load: Load, dx: Any, dy: Any, planes: Any) -> None:
+        others(indices, inputs, stepped, body, load, dx, dy, planes)
+        first = indices.values[number]
+        if first >= 0 and _is_affected(indices, stepped, number, n_values, n_memory):
+            even, x, y = plane(inputs[first:], body, load, inputs[indices.memory[number] :])
+            planes[number, 0], planes[number, 1], planes[number, 2] = even - x * dx - y * dy, x, y
 
     return planes_of
 
@@ -96,56 +96,56 @@ def _tilted(shift: Equation) -> Equation:
     return planes_of
 
 
-def _with_load(others: Equation, effect: Effect, load: Equation, place: int) -> Equation:
+def _with_load(others: Equation, effect: Effect, load: Equation, number: int) -> Equation:
     n_values, n_memory = len(effect.parameters), effect.memory.size if effect.memory else 0
 
     @equation
-    def loads(places: Places, inputs: Any, turned: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any) -> None:
-        others(places, inputs, turned, body, arms, dx, dy, factors)
-        own = places.values[place]
-        if own < 0:
+    def loads(indices: InputIndices, inputs: Any, stepped: int, body: Body, arms: Float64Array, dx: Any, dy: Any, factors: Any) -> None:
+        others(indices, inputs, stepped, body, arms, dx, dy, factors)
+        first = indices.values[number]
+        if first < 0:
             return
-        if not _is_turned(places, turned, place, n_values, n_memory):
-            factors[place] = 0.0
+        if not _is_affected(indices, stepped, number, n_values, n_memory):
+            factors[number] = 0.0
             return
-        p, memory = _four(inputs, own), _four(inputs, places.memory[place])
+        p, memory = _four(inputs, first), _four(inputs, indices.memory[number])
         for i in range(arms.shape[1]):
-            factors[place, i] = load(p, body, _cell_of(body, arms[0, i] - dx, arms[1, i] - dy), memory)
+            factors[number, i] = load(p, body, _cell_of(body, arms[0, i] - dx, arms[1, i] - dy), memory)
 
     return loads
 
 
-def _with_skew(others: Equation, skew: Equation, place: int) -> Equation:
+def _with_skew(others: Equation, skew: Equation, number: int) -> Equation:
     @equation
-    def skews(places: Places, inputs: Any, body: Body) -> Any:
-        a, b = others(places, inputs, body)
-        if places.values[place] >= 0:
-            more_a, more_b = skew(inputs[places.values[place] :], body)
+    def skews(indices: InputIndices, inputs: Any, body: Body) -> Any:
+        a, b = others(indices, inputs, body)
+        if indices.values[number] >= 0:
+            more_a, more_b = skew(inputs[indices.values[number] :], body)
             a, b = a + more_a, b + more_b
         return a, b
 
     return skews
 
 
-def _with_pull(others: Equation, pull: Equation, place: int) -> Equation:
+def _with_pull(others: Equation, pull: Equation, number: int) -> Equation:
     @equation
-    def pulls(places: Places, inputs: Any, body: Body) -> Any:
-        fx, fy, torque = others(places, inputs, body)
-        if places.values[place] >= 0:
-            more_x, more_y, more_torque = pull(inputs[places.values[place] :], body)
+    def pulls(indices: InputIndices, inputs: Any, body: Body) -> Any:
+        fx, fy, torque = others(indices, inputs, body)
+        if indices.values[number] >= 0:
+            more_x, more_y, more_torque = pull(inputs[indices.values[number] :], body)
             fx, fy, torque = fx + more_x, fy + more_y, torque + more_torque
         return fx, fy, torque
 
     return pulls
 
 
-def _with_memory(others: Equation, remember: Equation, place: int) -> Equation:
+def _with_memory(others: Equation, remember: Equation, number: int) -> Equation:
     @equation
-    def memories(places: Places, inputs: Any, body: Body, dt: float, after: Any) -> None:
-        others(places, inputs, body, dt, after)
-        if places.values[place] >= 0:
-            at = places.memory[place]
-            remember(inputs[places.values[place] :], body, dt, inputs[at:], after[at - N_FIXED_INPUTS :])
+    def memories(indices: InputIndices, inputs: Any, body: Body, dt: float, after: Any) -> None:
+        others(indices, inputs, body, dt, after)
+        if indices.values[number] >= 0:
+            at = indices.memory[number]
+            remember(inputs[indices.values[number] :], body, dt, inputs[at:], after[at - N_FIXED_INPUTS :])
 
     return memories
 
@@ -155,17 +155,17 @@ all_loads = _no_load
 all_skews = _no_skew
 all_pulls = _no_pull
 all_memories = _no_memory
-for _place, _effect in enumerate(EFFECTS.values()):
+for _number, _effect in enumerate(EFFECTS.values()):
     if isinstance(_effect.acts, OnTable):
         if _effect.acts.load is not None:
-            all_loads = _with_load(all_loads, _effect, _effect.acts.load, _place)
+            all_loads = _with_load(all_loads, _effect, _effect.acts.load, _number)
         if _effect.acts.plane is not None:
-            all_planes = _with_plane(all_planes, _effect, _alike(_effect.acts.plane), _place)
+            all_planes = _with_plane(all_planes, _effect, _alike(_effect.acts.plane), _number)
         if _effect.acts.shift is not None:
-            all_planes = _with_plane(all_planes, _effect, _tilted(_effect.acts.shift), _place)
+            all_planes = _with_plane(all_planes, _effect, _tilted(_effect.acts.shift), _number)
         if _effect.acts.skew is not None:
-            all_skews = _with_skew(all_skews, _effect.acts.skew, _place)
+            all_skews = _with_skew(all_skews, _effect.acts.skew, _number)
         if _effect.acts.pull is not None:
-            all_pulls = _with_pull(all_pulls, _effect.acts.pull, _place)
+            all_pulls = _with_pull(all_pulls, _effect.acts.pull, _number)
     if _effect.memory is not None:
-        all_memories = _with_memory(all_memories, _effect.memory.remember, _place)
+        all_memories = _with_memory(all_memories, _effect.memory.remember, _number)

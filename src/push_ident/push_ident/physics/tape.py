@@ -14,7 +14,8 @@ evolves by m+ = G (s, mass, centre, m, q), whose derivative is kept as well.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from enum import IntEnum
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,39 +23,50 @@ from numpy.typing import NDArray
 from push_ident.physics.active_effects import N_FIXED_INPUTS
 from push_ident.types import Float64Array
 
-__all__ = [
-    "BLOCK_CENTRE", "BLOCK_EFFECTS", "BLOCK_IMPULSE", "BLOCK_INERTIA", "BLOCK_MASS", "BLOCK_MU", "BLOCK_STATE", "BLOCK_VELOCITY",
-    "BLOCK_YAW", "CAME_TO_REST", "IDLE", "MOVED", "N_BODY_PARAMETERS", "PARAM_CENTRE", "PARAM_INERTIA", "PARAM_LIMIT", "PARAM_MASS",
-    "PARAM_MU", "PARAM_POSE", "Frames", "Tape", "new_tape",
-]  # fmt: skip
+__all__ = ["N_BODY_PARAMETERS", "Block", "Event", "Frames", "Param", "Tape", "new_tape"]
 
-PARAM_POSE = 0
-"""First of the three columns of the first pose (x, y, yaw)."""
-PARAM_MASS = 3
-PARAM_CENTRE = 4
-"""First of the two columns of the centre of mass, object frame."""
-PARAM_INERTIA = 6
-PARAM_MU = 7
-PARAM_LIMIT = 8
-"""First column of the friction limits of the cells; the values of the active effects follow them."""
-N_BODY_PARAMETERS = 8
 
-BLOCK_IMPULSE = 0
-"""First column of A in the block of a step, the response to a unit impulse on each velocity. B (state) and C (body) follow."""
-BLOCK_STATE = 3
-BLOCK_YAW = BLOCK_STATE + 2
-BLOCK_VELOCITY = BLOCK_STATE + 3
-BLOCK_MASS = 9
-BLOCK_CENTRE = 10
-BLOCK_INERTIA = 12
-BLOCK_MU = 13
-BLOCK_EFFECTS = 14
-"""First column of the memory of the effects, then their values."""
+class Param(IntEnum):
+    """First column of each parameter in the derivative of a motion."""
 
-IDLE = 0
-MOVED = 1
-CAME_TO_REST = 2
-"""Result of a step: no motion; one implicit step; one after which the velocities were set to zero."""
+    POSE = 0
+    """Of the first pose (x, y, yaw), three columns."""
+    MASS = 3
+    CENTRE = 4
+    """Of the centre of mass, object frame, two columns."""
+    INERTIA = 6
+    MU = 7
+    LIMIT = 8
+    """Of the friction limits of the cells; the values of the active effects follow them."""
+
+
+N_BODY_PARAMETERS: Final = Param.LIMIT.value
+
+
+class Block(IntEnum):
+    """First column of each part in the block of a step: A is the response to a unit impulse on each velocity, then B (state), C (body)."""
+
+    IMPULSE = 0
+    STATE = 3
+    YAW = 5
+    VELOCITY = 6
+    MASS = 9
+    CENTRE = 10
+    INERTIA = 12
+    MU = 13
+    EFFECTS = 14
+    """Of the memory of the effects, then their values."""
+
+
+class Event(IntEnum):
+    """Result of a step."""
+
+    IDLE = 0
+    """No motion."""
+    MOVED = 1
+    """One implicit step."""
+    CAME_TO_REST = 2
+    """One after which the velocities were set to zero."""
 
 
 class Frames(NamedTuple):
@@ -70,7 +82,7 @@ class Tape(NamedTuple):
     """What the derivative needs of each step of a rollout."""
 
     event: NDArray[np.int8]
-    """`IDLE`, `MOVED` or `CAME_TO_REST`, shape (n_steps,)."""
+    """An `Event`, shape (n_steps,)."""
     block: Float64Array
     """[A B C E], shape (n_steps, 3, 14 + n_memory + n_values), object axes; `N_SUMS` columns more where one shifts the load."""
     reaction: Float64Array
@@ -95,7 +107,7 @@ def new_tape(
     n_steps: int, n_cells: int = 0, n_memory: int = 0, n_values: int = 0, n_sums: int = 0, *, skewed: bool = False, forces: bool = False
 ) -> Tape:
     """Empty tape of a rollout; `n_cells` is 0 where no effect changes friction limits, `forces` whether their derivative is wanted."""
-    n_inputs, n_columns = N_FIXED_INPUTS + n_memory + n_values, BLOCK_EFFECTS + n_memory + n_values + n_sums
+    n_inputs, n_columns = N_FIXED_INPUTS + n_memory + n_values, Block.EFFECTS + n_memory + n_values + n_sums
     return Tape(
         np.zeros(n_steps, dtype=np.int8), np.zeros((n_steps, 3, n_columns)), np.zeros((n_steps if forces else 0, 3, n_columns)),
         np.zeros((n_steps, 3)), np.zeros((n_steps + 1, 2)), np.ones((n_steps, n_cells)), np.zeros(n_steps),

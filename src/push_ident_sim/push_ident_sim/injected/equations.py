@@ -102,7 +102,7 @@ def reported_poses(effects: InjectedEffects, pose: FloatArray) -> FloatArray:
     """What is reported of true poses (x, y, yaw), shape (n, 3), under such effects."""
     for effect, values in _injected(effects, OnPoses):
         assert isinstance(effect.acts, OnPoses)
-        pose = np.ascontiguousarray(effect.acts.see(values.astype(np.complex128), pose.astype(np.complex128)).real)
+        pose = np.ascontiguousarray(effect.acts.report(values.astype(np.complex128), pose.astype(np.complex128)).real)
     return pose
 
 
@@ -110,7 +110,7 @@ def reported_forces(effects: InjectedEffects, force: FloatArray) -> FloatArray:
     """What is reported of true forces [N], shape (n, 2), table frame, under such effects."""
     for effect, values in _injected(effects, OnForces):
         assert isinstance(effect.acts, OnForces)
-        force = np.ascontiguousarray(effect.acts.feel(values.astype(np.complex128), force.astype(np.complex128)).real)
+        force = np.ascontiguousarray(effect.acts.report(values.astype(np.complex128), force.astype(np.complex128)).real)
     return force
 
 

@@ -34,9 +34,9 @@ from push_ident.identification.unknowns.mechanics import Mechanics, effect_value
 from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.identification.unknowns.spec import Block, Layout, UnknownsSpec
 from push_ident.physics.accuracy import MAX_LEVEL, SHARE, StepChoice, choose_steps, step_error
-from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion, SimulationSettings, StepResponse, Timeline, simulate_body_with_response
+from push_ident.physics.tape import Param
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
 __all__ = ["TAILS", "Evaluation", "FitProblem", "Linearisation", "PushTerms", "RunAll", "unknowns_of_push", "without_first_push"]
@@ -257,7 +257,7 @@ class FitProblem:
         timeline = self._timeline(scenario, push, choice.settings)
         self.meter.count(1)
         motion = mechanics.simulate(scenario, settings=choice.settings, jacobian=jacobian, timeline=timeline)
-        if choice.level > 0 and jacobian and np.max(np.abs(motion.jacobian[:, :, :PARAM_MASS])) > _UNSTABLE:
+        if choice.level > 0 and jacobian and np.max(np.abs(motion.jacobian[:, :, : Param.MASS])) > _UNSTABLE:
             self.steps[push] = StepChoice(self.settings, 0, np.inf)
             return self._simulate_push(mechanics, x, push, jacobian)
         return motion
@@ -457,7 +457,7 @@ class FitProblem:
         observed, unknowns = self.forces[push], self.unknowns
         assert observed is not None
         by_unknowns = np.concatenate(
-            [motion.impulse_jacobian[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:],
+            [motion.impulse_jacobian[:, :, Param.MASS:] @ mechanics.derivative[Param.MASS:],
              motion.impulse_jacobian[:, :, :_POSE] @ self.first_scale[push],
              np.zeros((len(observed.edges), 2, self.unknowns_of_push - _POSE))],
             axis=2,
@@ -473,7 +473,7 @@ class FitProblem:
         observed, n_frames = self.observations[push], len(motion.jacobian)
         # The unknowns are fewer than the cells, and one large product takes less time than one for each frame.
         by_body = motion.jacobian.reshape(3 * n_frames, -1)
-        shared = by_body[:, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]
+        shared = by_body[:, Param.MASS :] @ mechanics.derivative[Param.MASS :]
         rows = np.concatenate([shared, by_body[:, :_POSE] @ self.first_scale[push]], axis=1)
         whitened = np.einsum("fij,fjp->fip", observed.whitening, rows.reshape(n_frames, 3, -1))
         moved = observed.surface_std * observed.whitening[:, :, : self.unknowns_of_push - _POSE]

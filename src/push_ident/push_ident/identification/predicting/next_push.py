@@ -32,9 +32,9 @@ from push_ident.identification.results.covariance import lower_root, square_root
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at
 from push_ident.pages.tables import html_table
-from push_ident.physics.rollout import PARAM_MASS
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
+from push_ident.physics.tape import Param
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
 from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, short_repr
@@ -324,7 +324,7 @@ def _sensitivity(mechanics: Mechanics, push: PlannedPush, observation: Observati
     in_deviations = by_first @ np.linalg.cholesky(observation.first_covariance)
     if not np.sum(in_deviations**2) <= CHATTER**2 * len(observation.time):
         return nothing
-    by_z = (whitened[:, :, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:]).reshape(-1, size)
+    by_z = (whitened[:, :, Param.MASS :] @ mechanics.derivative[Param.MASS :]).reshape(-1, size)
     explained, _ = np.linalg.qr(by_first)
     rows = by_z - explained @ (explained.T @ by_z)
     if observation.surface_std == 0:
@@ -349,7 +349,7 @@ def _reference_rows(mechanics: Mechanics, reference: Iterable[PlannedPush], opti
         by_first = np.linalg.solve(cell_displacement(cells, push.pose_object_in_table[2]).T, by_body[:, :3].T).T
         if not np.linalg.norm(by_first, 2) < CHATTER:
             return None
-        return np.asarray(by_body[:, PARAM_MASS:] @ mechanics.derivative[PARAM_MASS:])
+        return np.asarray(by_body[:, Param.MASS :] @ mechanics.derivative[Param.MASS :])
 
     return np.array([rows for rows in options.run_all(rows_of, reference) if rows is not None])
 

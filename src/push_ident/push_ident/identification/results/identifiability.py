@@ -14,8 +14,8 @@ import numpy as np
 
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.unknowns.mechanics import log_derivatives_at
-from push_ident.physics.rollout import PARAM_CENTRE, PARAM_INERTIA, PARAM_MU
 from push_ident.physics.simulation import GRAVITY
+from push_ident.physics.tape import Param
 from push_ident.types import Float64Array
 
 __all__ = ["Combination", "Identifiability", "Knowledge", "Quantity", "before_text", "identifiability", "value_text"]
@@ -98,11 +98,11 @@ def identifiability(posterior: ModelPosterior) -> Identifiability:
     rows = [
         ("centre of friction x", "m", posterior.model.centre_of_friction[0], friction_rows[0]),
         ("centre of friction y", "m", posterior.model.centre_of_friction[1], friction_rows[1]),
-        ("centre of mass x", "m", body.centre[0], d_body[PARAM_CENTRE]),
-        ("centre of mass y", "m", body.centre[1], d_body[PARAM_CENTRE + 1]),
-        ("radius of gyration", "m", gyration, d_body[PARAM_INERTIA] / (2 * gyration * body.mass)),
+        ("centre of mass x", "m", body.centre[0], d_body[Param.CENTRE]),
+        ("centre of mass y", "m", body.centre[1], d_body[Param.CENTRE + 1]),
+        ("radius of gyration", "m", gyration, d_body[Param.INERTIA] / (2 * gyration * body.mass)),
         ("mean support friction", "", total / (body.mass * GRAVITY), d_limit.sum(axis=0) / (body.mass * GRAVITY)),
-        ("pusher friction", "", posterior.pusher_friction.value, d_body[PARAM_MU]),
+        ("pusher friction", "", posterior.pusher_friction.value, d_body[Param.MU]),
     ]
     quantities = []
     for name, unit, value, row in rows:

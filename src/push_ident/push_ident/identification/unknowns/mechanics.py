@@ -40,9 +40,9 @@ from push_ident.identification.unknowns.load import (
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import PREFERENCE_STD, UnknownsSpec
 from push_ident.physics.effect_values import EffectValues, effect_values
-from push_ident.physics.rollout import N_BODY_PARAMETERS, PARAM_CENTRE, PARAM_INERTIA, PARAM_LIMIT, PARAM_MU
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, Timeline, body_of_cells, simulate_body
+from push_ident.physics.tape import N_BODY_PARAMETERS, Param
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
 
 __all__ = [
@@ -74,7 +74,7 @@ class Mechanics:
     @property
     def limit_derivative(self) -> Float64Array:
         """The rows of the cells' friction limits, shape (n_cells, size)."""
-        return self.derivative[PARAM_LIMIT : PARAM_LIMIT + len(self.shape.cells)]
+        return self.derivative[Param.LIMIT : Param.LIMIT + len(self.shape.cells)]
 
     def simulate(
         self, scenario: PushScenario, settings: SimulationSettings | None = None, jacobian: bool = False, timeline: Timeline | None = None
@@ -98,11 +98,11 @@ def mechanics_at(spec: UnknownsSpec, z: Float64Array) -> Mechanics:
     shown = np.array([not effect.needs_forces for effect in spec.effects.effects for _ in effect.parameters], dtype=bool)
     n_cells, n_values = len(weight), int(np.sum(shown))
     derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values, spec.size))
-    derivative[PARAM_CENTRE : PARAM_CENTRE + 2] = (weight[:, None] * arms).T @ d_mass
-    derivative[PARAM_INERTIA] = body.mass * ((weight * moment) @ d_mass)
-    derivative[PARAM_LIMIT : PARAM_LIMIT + n_cells] = body.limit[:, None] * (d_mass + d_friction)
-    derivative[PARAM_MU, spec.slices["pusher_friction"]] = model.pusher_friction * spec.prior.pusher_friction_std
-    derivative[PARAM_LIMIT + n_cells :, spec.slices["effects"]] = np.diag(d_values)[shown]
+    derivative[Param.CENTRE : Param.CENTRE + 2] = (weight[:, None] * arms).T @ d_mass
+    derivative[Param.INERTIA] = body.mass * ((weight * moment) @ d_mass)
+    derivative[Param.LIMIT : Param.LIMIT + n_cells] = body.limit[:, None] * (d_mass + d_friction)
+    derivative[Param.MU, spec.slices["pusher_friction"]] = model.pusher_friction * spec.prior.pusher_friction_std
+    derivative[Param.LIMIT + n_cells :, spec.slices["effects"]] = np.diag(d_values)[shown]
     return Mechanics(spec.shape, body, model.pusher_friction, effects.of_poses, derivative, effects, mass_factor)
 
 

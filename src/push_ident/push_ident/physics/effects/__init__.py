@@ -26,41 +26,41 @@ def _discover() -> dict[str, Effect]:
     if doubled := [name for name, count in Counter([*built_in, *extra]).items() if count > 1]:
         raise ImportError(f"There are two effects {doubled[0]}; rename the one in the folders of {VARIABLE}.")
     __path__.extend(str(folder) for folder in extra_effect_folders())
-    found: dict[str, Effect] = {}
+    effects: dict[str, Effect] = {}
     for name in sorted([*built_in, *extra]):
         effect: Effect = import_module(f"{__name__}.{name}").EFFECT
         if effect.name != name:
             raise ImportError(f"The effect in {name}.py is called {effect.name!r}; give file and effect the same name.")
-        found[name] = effect
-    _check_names(found)
-    return _with_both_directions(found, set(extra))
+        effects[name] = effect
+    _check_names(effects)
+    return _with_both_directions(effects, set(extra))
 
 
-def _check_names(found: dict[str, Effect]) -> None:
+def _check_names(effects: dict[str, Effect]) -> None:
     """Refuse relations to effects that do not exist."""
-    for name, effect in found.items():
+    for name, effect in effects.items():
         rivals = [rival.name for rival in effect.rivals if rival.name != MAPS]
         for other in (*effect.exact_twins, *effect.special_case_of, *effect.refit_with, *rivals):
-            if other not in found or other == name:
-                raise ImportError(f"The effect {name} names {other!r} as a related effect, expected another one of {', '.join(found)}.")
+            if other not in effects or other == name:
+                raise ImportError(f"The effect {name} names {other!r} as a related effect, expected another one of {', '.join(effects)}.")
 
 
-def _with_both_directions(found: dict[str, Effect], extra: set[str]) -> dict[str, Effect]:
+def _with_both_directions(effects: dict[str, Effect], extra: set[str]) -> dict[str, Effect]:
     """The effects, with each mutual relation present in both.
 
     Two effects of this folder must both declare it. For an effect of another folder one declaration suffices, because installed files are
     not edited.
     """
-    complete = dict(found)
+    complete = dict(effects)
     for field in _MUTUAL:
-        for name, effect in found.items():
+        for name, effect in effects.items():
             for other in getattr(effect, field):
-                own: tuple[str, ...] = getattr(complete[other], field)
-                if name in own:
+                related: tuple[str, ...] = getattr(complete[other], field)
+                if name in related:
                     continue
                 if not {name, other} & extra:
                     raise ImportError(f"The effect {name} has {other} among its {field}, but not the reverse; add {name} to {other}.py.")
-                complete[other] = replace(complete[other], **{field: (*own, name)})  # type: ignore[arg-type]
+                complete[other] = replace(complete[other], **{field: (*related, name)})  # type: ignore[arg-type]
     return complete
 
 

@@ -8,15 +8,14 @@ from push_ident.physics.effect import MAPS, Body, Cell, Effect, EffectParameter,
 
 __all__ = ["EFFECT"]
 
-_REFERENCE = 0.1  # speed at which friction equals that of the map [m/s]
-_SLOWEST = 0.01  # speed below which friction hardly depends on the speed [m/s]
-_ROUNDING = 1e-4  # smooths the speed at rest [m/s]
-
 
 @equation
 def _load(p: Any, body: Body, cell: Cell, memory: Any) -> Any:
-    speed = analytic_sqrt(cell.vx * cell.vx + cell.vy * cell.vy + _ROUNDING * _ROUNDING)
-    return 1.0 + p[0] * analytic_log((speed + _SLOWEST) * (1.0 / (_REFERENCE + _SLOWEST)))
+    reference = 0.1  # speed at which friction equals that of the map [m/s]
+    slowest = 0.01  # speed below which friction hardly depends on the speed [m/s]
+    rounding = 1e-4  # smooths the speed at rest [m/s]
+    speed = analytic_sqrt(cell.vx * cell.vx + cell.vy * cell.vy + rounding * rounding)
+    return 1.0 + p[0] * analytic_log((speed + slowest) * (1.0 / (reference + slowest)))
 
 
 EFFECT = Effect(
