@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,7 +64,6 @@ def test_tilted_table_is_named_with_its_size_and_closes_the_gap(tilted: Diagnosi
 
 SIZES = [
     ("pose_latency", 0.03),
-    pytest.param("outline_error", 0.002, marks=pytest.mark.long),
     pytest.param("pusher_friction", 0.3, marks=pytest.mark.long),
 ]
 
@@ -128,18 +128,6 @@ def test_exact_twins_are_named_together() -> None:
     assert found.verdict is Verdict.ONE_OF
     assert {found.effects[0].name, *found.confusion_set} >= {"tool_offset", "camera_translation"}
     assert "mark" in found.check
-
-
-def test_poses_that_jump_and_come_back_are_not_trusted() -> None:
-    rng = np.random.default_rng(0)
-    turned = []
-    for record in simulated_pushes(8, 1):
-        pose = record.poses.pose.copy()
-        pose[rng.random(len(pose)) < 0.05, 2] += np.pi
-        turned.append(replace(record, poses=replace(record.poses, pose=pose)))
-    found = diagnose(turned)
-    assert found.verdict is Verdict.NOT_TRUSTWORTHY
-    assert "jump away" in found.sentence
 
 
 CORRELATED = [(0.6, None, []), pytest.param(0.0, {"table_tilt": [0.03, 0.0]}, ["table_tilt"], marks=pytest.mark.long)]
@@ -207,11 +195,45 @@ def test_outlier_push_of_a_traced_object_is_set_aside() -> None:
     assert found.verdict == Verdict.NO_GAP and " Push 3 disagrees with all others and was set aside" in found.sentence
 
 
-def test_too_few_pushes_are_not_trusted() -> None:
+def test_too_few_pushes_are_not_trusted(tmp_path: Path) -> None:
     found = diagnose(simulated_pushes(2, 1))
     assert found.verdict is Verdict.NOT_TRUSTWORTHY
-    assert "at least 3 pushes" in found.sentence
     assert np.isnan(to_json(found)["gap"]["before_m"])
+    page = page_of(found, tmp_path)
+    assert "at least 3 pushes" in page and "<svg" not in page
+
+
+def page_of(diagnosis: Diagnosis, folder: Path) -> str:
+    write_report(folder / "report.html", diagnosis, object_id="o1", sources=["bag, push 0"])
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_page_is_complete_in_one_file_and_its_parts_add_up(tilted: Diagnosis, tmp_path: Path) -> None:
+    page = page_of(tilted, tmp_path)
+    assert page.count("<svg") == 2 and page.count('class="dot"') >= 3 * 6
+    assert "table_tilt" in page and "bag, push 0" in page and tilted.check in page and not re.search(r"\d rad\b", page)
+    assert not re.findall(r"(?:src|href)=\"(?!#|data:)", page)
+    parts = re.findall(r'<span class="part( negative)?" style="left:([\d.]+)%;width:([\d.]+)%', page.split('class="row"')[0])
+    assert tilted.account is not None and len(parts) == len(tilted.account.parts)
+    signed = sum((-1.0 if negative else 1.0) * float(width) for negative, _, width in parts)
+    (total,) = re.findall(r'<span class="total" style="left:([\d.]+)%', page)
+    assert abs(signed - float(total)) < 0.1
+
+
+def test_too_few_pushes_to_know_are_told_from_no_gap(tmp_path: Path) -> None:
+    few = diagnose(simulated_pushes(4, 1, noise=NOISE / 3))
+    assert few.account is not None and few.account.maps_are_open and few.first_push is not None
+    title = re.findall("<title>(.*)</title>", page_of(few, tmp_path))[0]
+    assert few.verdict is Verdict.NO_GAP and "too few pushes" in title
+
+
+def test_wrong_radius_of_the_pusher_is_named_with_the_outline() -> None:
+    """Pushes show the sum of it and of an error of the outline."""
+    thicker = [replace(push, pusher=replace(push.pusher, radius=push.pusher.radius - 0.004)) for push in simulated_pushes(8, 1)]
+    found = diagnose(thicker)
+    assert [effect.name for effect in found.effects] == ["outline_error"]
+    assert abs(found.effects[0].parameters["offset"] - 0.004) < 0.001
+    assert "radius" in found.sentence and "diameter of the pusher" in found.check
 
 
 def test_unknown_effect_and_no_push_are_refused() -> None:

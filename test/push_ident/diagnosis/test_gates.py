@@ -20,7 +20,7 @@ from push_ident.types import PoseTrack, PushRecord
 
 
 def failed(records: list[PushRecord], policy: GatePolicy | None = None) -> list[str]:
-    return [gate.found for gate in check_data(records, NoiseModel(), policy or GatePolicy()) if not gate.passed]
+    return [gate.finding for gate in check_data(records, NoiseModel(), policy or GatePolicy()) if not gate.passed]
 
 
 def with_frames(record: PushRecord, kept: np.ndarray) -> PushRecord:
@@ -44,7 +44,7 @@ def test_pushes_with_many_missing_frames_count_by_their_poses_at_rest() -> None:
     whole = simulated_pushes(1, 2)[0]
     settings = DiagnosisSettings()
     state = check_pushes(DiagnosisState((*records, whole), settings, settings))
-    assert not state.abstains and any("4 of 5 pushes count by their poses at rest" in gate.found for gate in state.gates)
+    assert not state.abstains and any("4 of 5 pushes count by their poses at rest" in gate.finding for gate in state.gates)
     for record, kept in zip(records, state.records, strict=False):
         before, after = observe_push(record), observe_push(kept)
         assert len(after.time) == 2 < len(before.time)

@@ -65,13 +65,13 @@ def test_exact_twins_are_equally_probable() -> None:
 
 def test_something_else_in_place_of_effects_or_beside_them() -> None:
     named = selection_of({"wear": 30.0}, n_found=1)
-    instead = probabilities(named, OutsideEvidence(alone=60.0, beside=-2.0))
+    instead = probabilities(named, OutsideEvidence(in_place=60.0, in_addition=-2.0))
     assert instead.something_else > 0.99 and instead.effects["wear"] < 0.01 and is_outside(instead, POLICY)
-    beside = probabilities(named, OutsideEvidence(alone=10.0, beside=8.0))
+    beside = probabilities(named, OutsideEvidence(in_place=10.0, in_addition=8.0))
     assert beside.something_else > 0.99 and is_outside(beside, POLICY)
     # What the effect explains may be part of the same trace.
     assert beside.effects["wear"] == pytest.approx(1.0 - POLICY.imitated_in_part, abs=0.01)
-    neither = probabilities(named, OutsideEvidence(alone=10.0, beside=-2.0))
+    neither = probabilities(named, OutsideEvidence(in_place=10.0, in_addition=-2.0))
     assert neither.something_else < POLICY.max_probability_of_error and neither.effects["wear"] > 0.9
 
 
@@ -87,21 +87,21 @@ def test_failed_tests_of_residuals_are_worth_what_their_p_value_allows() -> None
     none = OutsideEvidence.of(None, None, [], POLICY)
     failed = OutsideEvidence.of(None, None, [0.001], POLICY)
     assert none == OutsideEvidence(0.0, 0.0)
-    assert failed.alone == failed.beside == pytest.approx(math.log(1.0 / (math.e * 0.001 * math.log(1000.0))))
+    assert failed.in_place == failed.in_addition == pytest.approx(math.log(1.0 / (math.e * 0.001 * math.log(1000.0))))
 
 
 def test_structure_that_goes_with_a_fold_is_no_alarm_and_still_leaves_a_name_open() -> None:
     found = SomethingElse(22.7, 0.002, (cast(Any, None),) * 18, np.array([22.5, 0.3, 24.0]))
     evidence = OutsideEvidence.of(found, found, [], POLICY)
-    assert found.least == 0.3 and evidence.alone < 1.0 and evidence.beside > 20.0
+    assert found.least == 0.3 and evidence.in_place < 1.0 and evidence.in_addition > 20.0
     carried = SomethingElse(22.7, 0.002, found.patterns, np.array([22.5, 12.0, 24.0]))
-    assert OutsideEvidence.of(carried, carried, [], POLICY).alone > 10.0
+    assert OutsideEvidence.of(carried, carried, [], POLICY).in_place > 10.0
 
 
 def test_structure_beside_a_strong_effect_is_worth_less_since_no_law_is_exact() -> None:
     found = SomethingElse(4.0, 0.001, (cast(Any, None),) * 18, np.array([4.0, 9.0]))
     weak, strong = (OutsideEvidence.of(found, found, [], POLICY, named=value) for value in (30.0, 700.0))
-    assert weak.beside > 3.9 and weak.alone == strong.alone == weak.beside
+    assert weak.in_addition > 3.9 and weak.in_place == strong.in_place == weak.in_addition
     selection = selection_of({"outline_error": 700.0}, n_found=1)
     assert is_outside(probabilities(selection, weak), POLICY) and not is_outside(probabilities(selection, strong), POLICY)
     assert probabilities(selection, strong).something_else > POLICY.max_probability_of_error

@@ -118,7 +118,7 @@ def test_base_model_at_a_poor_optimum_is_freed_before_an_effect_counts() -> None
     stuck = Fit(good.problem, displaced, good.problem.evaluate(displaced), SolveStatus.STALLED)
     assert stuck.log_evidence < good.log_evidence - 20.0
     selection = select_effects(stuck, POLICY)
-    assert not selection.found
+    assert not selection.selected
     assert selection.base is selection.fit
     assert selection.base.log_evidence > good.log_evidence - 2.0
 

@@ -32,11 +32,11 @@ def test_effect_that_one_push_supports_is_rejected_with_all_after_it(
     folds = ((0, 3), (1, 4), (2,))
     gap = Gap(zero, zero, zero, np.ones(3), np.zeros((3, 2)), folds, np.array(log_bayes_factors))
     supported, found = supported_selection(selection, gap, policy)
-    assert supported.found == kept and found == unsupported
+    assert supported.selected == kept and found == unsupported
     assert unsupported is None or len(supported.steps) == len(kept) + 1
     # What predicts held-out pushes worse is rejected, whatever its evidence.
     worse = replace(gap, log_density_gain=-np.ones(3))
-    assert supported_selection(selection, worse, policy)[0].found == ()
+    assert supported_selection(selection, worse, policy)[0].selected == ()
     neither = Selection(base, base, selection.steps[:1])
     assert supported_selection(neither, replace(worse, log_bayes_factor_without=np.zeros((0, 3))), policy) == (neither, None)
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.differences import ridders
+from helpers.differences import compare_columns, ridders
 from helpers.objects import straight_push
 from helpers.random_pushes import ENGINES, Case, random_case, steps_of
 from push_ident.errors import InputError
@@ -107,29 +107,15 @@ def compare(case: Case, effects: EffectValues, mode: str) -> tuple[set[str], Flo
     point = np.r_[case.pose, body.mass, body.centre, body.inertia, case.model.pusher_friction, body.limit, effects.values]
     typical = [p.typical for p in effects.parameters]
     scale = np.r_[0.05, 0.05, 1.0, body.mass, 0.05, 0.05, body.inertia, 0.5, np.full(n_cells, body.limit.mean()), typical]
-    way = float(np.abs(motion.pose - case.pose).max())
-    errors, doubts = np.zeros(len(point)), np.zeros(len(point))
-    for column in range(len(point)):
-        first = 1e-4 if column in (3, 6) else 3e-5 if column < 7 else 1e-3
 
-        def poses(h: float, column: int = column) -> Float64Array:
-            q = point.copy()
-            q[column] += h * scale[column]
-            moved = simulate_body(
-                case.model.shape,
-                BodyParameters(q[3], q[4:6], q[6], q[8 : 8 + n_cells]),
-                q[7],
-                PushScenario(case.pusher, q[:3], case.pusher.time, ORDER),
-                settings=ENGINES[mode],
-                effects=effects.with_values(q[8 + n_cells :]),
-            )
-            return moved.pose
+    def poses(q: Float64Array) -> Float64Array:
+        moved = BodyParameters(q[3], q[4:6], q[6], q[8 : 8 + n_cells])
+        scenario = PushScenario(case.pusher, q[:3], case.pusher.time, ORDER)
+        acting = effects.with_values(q[8 + n_cells :])
+        return simulate_body(case.model.shape, moved, q[7], scenario, settings=ENGINES[mode], effects=acting).pose
 
-        exact = motion.jacobian[:, :, column] * scale[column]
-        one_sided = 7 <= column < 8 + n_cells and point[column] < first * scale[column]
-        estimate, uncertain = ridders(poses, first, one_sided=one_sided)
-        size = max(float(np.abs(exact).max()), 0.01 * way, 1e-9)
-        errors[column], doubts[column] = np.abs(exact - estimate).max() / size, uncertain / size
+    travel = float(np.abs(motion.pose - case.pose).max())
+    errors, doubts = compare_columns(poses, motion.jacobian, point, scale, n_body=8 + n_cells, whole=travel)
     return {step.kind for step in steps_of(case, motion)}, errors, doubts, adjoint
 
 

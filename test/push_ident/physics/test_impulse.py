@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from helpers.differences import ridders
+from helpers.differences import compare_columns
 from helpers.random_pushes import ENGINES, Case, random_case, steps_of
 from push_ident.errors import InputError
 from push_ident.physics.effect_values import EffectValues, effect_values
@@ -43,20 +43,9 @@ def compare(case: Case, mode: str, effects: EffectValues) -> tuple[set[str], Flo
     motion = simulated(case, point, mode, effects, jacobian=True)
     assert motion.status is not SolveStatus.SIMULATION_FAILED
     whole = float(np.abs(motion.impulse).max())
-    errors, doubts = np.zeros(len(point)), np.zeros(len(point))
-    for column in range(len(point)):
-        first = 1e-4 if column in (3, 6) else 3e-5 if column < 7 else 1e-3
-
-        def impulses(h: float, column: int = column) -> Float64Array:
-            q = point.copy()
-            q[column] += h * scale[column]
-            return simulated(case, q, mode, effects).impulse
-
-        exact = motion.impulse_jacobian[:, :, column] * scale[column]
-        one_sided = 7 <= column < 8 + len(body.limit) and point[column] < first * scale[column]
-        estimate, uncertain = ridders(impulses, first, one_sided=one_sided)
-        size = max(float(np.abs(exact).max()), 0.01 * whole, 1e-9)
-        errors[column], doubts[column] = np.abs(exact - estimate).max() / size, uncertain / size
+    errors, doubts = compare_columns(
+        lambda q: simulated(case, q, mode, effects).impulse, motion.impulse_jacobian, point, scale, n_body=8 + len(body.limit), whole=whole
+    )
     return {step.kind for step in steps_of(case, case.simulate(ENGINES[mode]))}, errors, doubts
 
 

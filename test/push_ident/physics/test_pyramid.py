@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
-from helpers.objects import hammer, hammer_shape, random_push, square, straight_push, uniform
 from push_ident.errors import InputError
 from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
-from push_ident.physics.reference import ReferenceModel, reference_rollout
-from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import SimulationSettings, body_of_cells, cell_gradient, simulate, simulate_body
+from push_ident.physics.simulation import SimulationSettings
 from push_ident.physics.step import new_step_scratch, step
 from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import support_friction
-from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
-
-PYRAMID = SimulationSettings(friction_cone="pyramid")
+from push_ident.types import Float64Array
 
 
 def random_contacts(rng: np.random.Generator, n_contacts: int) -> Float64Array:
@@ -126,65 +120,6 @@ def test_cell_dissipates_by_its_faster_axis() -> None:
             contacts, impulse = StepContacts(rows, 0, 0.3), np.zeros(MAX_CONTACTS + 1)
             pyramid_step(twist, geometry, contacts, 0, impulse, new_step_scratch(), new_pyramid_scratch(1))
             assert np.linalg.norm(twist[:2]) == pytest.approx(0.3 - brake * 2.0 / 0.5 * 0.01, rel=1e-9)
-
-
-def test_pyramid_and_circle_agree_on_a_push_along_an_axis() -> None:
-    model = uniform(square())
-    pusher = straight_push((-0.07, 0.0), 0.0, speed=0.13)
-    fine = SimulationSettings(smoothing_speed=1e-8)
-    circle, pyramid = (simulate(model, PushScenario(pusher, np.zeros(3), pusher.time), settings=s).pose for s in (fine, PYRAMID))
-    assert pyramid == pytest.approx(circle, abs=1e-7)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_pyramid_equals_the_reference_engine_with_its_derivatives(seed: int) -> None:
-    # The reference keeps the paper's 3k velocities, rigid joints and friction rows; the fast step has three velocities.
-    rng = np.random.default_rng(seed)
-    shape = hammer_shape(0.03)
-    keep = ObjectShape(CellGrid(shape.cells.centres[::4], 0.03), shape.outline)
-    n = len(keep.cells)
-    model = ObjectModel(keep, rng.uniform(0.01, 0.08, n), rng.uniform(0.1, 0.5, n), 0.3)
-    pose = np.array([0.02, -0.03, rng.uniform(-3, 3)])
-    pusher = random_push(keep, pose, rng)
-    # Start and end inside the motion: all is sliding then, and the reference is slow.
-    pusher = PusherPath(pusher.time[24:48] - pusher.time[24], pusher.position[24:48], pusher.radius)
-    time = pusher.time[::5]
-    settings = SimulationSettings(step=1 / 120, friction_cone="pyramid")
-    body = body_of_cells(keep, model.mass, model.friction)
-    fast = simulate_body(keep, body, model.pusher_friction, PushScenario(pusher, pose, time), settings=settings, jacobian=True)
-    by_mass, by_friction = cell_gradient(keep, model.mass, model.friction, fast.jacobian[-1])
-
-    mass, friction, mu = (
-        torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (model.mass, model.friction, model.pusher_friction)
-    )
-    result = reference_rollout(
-        keep, ReferenceModel(mass, friction, mu), [pusher], torch.tensor(pose)[None], [time], settings=SimulationSettings(step=1 / 120)
-    )  # fmt: skip
-    end = result.poses[0]
-    assert fast.pose == pytest.approx(end.detach().numpy(), abs=1e-8)
-    assert np.abs(fast.pose[-1] - pose).max() > 5e-3
-    for row in range(3):
-        g_mass, g_friction, g_mu = torch.autograd.grad(end[-1, row], (mass, friction, mu), retain_graph=True)
-        for exact, other in ((by_mass[row], g_mass), (by_friction[row], g_friction), (fast.jacobian[-1, row, 7], g_mu)):
-            assert np.abs(exact - other.numpy()).max() < 5e-6 * np.abs(exact).max()
-
-
-def test_resting_object_does_not_creep() -> None:
-    # A slow side push below the friction of the pusher's cone leaves nothing behind: after the push nothing moves any more.
-    model = uniform(square())
-    pusher = straight_push((-0.07, 0.01), 0.3, speed=0.13, rest=0.6)
-    late = np.array([pusher.time[-1] - 0.3, pusher.time[-1]])
-    first, last = simulate(model, PushScenario(pusher, np.zeros(3), late), settings=PYRAMID).pose
-    assert np.array_equal(first, last)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_random_push_with_the_pyramid_converges(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    model = hammer(seed, pusher_friction=rng.uniform(0.05, 0.8))
-    pose = np.array([0.02, -0.03, rng.uniform(-3, 3)])
-    pusher = random_push(model.shape, pose, rng)
-    assert simulate(model, PushScenario(pusher, pose, pusher.time), settings=PYRAMID).status is SolveStatus.CONVERGED
 
 
 def test_quasi_static_pyramid_is_refused() -> None:

@@ -16,9 +16,8 @@ from push_ident.geometry.outline import outline_of_cells
 from push_ident.physics.lcp import LcpStatus, solve_lcp
 from push_ident.physics.reference import ReferenceModel, reference_rollout
 from push_ident.physics.reference_step import StepProblem, StepResult, reference_lcp, reference_step
-from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import GRAVITY, SimulationSettings, simulate
-from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath, SolveStatus
+from push_ident.physics.simulation import GRAVITY
+from push_ident.types import CellGrid, ObjectModel, ObjectShape, SolveStatus
 
 torch.set_num_threads(1)
 DT = 1 / 240
@@ -255,16 +254,6 @@ def test_derivative_of_a_step_equals_central_differences(name: str) -> None:
             assert float((exact[i] * direction).sum()) == pytest.approx(difference, rel=1e-5, abs=2e-7), (row, field)
 
 
-def test_batch_equals_one_by_one() -> None:
-    problem = random_contacts(2, batch=5)
-    together = reference_step(problem)
-    for i in range(5):
-        names = [name for name in StepProblem.__slots__ if name != "dt"]
-        alone = reference_step(replace(problem, **{name: getattr(problem, name)[i : i + 1] for name in names}))
-        assert torch.allclose(together.twist[i], alone.twist[0], rtol=0, atol=1e-10)
-        assert torch.allclose(together.friction_impulse[i], alone.friction_impulse[0], rtol=0, atol=1e-10)
-
-
 def test_step_that_is_not_solved_has_a_status() -> None:
     result = reference_step(random_contacts(0, batch=2), max_iterations=3)
     assert result.status == (LcpStatus.MAX_ITERATIONS, LcpStatus.MAX_ITERATIONS)
@@ -272,31 +261,6 @@ def test_step_that_is_not_solved_has_a_status() -> None:
 
 
 # Whole pushes
-
-
-def test_translation_along_an_axis_equals_the_compiled_engine() -> None:
-    # There the pyramid of a cell and its cone are the same.
-    model = block()
-    pusher = straight_push((-0.055, 0.0), 0.0, speed=0.13, travel=0.03, rest=0.05)
-    time = pusher.time[::3]
-    motion = reference_rollout(model.shape, ReferenceModel.of(model), [pusher], torch.zeros(1, 3).double(), [time])
-    fast = simulate(model, PushScenario(pusher, np.zeros(3), time), settings=SimulationSettings(smoothing_speed=1e-7))
-    assert motion.status == (SolveStatus.CONVERGED,)
-    assert fast.pose[-1, 0] > 0.02
-    assert motion.poses[0].numpy() == pytest.approx(fast.pose, abs=1e-7)
-    assert motion.force[0].numpy() == pytest.approx(fast.force, abs=1e-5)
-
-
-def test_push_on_a_table_turned_by_a_right_angle_is_the_same() -> None:
-    # The pyramid has the symmetry of the table's axes, and no more.
-    model = uneven_block(2)
-    pusher = straight_push((-0.030, 0.007), 0.2, speed=0.2, travel=0.02, rest=0.03)
-    turned = PusherPath(pusher.time, pusher.position @ np.array([[0.0, 1.0], [-1.0, 0.0]]), pusher.radius)
-    first = tensor([[0.0, 0.0, 0.1], [0.0, 0.0, 0.1 + np.pi / 2]])
-    motion = reference_rollout(model.shape, ReferenceModel.of(model), [pusher, turned], first, [pusher.time] * 2)
-    a, b = motion.poses
-    assert abs(float(a[-1, 2]) - 0.1) > 0.05
-    assert torch.allclose(torch.stack([-a[:, 1], a[:, 0], a[:, 2] + np.pi / 2], dim=1), b, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("heading, start", [(0.5, (-0.0315, -0.014)), (-0.1, (-0.0321, -0.0225))], ids=["edge", "vertex"])

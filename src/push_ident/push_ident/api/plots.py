@@ -128,7 +128,7 @@ def _diagnosis(diagnosis: Diagnosis, title: str) -> Picture:
     ax = figure.subplots()
     bars, limit = ranking_bars(diagnosis.selection, diagnosis.policy.selection.min_log_bayes_factor)
     names = [_text(bar.name) for bar in bars]
-    ax.barh(names, [bar.width for bar in bars], color=[_ACCENT if bar.found else _LIGHT for bar in bars])
+    ax.barh(names, [bar.width for bar in bars], color=[_ACCENT if bar.highlighted else _LIGHT for bar in bars])
     for row, bar in enumerate(bars):
         ax.text(max(bar.width, limit) + 1.0, row, _text(bar.text), va="center", fontsize=9)
     ax.axvline(limit, color="black", linewidth=0.8, linestyle="--")

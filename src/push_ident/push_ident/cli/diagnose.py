@@ -84,7 +84,7 @@ def diagnose_command(
 def _show(diagnosis: Diagnosis) -> None:
     for gate in diagnosis.gates:
         if not gate.passed:
-            warn(f"! {gate.found}: {gate.remedy}")
+            warn(f"! {gate.finding}: {gate.remedy}")
     say(f"{diagnosis.verdict.value}: {diagnosis.sentence}")
     if diagnosis.check:
         say(f"Without a push: {diagnosis.check}")
@@ -111,5 +111,5 @@ def _ranking(selection: Selection) -> Table:
     for score in ranked[:_N_RANKED]:
         value = refitted.get(score.name, score.expected_log_bayes_factor)
         smallest = detectable_size(score) or "none"
-        table.add_row(score.name, f"{value:.1f}", smallest, "found" if score.name in selection.found else "")
+        table.add_row(score.name, f"{value:.1f}", smallest, "found" if score.name in selection.selected else "")
     return table

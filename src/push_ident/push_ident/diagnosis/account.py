@@ -156,13 +156,13 @@ class Account:
         if not self.gap.names:
             return {}
         before: set[str] = set()
-        found: dict[str, Float64Array] = {}
+        by_effect: dict[str, Float64Array] = {}
         for names, one, other in zip(
             [*(key.split(", ") for key in self.gap.stages), self.gap.names], errors, [*errors[1:], self.gap.after], strict=True
         ):
-            found[" and ".join(name for name in names if name not in before)] = one - other
+            by_effect[" and ".join(name for name in names if name not in before)] = one - other
             before |= set(names)
-        return found
+        return by_effect
 
     def _part(self, name: str, values: Float64Array, *, is_effect: bool) -> AccountPart:
         interval = self.gap.mean_interval(values, self.expected.shared_std if name == _UNEXPLAINED else 0.0)
@@ -192,8 +192,8 @@ def expected_errors(fits: Sequence[Fit], folds: Sequence[Sequence[int]], problem
     """
     errors = np.empty((len(problem.records), 3, policy.draws))
     results = map_in_threads(lambda task: _errors_of_fold(*task, problem, policy), list(zip(fits, folds, strict=True)))
-    for fold, own in zip(folds, results, strict=True):
-        errors[list(fold)] = own
+    for fold, errors_of_fold in zip(folds, results, strict=True):
+        errors[list(fold)] = errors_of_fold
     noise, maps, discrepancy = np.nanmean(errors, axis=2).T
     all_parts = errors[:, 2]
     # The variance of a mean of independent errors would be the second term.
@@ -263,7 +263,7 @@ def _more_pushes(account: Account, problem: FitProblem) -> int | None:
 
     def error(n_pushes: int | None) -> float:
         """Of the maps after as many pushes [m], root mean square over the cells; None: as many as in each fit."""
-        scaled = [np.sum(size2 / (1.0 + (1.0 if n_pushes is None else n_pushes / n) * own)) for size2, own, n in terms]
+        scaled = [np.sum(size2 / (1.0 + (1.0 if n_pushes is None else n_pushes / n) * added)) for size2, added, n in terms]
         return float(np.mean(np.sqrt(scaled)))
 
     # The scale of the posterior cancels out.

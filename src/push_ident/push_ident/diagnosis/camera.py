@@ -39,13 +39,13 @@ def camera_settings(settings: DiagnosisSettings, shape: ObjectShape) -> Diagnosi
 
     The outline is as accurate as its own deviations say; without them, as that of a calibrated camera.
     """
-    own = [name for name in CAMERA_ERRORS if name not in settings.base_effects]
+    camera_errors = [name for name in CAMERA_ERRORS if name not in settings.base_effects]
     accuracy = {name: tuple(p.camera_std or p.scale for p in EFFECTS[name].parameters) for name in CAMERA_ERRORS}
     if shape.outline_error is not None:
         accuracy |= {name: (shape.outline_error,) for name in OUTLINE_ERRORS}
     return replace(
         settings,
-        base_effects=(*settings.base_effects, *own),
+        base_effects=(*settings.base_effects, *camera_errors),
         effect_std=settings.effect_std | accuracy,
         noise=_camera_noise(settings.noise, settings.policy.camera),
         policy=settings.policy.for_camera(),
@@ -60,9 +60,9 @@ def is_in_question(fit: Fit, requested: DiagnosisSettings) -> bool:
         requested: the settings before: what these have in the base model stays there.
     """
     z = fit.effect_unknowns
-    own = [name for name in POSE_ERRORS if name in fit.names and name not in requested.base_effects]
+    pose_errors = [name for name in POSE_ERRORS if name in fit.names and name not in requested.base_effects]
     limit = requested.policy.camera.max_deviations
-    return any(bool(np.any(np.abs(z[fit.effects.slice_of(name)]) > limit)) for name in own)
+    return any(bool(np.any(np.abs(z[fit.effects.slice_of(name)]) > limit)) for name in pose_errors)
 
 
 def camera_is_in_question(state: DiagnosisState) -> bool:

@@ -39,7 +39,7 @@ def decide(state: DiagnosisState) -> DiagnosisState:
 
 def found_effects(selection: Selection, gap: Gap) -> tuple[FoundEffect, ...]:
     """Effects that were found, in their order. Their standard deviation is the larger of the fit's and of the jackknife's."""
-    if not selection.found:
+    if not selection.selected:
         return ()
     fit = selection.fit
     std = np.maximum(fit.posterior.effects_std, gap.effects_std)
@@ -51,8 +51,8 @@ def confusion_sets(selection: Selection, policy: SelectionPolicy) -> dict[str, t
     sets: dict[str, tuple[str, ...]] = {}
     for rival in selection.tied_rivals(policy):
         sets[rival.replaces] = (*sets.get(rival.replaces, ()), rival.name)
-    for name in selection.found:
-        if twins := [twin for twin in EFFECTS[name].exact_twins if twin not in (*selection.found, *sets.get(name, ()))]:
+    for name in selection.selected:
+        if twins := [twin for twin in EFFECTS[name].exact_twins if twin not in (*selection.selected, *sets.get(name, ()))]:
             sets[name] = (*sets.get(name, ()), *twins)
     return sets
 
@@ -73,7 +73,7 @@ def _negligible_effects(selection: Selection, base_effects: Sequence[str]) -> tu
 
 
 def _sized(fit: Fit, std: Float64Array, name: str, log_bayes_factor: float) -> FoundEffect:
-    own = fit.effects.slice_of(name)
+    columns = fit.effects.slice_of(name)
     names = [p.name for p in EFFECTS[name].parameters]
-    values, deviations = (dict(zip(names, map(float, v[own]), strict=True)) for v in (fit.effects.values, std))
+    values, deviations = (dict(zip(names, map(float, v[columns]), strict=True)) for v in (fit.effects.values, std))
     return FoundEffect(name, values, deviations, log_bayes_factor)

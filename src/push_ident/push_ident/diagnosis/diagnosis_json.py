@@ -41,7 +41,7 @@ def to_json(diagnosis: Diagnosis) -> Json:
         "unknown": _unknown(diagnosis.something_else),
         "probabilities": _probabilities(diagnosis.probabilities),
         "something_else": _something_else(diagnosis),
-        "gates": [{"passed": g.passed, "found": g.found, "remedy": g.remedy} for g in diagnosis.gates],
+        "gates": [{"passed": g.passed, "found": g.finding, "remedy": g.remedy} for g in diagnosis.gates],
     }
 
 
@@ -52,27 +52,27 @@ def _probabilities(probabilities: Probabilities | None) -> Json | None:
     return {**probabilities.effects, SOMETHING_ELSE: probabilities.something_else, "nothing": probabilities.nothing}
 
 
-def _unknown(found: SomethingElse | None) -> Json | None:
+def _unknown(something_else: SomethingElse | None) -> Json | None:
     """Shares of what acts and of what it follows, if there is something else."""
-    if found is None:
+    if something_else is None:
         return None
     acts_on: dict[str, float] = {}
     varies_with: dict[str, float] = {}
-    for pattern in found.patterns:
+    for pattern in something_else.patterns:
         acts, varies = pattern.family.acts_on.value, pattern.family.varies_with.value
         acts_on[acts] = acts_on.get(acts, 0.0) + pattern.share
         varies_with[varies] = varies_with.get(varies, 0.0) + pattern.share
-    return {"evidence": found.log_bayes_factor, "acts_on": acts_on, "varies_with": varies_with}
+    return {"evidence": something_else.log_bayes_factor, "acts_on": acts_on, "varies_with": varies_with}
 
 
 def _something_else(diagnosis: Diagnosis) -> Json | None:
-    found, words, probabilities = diagnosis.something_else, diagnosis.pattern, diagnosis.probabilities
-    if found is None or words is None or probabilities is None:
+    something_else, words, probabilities = diagnosis.something_else, diagnosis.pattern, diagnosis.probabilities
+    if something_else is None or words is None or probabilities is None:
         return None
     return {
         "probability": probabilities.something_else,
-        "evidence": found.log_bayes_factor,
-        "p_value": found.p_value,
+        "evidence": something_else.log_bayes_factor,
+        "p_value": something_else.p_value,
         "what": words.what,
         "where": words.where,
         "look_for": words.look_for,
@@ -84,7 +84,7 @@ def _something_else(diagnosis: Diagnosis) -> Json | None:
                 "evidence": pattern.log_bayes_factor,
                 "share": pattern.share,
             }
-            for pattern in found.patterns
+            for pattern in something_else.patterns
         ],
     }
 

@@ -35,10 +35,10 @@ class EarlierFits:
         """
         fits: dict[_Key, Fit] = {(fit.names, frozenset(fold)): fit for fit, fold in held_out}
         fits |= {(fit.names, frozenset()): fit for fit in whole}
-        known = next((fit.problem.records for (_, fold), fit in fits.items() if not fold), [])
-        if not known or len(known) > len(records) or not all(map(_is_same, known, records)):
+        previous = next((fit.problem.records for (_, fold), fit in fits.items() if not fold), [])
+        if not previous or len(previous) > len(records) or not all(map(_is_same, previous, records)):
             return cls()
-        return cls(len(known), fits)
+        return cls(len(previous), fits)
 
     def base(self, names: Sequence[str]) -> Fit | None:
         """The fit with these effects to all earlier pushes."""
@@ -53,13 +53,13 @@ class EarlierFits:
             fit: to all present pushes.
             fold: numbers of the pushes that are held out.
         """
-        known = self.fits.get((fit.names, frozenset(push for push in fold if push < self.n_pushes)))
+        previous = self.fits.get((fit.names, frozenset(push for push in fold if push < self.n_pushes)))
         n_new = sum(push not in fold for push in range(self.n_pushes, len(fit.problem.records)))
-        n_z, n_own = fit.unknowns.size, fit.problem.unknowns_of_push
-        if known is None or known.unknowns.size != n_z or known.problem.unknowns_of_push != n_own:
+        n_z, n_per_push = fit.unknowns.size, fit.problem.unknowns_of_push
+        if previous is None or previous.unknowns.size != n_z or previous.problem.unknowns_of_push != n_per_push:
             return None
-        z = known.z * known.unknowns.amplitude_unit(known.amplitude / fit.amplitude)
-        return np.r_[z, known.x[n_z:], np.zeros(n_own * n_new)]
+        z = previous.z * previous.unknowns.amplitude_unit(previous.amplitude / fit.amplitude)
+        return np.r_[z, previous.x[n_z:], np.zeros(n_per_push * n_new)]
 
 
 def _is_same(a: PushRecord, b: PushRecord) -> bool:

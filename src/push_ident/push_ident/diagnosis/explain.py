@@ -53,8 +53,9 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         return _abstention(state)
     on_progress("looking for the next push")
     first_push = _first_push(state, validation, push_settings)
-    found = validation.something_else
-    words = None if found is None else describe_pattern(found.best, [state.source_of(push) for push in range(len(state.records))])
+    something_else = validation.something_else
+    sources = [state.source_of(push) for push in range(len(state.records))]
+    words = None if something_else is None else describe_pattern(something_else.best, sources)
     return Diagnosis(
         verdict=decision.verdict,
         sentence=_sentence(state, validation, decision, first_push, words),
@@ -71,7 +72,7 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         next_push=_propose(state, validation, push_settings),
         check=_check(validation, decision, words),
         probabilities=validation.probabilities,
-        something_else=validation.something_else,
+        something_else=something_else,
         pattern=words,
         base_residuals=validation.base_residuals,
         residual_ratio=validation.residuals.residual_ratio[0],
@@ -81,7 +82,7 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
 
 def _abstention(state: DiagnosisState) -> Diagnosis:
     failed = next(gate for gate in state.gates if not gate.passed)
-    sentence = f"These data cannot be diagnosed: {failed.found}. {failed.remedy}"
+    sentence = f"These data cannot be diagnosed: {failed.finding}. {failed.remedy}"
     return Diagnosis(Verdict.NOT_TRUSTWORTHY, sentence, state.gates, state.settings.policy, check=failed.remedy)
 
 

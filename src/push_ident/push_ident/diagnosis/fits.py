@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -21,21 +22,30 @@ __all__ = ["BASE_WITH_FORCES", "fit_base", "fit_effects", "polished", "with_anot
 
 BASE_WITH_FORCES: Final = tuple(name for name in FORCE_CAUSES if EFFECTS[name].delays_forces)
 """Effects that belong to the base model where forces are measured: contacts that give delay them, and nothing is wrong."""
-_MAX_ITERATIONS: Final = 40
-"""Of a fit that starts from another one."""
-_MAX_BASE_ITERATIONS: Final = 150
-"""Of the base model, which has to converge even where a strong effect acts on the pushes."""
-_MAX_HELD_OUT_ITERATIONS: Final = 15
-"""Of a fit to fewer pushes, which converges within ten where the model is right. Where a strong effect is missing it creeps along kinks,
-and its errors on held-out pushes are known to a few percent after as many."""
-_COARSE_TOLERANCE: Final = 0.05
-"""Tolerance of fits that are only compared with each other, where whole units of log evidence decide [nat]."""
-_HELD_OUT_START: Final = 0.8
-"""Factor of the unknowns at which a fit to fewer pushes starts [-]; see `without_pushes`."""
-_SECOND_START_GAIN: Final = 1.0
-"""Expected gain of log evidence above which a fit that gains nothing gets a second start [nat]."""
-_SECOND_START: Final = 0.4
-"""Distance of the second start, relative to the first: a linear guess may overshoot [-]."""
+
+
+@dataclass(frozen=True, slots=True)
+class _FitSettings:
+    """When fits of a diagnosis end, and where they start."""
+
+    max_iterations: int = 40
+    """Of a fit that starts from another one."""
+    max_base_iterations: int = 150
+    """Of the base model, which has to converge even where a strong effect acts on the pushes."""
+    max_held_out_iterations: int = 15
+    """Of a fit to fewer pushes, which converges within ten where the model is right. Where a strong effect is missing it creeps along
+    kinks, and its errors on held-out pushes are known to a few percent after as many."""
+    coarse_tolerance: float = 0.05
+    """Tolerance of fits that are only compared with each other, where whole units of log evidence decide [nat]."""
+    held_out_start: float = 0.8
+    """Factor of the unknowns at which a fit to fewer pushes starts [-]; see `without_pushes`."""
+    second_start_gain: float = 1.0
+    """Expected gain of log evidence above which a fit that gains nothing gets a second start [nat]."""
+    second_start: float = 0.4
+    """Distance of the second start, relative to the first: a linear guess may overshoot [-]."""
+
+
+_SETTINGS: Final = _FitSettings()
 
 
 def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings, earlier: EarlierFits | None = None) -> Fit:
@@ -52,10 +62,10 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings, earlier
     unknowns = UnknownsSpec.of(records[0].shape, prior, effects=[*settings.base_effects, *late], effect_std=effect_std)
 
     problem = FitProblem(records, unknowns, noise=settings.noise, settings=settings.numerics, run_all=map_in_threads)
-    known = earlier.base(unknowns.effects.names) if earlier else None
-    starts = [known.minimum_at(amplitude) for amplitude in AMPLITUDES] if known else []
+    previous = earlier.base(unknowns.effects.names) if earlier else None
+    starts = [previous.minimum_at(amplitude) for amplitude in AMPLITUDES] if previous else []
     fits = fit_amplitudes(
-        lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), np.zeros(problem.size), _MAX_BASE_ITERATIONS, starts
+        lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), np.zeros(problem.size), _SETTINGS.max_base_iterations, starts
     )
     return max(fits, key=lambda fit: fit.log_evidence)
 
@@ -77,8 +87,8 @@ def fit_effects(
     first = guess if start is None else start
     needed_cost = base.end.cost - required
     fits = [_refit(base, unknowns, first, needed_cost)]
-    if start is not None and expected > _SECOND_START_GAIN and fits[0].end.cost > base.end.cost - 1.0:
-        fits.append(_refit(base, unknowns, guess + _SECOND_START * (start - guess), needed_cost))
+    if start is not None and expected > _SETTINGS.second_start_gain and fits[0].end.cost > base.end.cost - 1.0:
+        fits.append(_refit(base, unknowns, guess + _SETTINGS.second_start * (start - guess), needed_cost))
     return max(fits, key=lambda fit: fit.log_evidence)
 
 
@@ -99,7 +109,7 @@ def with_another(fit: Fit, old: str, new: str, other: Fit) -> Fit:
 def polished(fit: Fit) -> Fit:
     """The same fit, converged to full tolerance."""
     problem = fit.problem.of(fit.unknowns)
-    return Fit(problem, *minimise(problem, fit.x, _MAX_ITERATIONS, start=fit.end), fit.amplitude)
+    return Fit(problem, *minimise(problem, fit.x, _SETTINGS.max_iterations, start=fit.end), fit.amplitude)
 
 
 def without_pushes(fit: Fit, pushes: Sequence[int], start: Float64Array | None = None) -> Fit:
@@ -114,9 +124,13 @@ def without_pushes(fit: Fit, pushes: Sequence[int], start: Float64Array | None =
         start: unknowns to start at, which know nothing of these pushes either, shape (size,).
     """
     problem = fit.problem.without(pushes)
-    x0 = np.r_[_HELD_OUT_START * fit.z, np.delete(fit.problem.push_unknowns(fit.x), pushes, axis=0).ravel()] if start is None else start
+    x0 = (
+        np.r_[_SETTINGS.held_out_start * fit.z, np.delete(fit.problem.push_unknowns(fit.x), pushes, axis=0).ravel()]
+        if start is None
+        else start
+    )
     # As of the base model: where the pushes are explained badly, hundreds of nat apart, a creep of a few decides nothing.
-    end = minimise(problem, x0, _MAX_HELD_OUT_ITERATIONS, tolerance=_COARSE_TOLERANCE, relative=True)
+    end = minimise(problem, x0, _SETTINGS.max_held_out_iterations, tolerance=_SETTINGS.coarse_tolerance, relative=True)
     return Fit(problem, *end, fit.amplitude)
 
 
@@ -133,4 +147,5 @@ def _refit(base: Fit, unknowns: UnknownsSpec, effects: Float64Array, needed_cost
     problem = base.problem.of(unknowns)
     x0 = base.problem.layout.moved(base.x, problem.layout)
     x0[problem.layout.slices["effects"]] = effects
-    return Fit(problem, *minimise(problem, x0, _MAX_ITERATIONS, tolerance=_COARSE_TOLERANCE, needed_cost=needed_cost), base.amplitude)
+    end = minimise(problem, x0, _SETTINGS.max_iterations, tolerance=_SETTINGS.coarse_tolerance, needed_cost=needed_cost)
+    return Fit(problem, *end, base.amplitude)

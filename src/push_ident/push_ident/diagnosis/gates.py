@@ -64,11 +64,11 @@ def _missing_frames(records: Sequence[PushRecord], policy: GatePolicy) -> list[G
     sparse = int(np.sum(shares >= policy.max_missing_share))
     if not sparse:
         return []
-    found = (
+    finding = (
         f"{sparse} of {len(records)} pushes count by their poses at rest only: up to {100 * float(np.max(shares)):.0f} % of their frames "
         "are missing"
     )
-    return [Gate(True, found, "Find out why the camera drops frames: motions would say more than ends.")]
+    return [Gate(True, finding, "Find out why the camera drops frames: motions would say more than ends.")]
 
 
 def _missing_share(record: PushRecord, policy: GatePolicy) -> float:

@@ -127,21 +127,21 @@ class HeldOutFits:
 
     def __init__(self, earlier: EarlierFits | None = None) -> None:
         self._earlier = earlier or EarlierFits()
-        self._known: dict[tuple[int, tuple[int, ...]], tuple[Fit, _HeldOutFold]] = {}
+        self._results: dict[tuple[int, tuple[int, ...]], tuple[Fit, _HeldOutFold]] = {}
         """By the identity of the fit to all pushes, which is kept, and the fold."""
 
     def of(self, fits: Sequence[Fit], folds: Sequence[Sequence[int]]) -> list[list[_HeldOutFold]]:
         """Of each fit, the results of all folds."""
-        wanted = {(id(fit), tuple(fold)): fit for fit in fits for fold in folds}
-        missing = [(key, fit) for key, fit in wanted.items() if key not in self._known]
+        requested = {(id(fit), tuple(fold)): fit for fit in fits for fold in folds}
+        missing = [(key, fit) for key, fit in requested.items() if key not in self._results]
         results = map_in_threads(lambda task: _hold_out(task[1], task[0][1], self._earlier), missing)
-        self._known |= {key: (fit, result) for (key, fit), result in zip(missing, results, strict=True)}
-        return [[self._known[id(fit), tuple(fold)][1] for fold in folds] for fit in fits]
+        self._results |= {key: (fit, result) for (key, fit), result in zip(missing, results, strict=True)}
+        return [[self._results[id(fit), tuple(fold)][1] for fold in folds] for fit in fits]
 
     @property
     def fits(self) -> list[tuple[Fit, tuple[int, ...]]]:
         """All of them, with the numbers of the pushes that they do not use."""
-        return [(result.fit, fold) for (_, fold), (_, result) in self._known.items()]
+        return [(result.fit, fold) for (_, fold), (_, result) in self._results.items()]
 
 
 def measure_gap(
@@ -170,8 +170,8 @@ def measure_gap(
     stages = {} if fit is base else dict(between or {})
     fits = [base] if fit is base else [base, *stages.values(), fit]
     by_fit = (held_out or HeldOutFits()).of(fits, folds)
-    errors = np.array([_by_push(own, folds) for own in by_fit])
-    density = np.array([[result.log_density for result in own] for own in by_fit])
+    errors = np.array([_by_push(results, folds) for results in by_fit])
+    density = np.array([[result.log_density for result in results] for results in by_fit])
     evidence = np.array([one.log_evidence for one in fits])[:, None] - density
     return Gap(
         before=errors[0],

@@ -76,13 +76,13 @@ def competing_explanations(selection: Selection, policy: SelectionPolicy) -> dic
     Exact twins are left out, since no push distinguishes them. Where nothing was found, the most promising effects compete with none; where
     nothing is in a tie, the last effect competes with its absence, so that the push confirms it.
     """
-    if not selection.found:
+    if not selection.selected:
         first = selection.steps[0] if selection.steps else None
         return {NO_EFFECT: selection.base, **({c.name: c.fit for c in first.candidates[:2]} if first else {})}
     rivals = [rival for rival in selection.tied_rivals(policy) if rival.name not in EFFECTS[rival.replaces].exact_twins]
     if rivals:
-        place = rivals[0].replaces
-        return {place: selection.fit, **{rival.name: rival.fit for rival in rivals if rival.replaces == place}}
+        replaced = rivals[0].replaces
+        return {replaced: selection.fit, **{rival.name: rival.fit for rival in rivals if rival.replaces == replaced}}
     step, last = list(selection.added.values())[-1]
     return {without(last.name): step.before, last.name: selection.fit}
 
@@ -106,7 +106,7 @@ def separating_push(fits: Mapping[str, Fit], pose: Float64Array, settings: PushS
     first_variance = np.array(policy.first_pose_std) ** 2
     outcomes = map_in_threads(lambda push: _outcomes(models, push, sensor, problem.noise, first_variance), candidates)
     pairs = list(combinations(fits, 2))
-    distances = np.array([[_mahalanobis2(own[a], own[b]) for a, b in pairs] for own in outcomes]).reshape(-1, len(pairs))
+    distances = np.array([[_mahalanobis2(outcome[a], outcome[b]) for a, b in pairs] for outcome in outcomes]).reshape(-1, len(pairs))
     separable = np.flatnonzero(np.max(distances, axis=0, initial=0.0) >= policy.min_mahalanobis2)
     if not len(separable):
         return None

@@ -45,16 +45,16 @@ class Explanation:
 class OutsideEvidence:
     """Evidence of something else, after its discrepancy [nat]."""
 
-    alone: float
-    """In place of all effects that were found."""
-    beside: float
-    """Beside them."""
+    in_place: float
+    """Of something else in place of all selected effects."""
+    in_addition: float
+    """Of something else in addition to them."""
 
     @classmethod
     def of(
         cls,
-        alone: SomethingElse | None,
-        beside: SomethingElse | None,
+        in_place: SomethingElse | None,
+        in_addition: SomethingElse | None,
         residuals: Sequence[float],
         policy: SelectionPolicy,
         *,
@@ -63,9 +63,9 @@ class OutsideEvidence:
         """From the search for patterns, and from residuals that are too large without one.
 
         Args:
-            alone: what was found beside the base model; None where it could not be looked for.
-            beside: the same beside all effects that were found.
-            residuals: p-values of tests of the residuals beside all effects that were failed: a structure that follows none of the
+            in_place: structure in the residuals of the base model; None where it could not be looked for.
+            in_addition: the same in the residuals of the fit with all selected effects.
+            residuals: p-values of failed tests of the residuals of the fit with all selected effects: a structure that follows none of the
                 patterns, one family more. A p-value p is worth at most the Bayes factor -1 / (e p log p) (Sellke, Bayarri & Berger,
                 Calibration of p values, The American Statistician 2001).
             policy: discrepancy of the evidence.
@@ -74,30 +74,30 @@ class OutsideEvidence:
         """
         bound = max((-math.log(-math.e * p * math.log(p)) for p in residuals if p < 1.0 / math.e), default=0.0)
 
-        def both(found: SomethingElse | None, own: float, discrepancy: float) -> float:
-            if found is None:
+        def both(something_else: SomethingElse | None, log_bayes_factor: float, discrepancy: float) -> float:
+            if something_else is None:
                 return bound
-            n = len(found.patterns)
+            n = len(something_else.patterns)
             # Errors of laws and of noise bring evidence for a structure, and take none away.
-            own = own / discrepancy if own > 0.0 else own
-            return float(np.logaddexp(own + math.log(n), bound) - math.log(n + 1))
+            log_bayes_factor = log_bayes_factor / discrepancy if log_bayes_factor > 0.0 else log_bayes_factor
+            return float(np.logaddexp(log_bayes_factor + math.log(n), bound) - math.log(n + 1))
 
         discrepancy = policy.discrepancy_something_else
-        beside_effects = max(discrepancy, policy.discrepancy_something_else_share * named)
+        discrepancy_in_addition = max(discrepancy, policy.discrepancy_something_else_share * named)
         return cls(
-            both(alone, 0.0 if alone is None else _alone_evidence(alone, policy), discrepancy),
-            both(beside, 0.0 if beside is None else beside.log_bayes_factor, beside_effects),
+            both(in_place, 0.0 if in_place is None else _evidence_in_place(in_place, policy), discrepancy),
+            both(in_addition, 0.0 if in_addition is None else in_addition.log_bayes_factor, discrepancy_in_addition),
         )
 
 
-def _alone_evidence(found: SomethingElse, policy: SelectionPolicy) -> float:
+def _evidence_in_place(something_else: SomethingElse, policy: SelectionPolicy) -> float:
     """Log Bayes factor of something else against nothing [nat]: the one without a fold where nothing is more probable without it.
 
     The pushes of that fold then made the evidence: something happened to them, or they lie at the edge between sticking and sliding, where
     small causes decide where the object goes. Beside effects that were found something acts in any case.
     """
-    is_carried = policy.log_prior_something_else + found.least / policy.discrepancy_something_else > 0.0
-    return found.log_bayes_factor if is_carried else found.least
+    is_carried = policy.log_prior_something_else + something_else.least / policy.discrepancy_something_else > 0.0
+    return something_else.log_bayes_factor if is_carried else something_else.least
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,21 +122,21 @@ def explanations_of(
         policy: prior probabilities and discrepancies.
         rejected: log Bayes factors [nat] of effects in the pushes that do not support them: no effect that was not added has more.
     """
-    found: list[str] = []
+    names: list[str] = []
     weight = 0.0
     named: list[Explanation] = []
     for name, (_, candidate) in selection.added.items():
-        weight += policy.log_prior_effect + candidate.log_bayes_factor / _discrepancy(found, selection, policy)
-        found.append(name)
-        named.append(Explanation(frozenset(found), weight))
+        weight += policy.log_prior_effect + candidate.log_bayes_factor / _discrepancy(names, selection, policy)
+        names.append(name)
+        named.append(Explanation(frozenset(names), weight))
     for rival in selection.rivals:
-        own = frozenset(name for name in found if name != rival.replaces) | {rival.name}
-        named.append(Explanation(own, weight - rival.deficit / _rivalry(rival, selection, policy)))
-    named += _twins(found, weight, named)
-    if found:
-        named.append(Explanation(frozenset([*found, SOMETHING_ELSE]), weight + policy.log_prior_something_else + outside.beside))
+        causes = frozenset(name for name in names if name != rival.replaces) | {rival.name}
+        named.append(Explanation(causes, weight - rival.deficit / _rivalry(rival, selection, policy)))
+    named += _twins(names, weight, named)
+    if names:
+        named.append(Explanation(frozenset([*names, SOMETHING_ELSE]), weight + policy.log_prior_something_else + outside.in_addition))
     nothing = Explanation(frozenset(), 0.0)
-    other = Explanation(frozenset({SOMETHING_ELSE}), policy.log_prior_something_else + outside.alone)
+    other = Explanation(frozenset({SOMETHING_ELSE}), policy.log_prior_something_else + outside.in_place)
     return (nothing, other, *_with_imitations(named, policy), *_not_added(selection, weight, policy, rejected or {}))
 
 
@@ -165,11 +165,11 @@ def is_outside(probabilities: Probabilities, policy: SelectionPolicy) -> bool:
     return probabilities.something_else > 0.5 and probabilities.nothing < policy.max_probability_of_nothing
 
 
-def _twins(found: Sequence[str], weight: float, others: Sequence[Explanation]) -> list[Explanation]:
+def _twins(names: Sequence[str], weight: float, others: Sequence[Explanation]) -> list[Explanation]:
     """Exact twins in place of effects that were found, which no push distinguishes from them."""
-    known = {explanation.causes for explanation in others}
-    twins = [frozenset(twin if n == name else n for n in found) for name in found for twin in EFFECTS[name].exact_twins]
-    return [Explanation(causes, weight) for causes in twins if causes not in known and len(causes) == len(found)]
+    explained = {explanation.causes for explanation in others}
+    twins = [frozenset(twin if n == name else n for n in names) for name in names for twin in EFFECTS[name].exact_twins]
+    return [Explanation(causes, weight) for causes in twins if causes not in explained and len(causes) == len(names)]
 
 
 def _with_imitations(explanations: Sequence[Explanation], policy: SelectionPolicy) -> list[Explanation]:
@@ -182,12 +182,12 @@ def _with_imitations(explanations: Sequence[Explanation], policy: SelectionPolic
     return split
 
 
-def _discrepancy(found: Sequence[str], selection: Selection, policy: SelectionPolicy) -> float:
+def _discrepancy(names: Sequence[str], selection: Selection, policy: SelectionPolicy) -> float:
     """Of the evidence of one more effect beside those that were found."""
-    if not found:
+    if not names:
         return policy.discrepancy_first
     added = selection.added
-    approximate = sum(added[name][1].log_bayes_factor for name in found if EFFECTS[name].law is Law.APPROXIMATE)
+    approximate = sum(added[name][1].log_bayes_factor for name in names if EFFECTS[name].law is Law.APPROXIMATE)
     return max(policy.discrepancy_next, policy.discrepancy_next_share * approximate)
 
 
@@ -203,15 +203,15 @@ def _not_added(selection: Selection, weight: float, policy: SelectionPolicy, rej
     step = next((step for step in selection.steps if step.before is selection.fit), None)
     if step is None:
         return []
-    found = list(selection.found)
+    names = list(selection.selected)
     evidence = {score.name: score.expected_log_bayes_factor for score in step.scores}
     evidence |= {candidate.name: candidate.log_bayes_factor for candidate in step.candidates}
     # The pushes that do not support an effect support none of its rivals more.
     limit = min(rejected.values(), default=math.inf)
     evidence = {name: min(value, limit) for name, value in evidence.items()}
-    factor = _discrepancy(found, selection, policy)
+    factor = _discrepancy(names, selection, policy)
     return [
-        Explanation(frozenset([*found, name]), weight + policy.log_prior_effect + value / factor)
+        Explanation(frozenset([*names, name]), weight + policy.log_prior_effect + value / factor)
         for name, value in evidence.items()
-        if name not in found
+        if name not in names
     ]

@@ -336,8 +336,8 @@ class DecisionPolicy:
     def for_camera(self) -> DecisionPolicy:
         """The policy for poses and outlines that come from a camera: no margin falls, some rise."""
         selection, camera = self.selection, self.camera
-        own = ("discrepancy_first", "discrepancy_rivals", "discrepancy_something_else", "min_log_bayes_factor_single")
-        larger = {name: max(getattr(selection, name), getattr(camera, name)) for name in own}
+        names = ("discrepancy_first", "discrepancy_rivals", "discrepancy_something_else", "min_log_bayes_factor_single")
+        larger = {name: max(getattr(selection, name), getattr(camera, name)) for name in names}
         return replace(self, selection=replace(selection, **larger))
 
     @property

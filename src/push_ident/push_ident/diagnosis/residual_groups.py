@@ -12,9 +12,10 @@ from push_ident.diagnosis.policy import ResidualPolicy
 from push_ident.diagnosis.residuals import PHASES, FrameResiduals
 from push_ident.types import Float64Array
 
-__all__ = ["ResidualGroup", "group_residuals"]
+__all__ = ["N_SECTORS", "ResidualGroup", "group_residuals"]
 
-_N_SECTORS = 8
+N_SECTORS = 8
+"""Of headings, of 45 degrees each."""
 _SPEEDS = ("at rest", "slow", "medium", "fast")
 _REGIONS = ("x low, y low", "x low, y high", "x high, y low", "x high, y high")
 
@@ -53,8 +54,8 @@ def group_residuals(frames: FrameResiduals, policy: ResidualPolicy) -> dict[str,
 
 
 def _sectors(frames: FrameResiduals, heading: Float64Array) -> list[ResidualGroup]:
-    sector = np.floor((heading + np.pi / _N_SECTORS) / (2 * np.pi / _N_SECTORS)).astype(int) % _N_SECTORS
-    return _grouped(frames, sector, [f"{360 * i // _N_SECTORS} deg" for i in range(_N_SECTORS)], range(_N_SECTORS))
+    sector = np.floor((heading + np.pi / N_SECTORS) / (2 * np.pi / N_SECTORS)).astype(int) % N_SECTORS
+    return _grouped(frames, sector, [f"{360 * i // N_SECTORS} deg" for i in range(N_SECTORS)], range(N_SECTORS))
 
 
 def _grouped(frames: FrameResiduals, key: Float64Array, names: Sequence[str], values: Sequence[Any] | Float64Array) -> list[ResidualGroup]:

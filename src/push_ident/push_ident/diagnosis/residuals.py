@@ -27,8 +27,6 @@ from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["PHASES", "FrameResiduals", "correlation_in_motion", "draw_noise", "standardized_residuals"]
 
-_LEAST_P_VALUE = 1e-12
-"""Smaller ones are not told apart: the tail is not normal that far out."""
 PHASES = ("contact", "steady", "stop", "rest")
 """Of a push, in the order of `FrameResiduals.phase`."""
 
@@ -44,7 +42,7 @@ class FrameResiduals:
     push: Float64Array
     """Number of the push, shape (n,), as the others."""
     phase: Float64Array
-    """Place in `PHASES`: contact (first tenth of the travel), steady, stop (last tenth), rest."""
+    """Number in `PHASES`: contact (first tenth of the travel), steady, stop (last tenth), rest."""
     speed: Float64Array
     """Of the object [m/s]."""
     heading_in_table: Float64Array
@@ -60,8 +58,8 @@ class FrameResiduals:
     def residual_ratio(self) -> tuple[float, float]:
         """Mean squared standardized residual over its expectation under the model, and the p-value of as much or more."""
         expected = np.mean(self.null_draws**2, axis=(1, 2))
-        found = float(np.mean(self.standardized**2))
-        return found / float(np.mean(expected)), _p_value(expected, found)
+        observed = float(np.mean(self.standardized**2))
+        return observed / float(np.mean(expected)), _p_value(expected, observed)
 
     def residual_ratio_of(self, chosen: BoolArray) -> float:
         """The same ratio of some frames, chosen by a mask of shape (n,)."""
@@ -69,10 +67,10 @@ class FrameResiduals:
 
     @property
     def excess_autocorrelation(self) -> tuple[float, float]:
-        """As `excess_autocorrelation_beside` where the correlation of the noise is known exactly."""
-        return self.excess_autocorrelation_beside(0.0)
+        """As `excess_autocorrelation_given` where the correlation of the noise is known exactly."""
+        return self.excess_autocorrelation_given(0.0)
 
-    def excess_autocorrelation_beside(self, correlation_std: float) -> tuple[float, float]:
+    def excess_autocorrelation_given(self, correlation_std: float) -> tuple[float, float]:
         """Part of the residual ratio that continues from one frame of a motion to the next, beyond its expectation, and the p-value.
 
         Noise is new in every frame, or correlated as it is at rest; a missing effect continues. (0, 1) where no push has neighbouring
@@ -90,18 +88,19 @@ class FrameResiduals:
             before, after = residual[..., pairs, :], residual[..., pairs + 1, :]
             return np.asarray(2.0 * np.sum(before * after, axis=(-2, -1)) / np.sum(before**2 + after**2, axis=(-2, -1)))
 
-        expected, found = autocorrelation(self.null_draws), float(autocorrelation(self.standardized))
-        p_value = _p_value(expected, found, correlation_std)
-        return self.residual_ratio[0] * (found - float(np.mean(expected))), p_value
+        expected, observed = autocorrelation(self.null_draws), float(autocorrelation(self.standardized))
+        p_value = _p_value(expected, observed, correlation_std)
+        return self.residual_ratio[0] * (observed - float(np.mean(expected))), p_value
 
 
-def _p_value(drawn: Float64Array, found: float, shared_std: float = 0.0) -> float:
+def _p_value(drawn: Float64Array, observed: float, shared_std: float = 0.0) -> float:
     """Probability of as much or more. Beyond all draws, and where they share an error, it is that of a normal distribution with their mean
     and variance: what is drawn is a mean over many frames."""
-    reached = int(np.count_nonzero(drawn >= found))
+    reached = int(np.count_nonzero(drawn >= observed))
     if reached and shared_std == 0.0:
         return reached / len(drawn)
-    return max(float(ndtr((np.mean(drawn) - found) / np.hypot(np.std(drawn), shared_std))), _LEAST_P_VALUE)
+    # The tail is not normal that far out.
+    return max(float(ndtr((np.mean(drawn) - observed) / np.hypot(np.std(drawn), shared_std))), 1e-12)
 
 
 def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:
@@ -163,7 +162,7 @@ def _push_residuals(motion: Motion, observation: Observation, push: int, policy:
 
 
 def _phases(motion: Motion, speed: Float64Array, policy: ResidualPolicy) -> Float64Array:
-    """Place in `PHASES` of every frame of a push, shape (n_frames,)."""
+    """Number in `PHASES` of every frame of a push, shape (n_frames,)."""
     travel = np.linalg.norm(motion.pose[:, :2] - motion.pose[0, :2], axis=1)
     total = max(float(travel[-1]), 1e-9)
     moving = np.where(travel > (1.0 - policy.contact_share) * total, 2, 1)

@@ -88,7 +88,7 @@ class Diagnosis:
 def _summary_table(diagnosis: Diagnosis) -> str:
     """The verdict in words, the effects that were found, and what would resolve what is open."""
     rows = [(e.name, size_of(e), f"{e.log_bayes_factor:.1f}") for e in diagnosis.effects]
-    failed = " ".join(f"{gate.found}: {gate.remedy}" for gate in diagnosis.gates if not gate.passed)
+    failed = " ".join(f"{gate.finding}: {gate.remedy}" for gate in diagnosis.gates if not gate.passed)
     note = " ".join(text for text in (failed, f"Without a push: {diagnosis.check}" if diagnosis.check else "") if text)
     return html_table(
         f"{diagnosis.verdict.value}: {diagnosis.sentence}",

@@ -42,7 +42,7 @@ class EffectScore:
 class EffectInformation:
     """What the pushes determine about absent effects beside everything that was fitted."""
 
-    places: dict[str, NDArray[np.int64]]
+    indices: dict[str, NDArray[np.int64]]
     """Places of the unknowns of each effect."""
     precision: Float64Array
     """S + 1 of all of them, where 1 is their prior, shape (n, n)."""
@@ -72,10 +72,10 @@ def effect_information(fit: Fit, names: Sequence[str] = ()) -> EffectInformation
         return None
     fitted = np.setdiff1d(np.arange(problem.size), new)
     onto = np.linalg.solve(end.hessian[np.ix_(fitted, fitted)], end.hessian[np.ix_(fitted, new)]).T
-    own = [unknowns.effects.slice_of(name) for name in absent]
-    places = {name: np.arange(o.start, o.stop) - len(before.effects) for name, o in zip(absent, own, strict=True)}
+    slices = [unknowns.effects.slice_of(name) for name in absent]
+    indices = {name: np.arange(o.start, o.stop) - len(before.effects) for name, o in zip(absent, slices, strict=True)}
     between = end.hessian[np.ix_(fitted, new)]
-    return EffectInformation(places, end.hessian[np.ix_(new, new)] - onto @ between, end.gradient[new] - onto @ end.gradient[fitted])
+    return EffectInformation(indices, end.hessian[np.ix_(new, new)] - onto @ between, end.gradient[new] - onto @ end.gradient[fitted])
 
 
 def score_effects(information: EffectInformation | None, policy: SelectionPolicy) -> list[EffectScore]:
@@ -83,7 +83,7 @@ def score_effects(information: EffectInformation | None, policy: SelectionPolicy
     if information is None:
         return []
     precision, slope = information.precision, information.slope
-    scores = [_score(name, precision[np.ix_(place, place)], slope[place], policy) for name, place in information.places.items()]
+    scores = [_score(name, precision[np.ix_(index, index)], slope[index], policy) for name, index in information.indices.items()]
     return sorted(scores, key=lambda score: -score.expected_log_bayes_factor)
 
 

@@ -45,11 +45,11 @@ def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Ga
         names: of the effects of the base model that displace the outline, see `camera.OUTLINE_ERRORS`.
         policy: limits.
     """
-    places = [fit.effects.slice_of(name) for name in names if name in fit.names]
+    columns = [fit.effects.slice_of(name) for name in names if name in fit.names]
     pairs = [
         (float(offset), float(std))
-        for own in places
-        for offset, std in zip(fit.effects.values[own], fit.unknowns.effect_std[own], strict=True)
+        for of_effect in columns
+        for offset, std in zip(fit.effects.values[of_effect], fit.unknowns.effect_std[of_effect], strict=True)
     ]
     return [
         Gate(
@@ -82,8 +82,8 @@ def select_effects(base: Fit, policy: SelectionPolicy, on_progress: Progress | N
         if _is_negligible(best, policy):
             report(f"{best.name} is negligible: it joins the base model")
             return select_effects(polished(fit_effects(selection.base, (*selection.base.names, best.name))), policy, on_progress)
-        n_found, selection = len(selection.found), replace(selection, steps=(*selection.steps, step))
-        if n_found >= policy.max_effects:
+        n_selected, selection = len(selection.selected), replace(selection, steps=(*selection.steps, step))
+        if n_selected >= policy.max_effects:
             return selection
         larger = _with_best(selection, best, policy)
         if larger is selection:
@@ -93,7 +93,7 @@ def select_effects(base: Fit, policy: SelectionPolicy, on_progress: Progress | N
 
 def required_log_bayes_factor(selection: Selection, policy: SelectionPolicy) -> float:
     """Log Bayes factor from which one more effect counts [nat]."""
-    if not selection.found:
+    if not selection.selected:
         return policy.min_log_bayes_factor
     approximate = [c.log_bayes_factor for name, (_, c) in selection.added.items() if EFFECTS[name].law is Law.APPROXIMATE]
     return max(policy.min_log_bayes_factor_next, policy.next_share * sum(approximate))
@@ -136,24 +136,24 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     if chosen:
         report(f"refitting with {', '.join(score.name for score in chosen)}")
     # All refits of a first effect are completed, since the ranking shows them; later ones end where they cannot matter any more.
-    required = needed - policy.tie_margin if selection.found else -np.inf
+    required = needed - policy.tie_margin if selection.selected else -np.inf
     candidates = _ranked(map_in_threads(partial(_refit, fit, required), chosen), policy.tie_margin)
     return Step(fit, information, scores, tuple(candidates))
 
 
 def _refit(fit: Fit, required: float, score: EffectScore) -> Candidate:
     start = np.concatenate([fit.effect_unknowns, score.start])
-    own = fit_effects(fit, (*fit.names, score.name), start, score.expected_log_bayes_factor, required)
-    return Candidate(score.name, own, own.log_evidence - fit.log_evidence)
+    refit = fit_effects(fit, (*fit.names, score.name), start, score.expected_log_bayes_factor, required)
+    return Candidate(score.name, refit, refit.log_evidence - fit.log_evidence)
 
 
 def _ranked(candidates: Sequence[Candidate], tie_margin: float) -> list[Candidate]:
     """The best first; a special case before the effect that contains it, unless that one is better by more than a tie."""
     ranked = sorted(candidates, key=lambda c: -c.log_bayes_factor)
-    for place, candidate in enumerate(ranked):
+    for rank, candidate in enumerate(ranked):
         is_special_case = ranked[0].name in EFFECTS[candidate.name].special_case_of
         if is_special_case and candidate.log_bayes_factor > ranked[0].log_bayes_factor - tie_margin:
-            return [candidate, *ranked[:place], *ranked[place + 1 :]]
+            return [candidate, *ranked[:rank], *ranked[rank + 1 :]]
     return ranked
 
 
@@ -193,11 +193,11 @@ def _swapped(fit: Fit, steps: Sequence[Step], policy: SelectionPolicy) -> tuple[
         if rival.name not in fit.names and rival.log_bayes_factor > policy.swap_candidate_share * step.best.log_bayes_factor
     ]
     fits = map_in_threads(lambda trial: with_another(fit, trial[0], trial[1].name, trial[1].fit), trials)
-    others = [(place, rival.name, other) for (place, rival), other in zip(trials, fits, strict=True)]
-    place, name, best = max(others, key=lambda other: other[2].log_evidence, default=("", "", fit))
+    others = [(replaced, rival.name, other) for (replaced, rival), other in zip(trials, fits, strict=True)]
+    replaced, name, best = max(others, key=lambda other: other[2].log_evidence, default=("", "", fit))
     if best.log_evidence > fit.log_evidence + policy.min_swap_gain:
         # Rivals of other effects were not fitted beside the one that is there now.
-        others = [(name, place, fit), *((name, n, other) for p, n, other in others if p == place and other is not best)]
+        others = [(name, replaced, fit), *((name, n, other) for p, n, other in others if p == replaced and other is not best)]
         fit = polished(best)
     return fit, tuple(RivalFit(n, p, other, fit.log_evidence - other.log_evidence) for p, n, other in others)
 

@@ -74,7 +74,7 @@ class Selection:
     """Rivals of effects other than the last one, each fitted beside all others that were found."""
 
     @property
-    def found(self) -> tuple[str, ...]:
+    def selected(self) -> tuple[str, ...]:
         """Effects beyond those of the base."""
         return tuple(name for name in self.fit.names if name not in self.base.names)
 
@@ -84,18 +84,18 @@ class Selection:
 
         An effect that took the place of another one has that one's step.
         """
-        own = {number: step.best for number, step in enumerate(self.steps) if step.best and step.best.name in self.found}
-        for name in self.found:
-            if name not in {candidate.name for candidate in own.values()}:
-                free = ((n, c) for n, step in enumerate(self.steps) for c in step.candidates if c.name == name and n not in own)
-                own.update([next(free)])
-        return {candidate.name: (self.steps[number], candidate) for number, candidate in sorted(own.items())}
+        chosen = {number: step.best for number, step in enumerate(self.steps) if step.best and step.best.name in self.selected}
+        for name in self.selected:
+            if name not in {candidate.name for candidate in chosen.values()}:
+                free = ((n, c) for n, step in enumerate(self.steps) for c in step.candidates if c.name == name and n not in chosen)
+                chosen.update([next(free)])
+        return {candidate.name: (self.steps[number], candidate) for number, candidate in sorted(chosen.items())}
 
     @property
     def stages(self) -> dict[str, Fit]:
         """Fits with some of the effects that were found, by their names, in the order in which they were added."""
         parts = {tuple(name for name in step.before.names if name not in self.base.names): step.before for step in self.steps}
-        return {", ".join(names): fit for names, fit in parts.items() if names and set(names) < set(self.found)}
+        return {", ".join(names): fit for names, fit in parts.items() if names and set(names) < set(self.selected)}
 
     def until(self, stage: int) -> Selection:
         """What was found before a stage, by its number: 0 for the base only."""
@@ -111,11 +111,13 @@ class Selection:
     def rivals(self) -> tuple[RivalFit, ...]:
         """Of the last effect, the nearest first, then of those before it. An effect that contains the found one as a special case is
         none."""
-        if not self.found:
+        if not self.selected:
             return ()
         step, last = list(self.added.values())[-1]
-        own = [RivalFit(c.name, last.name, c.fit, last.log_bayes_factor - c.log_bayes_factor) for c in step.candidates if c is not last]
-        return tuple(r for r in (*own, *self.swaps) if r.name not in self.found and r.name not in EFFECTS[r.replaces].special_case_of)
+        of_last = [RivalFit(c.name, last.name, c.fit, last.log_bayes_factor - c.log_bayes_factor) for c in step.candidates if c is not last]
+        return tuple(
+            r for r in (*of_last, *self.swaps) if r.name not in self.selected and r.name not in EFFECTS[r.replaces].special_case_of
+        )
 
     def tied_rivals(self, policy: SelectionPolicy) -> tuple[RivalFit, ...]:
         """Rivals that explain the pushes nearly as well.
@@ -126,10 +128,12 @@ class Selection:
         log_bayes_factors = {name: candidate.log_bayes_factor for name, (_, candidate) in self.added.items()}
 
         def margin(rival: RivalFit) -> float:
-            found = log_bayes_factors[rival.replaces]
-            if found < policy.min_log_bayes_factor_single:
-                return found - policy.weak_rival_log_bayes_factor
-            return policy.tie_margin if EFFECTS[rival.name].law is Law.EXACT else max(policy.tie_margin, policy.tie_share * found)
+            log_bayes_factor = log_bayes_factors[rival.replaces]
+            if log_bayes_factor < policy.min_log_bayes_factor_single:
+                return log_bayes_factor - policy.weak_rival_log_bayes_factor
+            return (
+                policy.tie_margin if EFFECTS[rival.name].law is Law.EXACT else max(policy.tie_margin, policy.tie_share * log_bayes_factor)
+            )
 
         return tuple(rival for rival in self.rivals if rival.deficit < margin(rival))
 

@@ -11,9 +11,6 @@ from push_ident.physics.simulation import SimulationSettings
 
 __all__ = ["DiagnosisSettings"]
 
-_N_MODES = 16
-"""Modes of each map at most: with more, the maps absorb effects, and predictions are no better (prototype)."""
-
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisSettings:
@@ -34,6 +31,8 @@ class DiagnosisSettings:
     """Effects that belong to the base model."""
     effect_std: dict[str, tuple[float, ...]] = field(default_factory=dict)
     """Prior standard deviations of the parameters of effects, by name, where they are not those of the catalogue."""
+    max_modes: int = 16
+    """Of each map: with more, the maps absorb effects, and predictions are no better (prototype)."""
     outline_from_camera: bool = False
     """Whether poses and outline come from a camera, even where the shape does not state it: errors of a calibrated camera then belong to
     the base model."""
@@ -41,4 +40,4 @@ class DiagnosisSettings:
     @property
     def base_prior(self) -> Prior:
         """Smooth maps, and the friction of the pusher given."""
-        return replace(self.prior, max_modes=min(self.prior.max_modes, _N_MODES)).without_pressure().with_pusher_friction_frozen()
+        return replace(self.prior, max_modes=min(self.prior.max_modes, self.max_modes)).without_pressure().with_pusher_friction_frozen()

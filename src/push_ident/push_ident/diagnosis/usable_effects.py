@@ -25,7 +25,7 @@ from push_ident.physics.effects import EFFECTS
 __all__ = ["UsableEffects", "usable_effects", "usable_effects_of_file", "usable_effects_of_text"]
 
 _NAMING: Final = ("named", "one_of", "several")
-"""Verdicts that name what acts; `diagnosis.result.Verdict`, which takes all of a diagnosis to import."""
+"""Verdicts that name what acts; `diagnosis.verdict.Verdict`."""
 _NOTHING: Final = "no_gap"
 _REMEDY: Final = "`push-ident diagnose BAG --json FILE` writes one"
 
@@ -118,7 +118,7 @@ def _known(effect: _Effect) -> KnownEffect:
 
 def _check_certain(name: str, probabilities: Mapping[str, float]) -> None:
     """Raise InputError where another cause is too probable."""
-    certain = sum(probabilities.get(own, 0.0) for own in (name, *EFFECTS[name].exact_twins))
+    certain = sum(probabilities.get(twin, 0.0) for twin in (name, *EFFECTS[name].exact_twins))
     needed = 1.0 - SelectionPolicy().max_probability_of_error
     if not certain >= needed:
         raise InputError(

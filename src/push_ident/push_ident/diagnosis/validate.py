@@ -31,23 +31,23 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class _Beside:
-    """What the residuals of a fit show."""
+class _Evidence:
+    """Of a cause that a fit leaves out."""
 
     residuals: FrameResiduals
     something_else: SomethingElse | None
 
 
 @dataclass(frozen=True, slots=True)
-class _Outside:
-    """What speaks for a cause outside the catalogue."""
+class _OutsideEvidence:
+    """Of a cause outside the catalogue."""
 
     residuals: FrameResiduals
-    """Beside all effects."""
-    alone: SomethingElse | None
-    """In place of them."""
+    """Of the fit with all effects."""
+    in_place: SomethingElse | None
+    """Of the base model."""
     reported: SomethingElse | None
-    """In place of them or beside them, whichever explains more."""
+    """In place of the effects or in addition to them, whichever explains more."""
     probabilities: Probabilities
 
 
@@ -57,11 +57,11 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
         return state
     on_progress("looking for something else")
     selection, policy = state.selection, state.settings.policy
-    # Only what is found in place of effects is asked what it is without some pushes.
+    # Folds decide only about something else in place of effects.
     folds = folds_of(len(selection.base.problem.records), policy.validation.max_folds)
-    fits = [(selection.base, folds), *([(selection.fit, ())] if selection.found else [])]
-    base, *others = map_in_threads(lambda task: _look_beside(state, *task), fits)
-    outside = _look_outside(state, selection, base, others[0] if others else base, {})
+    fits = [(selection.base, folds), *([(selection.fit, ())] if selection.selected else [])]
+    base, *others = map_in_threads(lambda task: _look_for_structure(state, *task), fits)
+    outside = _weigh_outside(state, selection, base, others[0] if others else base, {})
     held_out = HeldOutFits(state.earlier)
     unsupported = None
     if not is_outside(outside.probabilities, policy.selection):
@@ -69,16 +69,16 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
         supported, unsupported = supported_selection(selection, gap, policy.validation)
         if supported is not selection:
             rejected = dict.fromkeys(
-                (name for name in selection.found if name not in supported.found), policy.validation.min_log_bayes_factor_without_push
+                (name for name in selection.selected if name not in supported.selected), policy.validation.min_log_bayes_factor_without_push
             )
-            beside = _look_beside(state, supported.fit, ()) if supported.found else base
-            selection, outside = supported, _look_outside(state, supported, base, beside, rejected)
+            with_effects = _look_for_structure(state, supported.fit, ()) if supported.selected else base
+            selection, outside = supported, _weigh_outside(state, supported, base, with_effects, rejected)
             gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
     is_unknown = is_outside(outside.probabilities, policy.selection)
     if is_unknown:
         selection = selection.without_effects()
         gap = measure_gap(selection.base, selection.base, policy.validation, on_progress, held_out=held_out)
-        gap = _with_patterns(gap, selection, outside.alone)
+        gap = _with_patterns(gap, selection, outside.in_place)
     validation = Validation(
         selection=selection,
         gap=gap,
@@ -109,7 +109,7 @@ def failed_tests(base: FrameResiduals, residuals: FrameResiduals, policy: Unknow
     ratio, p_value = residuals.residual_ratio
     if ratio > max(policy.max_residual_ratio, 1.0 + policy.residual_ratio_share * excess) and p_value < policy.max_p_value:
         failed.append(p_value)
-    autocorrelation, p_value = residuals.excess_autocorrelation_beside(correlation_std)
+    autocorrelation, p_value = residuals.excess_autocorrelation_given(correlation_std)
     limit = policy.max_excess_autocorrelation + policy.excess_autocorrelation_share * excess
     if autocorrelation > limit and p_value < policy.max_p_value:
         failed.append(p_value)
@@ -122,7 +122,7 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
     An effect without evidence in the fit without one push came from that push: something happened to it, or it lies at the edge between
     sticking and sliding, where small causes decide where the object goes. It is rejected, and so are those that were added after it.
     """
-    if not selection.found:
+    if not selection.selected:
         return selection, None
     if gap.is_worse:
         return selection.without_effects(), None
@@ -137,33 +137,35 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
     return selection, None
 
 
-def _look_beside(state: DiagnosisState, fit: Fit, folds: Sequence[Sequence[int]]) -> _Beside:
-    """Residuals beside a fit, and structure in them."""
+def _look_for_structure(state: DiagnosisState, fit: Fit, folds: Sequence[Sequence[int]]) -> _Evidence:
+    """Residuals of a fit, and structure in them."""
     policy = state.settings.policy
-    return _Beside(standardized_residuals(fit, policy.residuals), find_something_else(fit, policy.unknown, folds))
+    return _Evidence(standardized_residuals(fit, policy.residuals), find_something_else(fit, policy.unknown, folds))
 
 
-def _look_outside(state: DiagnosisState, selection: Selection, base: _Beside, beside: _Beside, rejected: Mapping[str, float]) -> _Outside:
-    """From what the residuals show beside the base model and beside all effects of a selection."""
-    policy, alone = state.settings.policy, base.something_else
+def _weigh_outside(
+    state: DiagnosisState, selection: Selection, base: _Evidence, with_effects: _Evidence, rejected: Mapping[str, float]
+) -> _OutsideEvidence:
+    """From the residuals of the base model and of the fit with all effects of a selection."""
+    policy, in_place = state.settings.policy, base.something_else
     # Errors of perceived poses depend on the pose, so that they continue from frame to frame.
     correlation_std = state.rest_correlation_std if state.rest_noise_known and not state.from_camera else np.inf
-    failed = failed_tests(base.residuals, beside.residuals, policy.unknown, correlation_std=correlation_std)
+    failed = failed_tests(base.residuals, with_effects.residuals, policy.unknown, correlation_std=correlation_std)
     named = sum(candidate.log_bayes_factor for _, candidate in selection.added.values())
-    evidence = OutsideEvidence.of(alone, beside.something_else, failed, policy.selection, named=named)
+    evidence = OutsideEvidence.of(in_place, with_effects.something_else, failed, policy.selection, named=named)
     explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected)
     outside = [explanation for explanation in explanations if SOMETHING_ELSE in explanation.causes]
     most = max(outside, key=lambda explanation: explanation.log_weight)
     probabilities = probabilities_of(explanations, selection.base.names)
-    reported = beside.something_else if (most.causes | most.imitated_by) - {SOMETHING_ELSE} else alone
-    return _Outside(beside.residuals, alone, reported, probabilities)
+    reported = with_effects.something_else if (most.causes | most.imitated_by) - {SOMETHING_ELSE} else in_place
+    return _OutsideEvidence(with_effects.residuals, in_place, reported, probabilities)
 
 
-def _with_patterns(gap: Gap, selection: Selection, found: SomethingElse | None) -> Gap:
+def _with_patterns(gap: Gap, selection: Selection, something_else: SomethingElse | None) -> Gap:
     """The gap with the patterns that were found, where held-out pushes end nearer to their prediction with it."""
-    if found is None:
+    if something_else is None:
         return gap
-    change = error_with_patterns(selection.base, found, gap.folds)
+    change = error_with_patterns(selection.base, something_else, gap.folds)
     if not float(np.mean(change)) < 0.0:
         return gap
     return replace(gap, after=np.maximum(gap.before + change, 0.0), names=(SOMETHING_ELSE,))

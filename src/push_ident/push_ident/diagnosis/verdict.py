@@ -24,7 +24,7 @@ class Gate:
     """A check that data or numerics have to pass before a verdict is given."""
 
     passed: bool
-    found: str
+    finding: str
     """What was checked, with its number."""
     remedy: str
     """What to do where it is not passed."""

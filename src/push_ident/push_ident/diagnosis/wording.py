@@ -22,8 +22,6 @@ __all__ = [
     "sentence_of_unsupported", "size_of",
 ]  # fmt: skip
 
-_N_SUSPECTS = 3
-"""Effects that are listed where none is detected."""
 _SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°"), "s": (1e3, "ms")}
 """Everyday units of an effect's size, with their factor."""
 
@@ -50,7 +48,7 @@ def sentence_of_nothing(account: Account, sources: Sequence[str], first: Planned
         return (
             f"Nothing is found, and the pushes are too few to know: {in_mm(maps.mean)} ({_interval(maps)}) of the "
             f"{in_mm(account.expected_error)} to be expected on held-out pushes come from maps that are not known yet."
-            f"{sentence_of_more_pushes(account, first)} {_found(account)}."
+            f"{sentence_of_more_pushes(account, first)} {_parts_of(account)}."
         )
     return f"No gap beyond noise: of {error}, {_known_parts(account)}; {_unexplained(account)}."
 
@@ -88,14 +86,14 @@ def sentence_of_unknown(
     begin = f"The simulation leaves out something outside the catalogue of effects (probability {probability:.2f})"
     if words is not None:
         share = _share_of_effects(account) if account.effects else ""
-        found = f"{begin}, most probably {words.what}, {words.where}{share}. Look for {words.look_for}."
-        return f"{found} {_rest(account)}" if share else f"{found} {_found(account)}."
+        text = f"{begin}, most probably {words.what}, {words.where}{share}. Look for {words.look_for}."
+        return f"{text} {_rest(account)}" if share else f"{text} {_parts_of(account)}."
     _, by, name = max((max(group.rms), by, group.name) for by, groups in where.items() for group in groups)
     name = f"{int(name) + 1}" if by == "push" else name  # people count from 1
     ratio = residuals.residual_ratio[0]
     return (
         f"{begin}: residuals are {np.sqrt(ratio):.1f} times as large as those of a correct model, and largest for {by.replace('_', ' ')} "
-        f"{name}. {_found(account)}."
+        f"{name}. {_parts_of(account)}."
     )
 
 
@@ -109,7 +107,7 @@ def sentence_of_doubt(words: PatternWords, probability: float) -> str:
 
 def sentence_of_suspicion(probabilities: Probabilities) -> str:
     """Added to the sentence where no cause is detected although nothing at all is improbable: several causes have some evidence each."""
-    likely = sorted(probabilities.effects.items(), key=lambda item: -item[1])[:_N_SUSPECTS]
+    likely = sorted(probabilities.effects.items(), key=lambda item: -item[1])[:3]
     causes = ", ".join(f"{name} ({value:.2f})" for name, value in likely)
     return f" No single cause is detected, but that nothing acts has a probability of {probabilities.nothing:.2f} only: look at {causes}."
 
@@ -215,7 +213,7 @@ def _rest(account: Account) -> str:
     return f"{worse}: {_known_parts(account)}; {_unexplained(account)}."
 
 
-def _found(account: Account) -> str:
+def _parts_of(account: Account) -> str:
     return f"The mean error is {in_mm(account.before)}: {_known_parts(account)}; {_unexplained(account)}"
 
 

@@ -23,7 +23,7 @@ _BETTER = "predicted better than expected"
 
 @dataclass(frozen=True, slots=True)
 class AccountRow:
-    """One part. Places are in percent of the width of the bar."""
+    """One part. Positions are in percent of the width of the bar."""
 
     name: str
     colour: str
@@ -48,7 +48,7 @@ class AccountBar:
     rows: tuple[AccountRow, ...]
     total: str
     """Mean error on held-out pushes, with its unit."""
-    place: float
+    position: float
     """Of that error, in percent of the width."""
     in_words: str
     """The parts as text."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.next_push import SeparatingPush
-from push_ident.diagnosis.residual_groups import ResidualGroup
+from push_ident.diagnosis.residual_groups import N_SECTORS, ResidualGroup
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.wording import detectable_size, in_mm
@@ -22,12 +22,6 @@ __all__ = ["EXAGGERATION", "Bar", "HeatCell", "HeatRow", "draw_proposal", "draw_
 
 EXAGGERATION = 10.0
 """Factor on the residuals that are drawn on the table."""
-_N_RANKED = 12
-_UNLIKELY = 0.01
-"""Residuals with a smaller p-value are printed in bold."""
-_STRONGEST = 3.0
-"""Excess of a root mean square over 1, which is noise, or a mean standardized residual, that has the strongest colour."""
-_N_SECTORS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,24 +45,27 @@ class HeatRow:
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """A bar with its name and its value; places are in percent of the width."""
+    """A bar with its name and its value; positions are in percent of the width."""
 
     name: str
     text: str
     """The value, or why there is none."""
     width: float
-    found: bool = False
+    highlighted: bool = False
     """Whether it stands out."""
     dots: tuple[float, ...] = ()
     """Of single pushes."""
 
 
 def heat_of_pushes(pushes: Sequence[ResidualGroup]) -> list[HeatRow]:
-    """Root mean square of the standardized residuals in every push, along, across and in rotation; pushes are counted from 1."""
+    """Root mean square of the standardized residuals in every push, along, across and in rotation.
+
+    Pushes are counted from 1; what noise makes in one of a hundred is printed in bold.
+    """
     return [
         HeatRow(
             f"{int(push.name) + 1}",
-            tuple(_heat(f"{value:.1f}", value - 1.0, p < _UNLIKELY) for value, p in zip(push.rms, push.p_value, strict=True)),
+            tuple(_heat(f"{value:.1f}", value - 1.0, p < 0.01) for value, p in zip(push.rms, push.p_value, strict=True)),
         )
         for push in pushes
     ]
@@ -78,15 +75,17 @@ def heat_of_headings(frames: FrameResiduals) -> list[HeatRow]:
     """Mean standardized residual along and across the motion by its heading in the table and in the object."""
     rows = []
     sectors = [
-        np.round(heading / (2 * np.pi / _N_SECTORS)).astype(int) % _N_SECTORS
+        np.round(heading / (2 * np.pi / N_SECTORS)).astype(int) % N_SECTORS
         for heading in (frames.heading_in_table, frames.heading_in_object)
     ]
-    for k in range(_N_SECTORS):
+    for k in range(N_SECTORS):
         values = [
-            float(np.mean(frames.standardized[own == k, column])) if np.any(own == k) else np.nan for own in sectors for column in (0, 1)
+            float(np.mean(frames.standardized[sector == k, column])) if np.any(sector == k) else np.nan
+            for sector in sectors
+            for column in (0, 1)
         ]
         cells = (_heat(_signed(value), abs(value)) for value in values)
-        rows.append(HeatRow(f"{360 * k // _N_SECTORS}°", tuple(cells)))
+        rows.append(HeatRow(f"{360 * k // N_SECTORS}°", tuple(cells)))
     return rows
 
 
@@ -96,7 +95,8 @@ def _signed(value: float) -> str:
 
 
 def _heat(text: str, value: float, bold: bool = False) -> HeatCell:
-    colour = shade(value / _STRONGEST, HEAT) if np.isfinite(value) else "#e3e6ea"
+    # The strongest colour is that of three times the noise.
+    colour = shade(value / 3.0, HEAT) if np.isfinite(value) else "#e3e6ea"
     return HeatCell(text, colour, text_on(colour), bold)
 
 
@@ -109,11 +109,11 @@ def draw_residuals(frames: FrameResiduals) -> str:
 
 
 def ranking_bars(selection: Selection, min_log_bayes_factor: float) -> tuple[list[Bar], float]:
-    """Log Bayes factors of the effects beside the base model, the largest first, and the place of the least one that counts."""
+    """Log Bayes factors of the effects beside the base model, the largest first, and the position of the least one that counts."""
     first = selection.steps[0]
     refitted = {c.name: c.log_bayes_factor for c in first.candidates}
     values = {s.name: refitted.get(s.name, s.expected_log_bayes_factor) for s in first.scores}
-    ranked = sorted(first.scores, key=lambda s: -values[s.name])[:_N_RANKED]
+    ranked = sorted(first.scores, key=lambda s: -values[s.name])[:12]
     right = max(*(values[s.name] for s in ranked), 2 * min_log_bayes_factor)
     bars = []
     for score in ranked:
@@ -121,17 +121,17 @@ def ranking_bars(selection: Selection, min_log_bayes_factor: float) -> tuple[lis
         size = detectable_size(score)
         quiet = f"not detected; would be from {size} on" if size else "not detected; not detectable at any size"
         text = f"{value:.1f}" if value >= min_log_bayes_factor else quiet
-        bars.append(Bar(score.name, text, 100.0 * max(0.0, value) / right, score.name in selection.found))
+        bars.append(Bar(score.name, text, 100.0 * max(0.0, value) / right, score.name in selection.selected))
     return bars, 100.0 * min_log_bayes_factor / right
 
 
-def shrink_bars(gap: Gap, found: Sequence[str]) -> list[Bar]:
+def shrink_bars(gap: Gap, selected: Sequence[str]) -> list[Bar]:
     """Cell error on held-out pushes: base model, with one effect more each, noise of the poses. Every push is a dot."""
     stages = [("base model", gap.before), *(("with " + name, errors) for name, errors in gap.stages.items())]
-    if found:
-        stages.append(("with " + ", ".join(found), gap.after))
+    if selected:
+        stages.append(("with " + ", ".join(selected), gap.after))
     right = 1.03 * max(float(np.max(errors)) for _, errors in (*stages, ("", gap.noise))) or 1.0
-    last = len(stages) - 1 if found else -1
+    last = len(stages) - 1 if selected else -1
     return [
         Bar(name, in_mm(float(np.mean(errors))), 100.0 * float(np.mean(errors)) / right, k == last, _dots(errors, right))
         for k, (name, errors) in enumerate((*stages, ("noise of the poses alone", gap.noise)))

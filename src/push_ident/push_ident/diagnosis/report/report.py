@@ -78,7 +78,7 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
     if selection is None or gap is None or frames is None or account is None:
         return {}
     policy = diagnosis.policy.selection
-    added = ("something else",) if SOMETHING_ELSE in gap.names else selection.found
+    added = ("something else",) if SOMETHING_ELSE in gap.names else selection.selected
     no_rival = "No other effect of the catalogue explains these pushes nearly as well."
     return {
         "account": account_bar(account),
@@ -105,49 +105,43 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-_MIN_SHOWN = 0.005
-"""Probability below which a cause is not listed."""
-_N_PATTERNS = 4
-"""Patterns that are listed."""
-
-
 def _probable(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Causes with their probability, the largest first."""
-    found = diagnosis.probabilities
-    if found is None:
+    probabilities = diagnosis.probabilities
+    if probabilities is None:
         return []
     named = {"nothing": ("nothing beyond the base model", ""), SOMETHING_ELSE: ("something else", "A cause outside the catalogue.")}
-    values = {"nothing": found.nothing, SOMETHING_ELSE: found.something_else, **found.effects}
+    values = {"nothing": probabilities.nothing, SOMETHING_ELSE: probabilities.something_else, **probabilities.effects}
     return [
         {"name": named[name][0] if name in named else name, "what": named[name][1] if name in named else EFFECTS[name].what, "value": value}
         for name, value in sorted(values.items(), key=lambda item: -item[1])
-        if value >= _MIN_SHOWN
+        if value >= 0.005  # 1 % as it is printed
     ]
 
 
 def _patterns(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """The most probable structures outside the catalogue."""
-    found = diagnosis.something_else
-    if found is None:
+    something_else = diagnosis.something_else
+    if something_else is None:
         return []
-    shown = found.patterns[:_N_PATTERNS]
+    shown = something_else.patterns[:4]
     return [
         {"acts_on": p.family.acts_on.value, "varies_with": p.family.varies_with.value, "evidence": p.log_bayes_factor, "share": p.share}
         for p in shown
     ]
 
 
-def _shrink_text(gap: Gap, found: tuple[str, ...]) -> str:
+def _shrink_text(gap: Gap, selected: tuple[str, ...]) -> str:
     before, after, noise = (1e3 * float(np.mean(v)) for v in (gap.before, gap.after, gap.noise))
     error = f"The mean error on held-out pushes is {before:.1f} mm"
     if not gap.is_above_noise:
         return f"{error}. It does not differ significantly from the {noise:.1f} mm that the noise of the poses causes."
-    if not found:
+    if not selected:
         return f"{error}; the noise of the poses causes {noise:.1f} mm. No effect of the catalogue explains the difference."
     low, high = gap.shrink_interval
     return (
-        f"{error} without and {after:.1f} mm with {', '.join(found)}; the noise of the poses causes {noise:.1f} mm. Of the gap above the "
-        f"noise, {100 * gap.shrink:.0f} % is closed (90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
+        f"{error} without and {after:.1f} mm with {', '.join(selected)}; the noise of the poses causes {noise:.1f} mm. Of the gap above "
+        f"the noise, {100 * gap.shrink:.0f} % is closed (90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
     )
 
 

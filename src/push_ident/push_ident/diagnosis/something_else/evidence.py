@@ -36,10 +36,6 @@ from push_ident.types import BoolArray, Float64Array
 __all__ = ["Pattern", "SomethingElse", "error_with_patterns", "find_something_else"]
 
 
-_PROBABLE = 0.1
-"""Share of a pattern in that of the best one from which it is part of a prediction [1]."""
-
-
 @dataclass(frozen=True, slots=True)
 class Pattern:
     """The best member of a family, with its amplitudes."""
@@ -114,9 +110,9 @@ class _Linear:
 
     def without(self, layout: _Layout, fold: Sequence[int]) -> _Linear:
         """The same without some pushes."""
-        known = layout.without(fold)
-        rows = layout.rows_of_pushes(known)
-        return _solved(self.precision, self.start, self.jacobian[known], self.observed[known], self.weight[known], rows)
+        used = layout.without(fold)
+        rows = layout.rows_of_pushes(used)
+        return _solved(self.precision, self.start, self.jacobian[used], self.observed[used], self.weight[used], rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +126,9 @@ class _Layout:
 
     @classmethod
     def of(cls, fit: Fit) -> _Layout:
-        poses = np.cumsum([0, *(3 * len(own.time) for own in fit.problem.observations)])
-        return cls(poses, poses[-1] + np.cumsum([0, *(0 if own is None else 2 * len(own.force) for own in fit.problem.forces)]))
+        poses = np.cumsum([0, *(3 * len(observation.time) for observation in fit.problem.observations)])
+        n_rows = [0 if mean is None else 2 * len(mean.force) for mean in fit.problem.forces]
+        return cls(poses, poses[-1] + np.cumsum([0, *n_rows]))
 
     @property
     def all(self) -> BoolArray:
@@ -140,18 +137,18 @@ class _Layout:
 
     def without(self, fold: Sequence[int]) -> BoolArray:
         """All rows but those of some pushes, of which only the first frame stays: it is the prior of their first pose."""
-        known = self.all
+        used = self.all
         for push in fold:
-            known[self.poses[push] + 3 : self.poses[push + 1]] = False
-            known[self.forces[push] : self.forces[push + 1]] = False
-        return known
+            used[self.poses[push] + 3 : self.poses[push + 1]] = False
+            used[self.forces[push] : self.forces[push + 1]] = False
+        return used
 
-    def rows_of_pushes(self, known: BoolArray) -> tuple[NDArray[np.int64], ...]:
+    def rows_of_pushes(self, used: BoolArray) -> tuple[NDArray[np.int64], ...]:
         """Rows of each push among those of a mask."""
-        number = np.cumsum(known) - 1
+        number = np.cumsum(used) - 1
         ends = zip(self.poses, self.poses[1:], self.forces, self.forces[1:], strict=False)
-        own = [np.r_[first:last, first_force:last_force] for first, last, first_force, last_force in ends]
-        return tuple(number[rows[known[rows]]] for rows in own)
+        rows_of_push = [np.r_[first:last, first_force:last_force] for first, last, first_force, last_force in ends]
+        return tuple(number[rows[used[rows]]] for rows in rows_of_push)
 
 
 def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequence[int]]) -> SomethingElse | None:
@@ -169,13 +166,13 @@ def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequenc
     if all_families is None or linear is None:
         return None
     residuals = np.column_stack([linear.residual, _noise(fit, linear, policy.draws)])
-    found = map_in_threads(lambda family: _evaluate(family, linear, residuals), all_families)
-    families = np.array([own[0] for own in found])
-    drawn = np.array([own[1] for own in found])
+    results = map_in_threads(lambda family: _evaluate(family, linear, residuals), all_families)
+    families = np.array([result[0] for result in results])
+    drawn = np.array([result[1] for result in results])
     total, under_noise = float(_log_mean(families)), _log_mean(drawn)
     order = np.argsort(-families)
     share = np.exp(families - logsumexp(families))
-    patterns = map_in_threads(lambda k: _pattern(all_families[k], found[k][2], float(families[k]), float(share[k]), linear), order)
+    patterns = map_in_threads(lambda k: _pattern(all_families[k], results[k][2], float(families[k]), float(share[k]), linear), order)
     p_value = float((1 + np.count_nonzero(under_noise >= total)) / (1 + len(under_noise)))
     without: list[float] = []
     if total > 0.0:
@@ -187,11 +184,11 @@ def _evidence_without(linear: _Linear, families: Sequence[Family], layout: _Layo
     """Log Bayes factor of anything of the kind without some pushes [nat]."""
     rows, rest = layout.without(fold), linear.without(layout, fold)
     residual = rest.residual[:, None]
-    own = [replace(family, columns=family.columns[rows]) for family in families]
-    return float(_log_mean(np.array([_evaluate(family, rest, residual)[0] for family in own])))
+    remaining = [replace(family, columns=family.columns[rows]) for family in families]
+    return float(_log_mean(np.array([_evaluate(family, rest, residual)[0] for family in remaining])))
 
 
-def error_with_patterns(fit: Fit, found: SomethingElse, folds: Sequence[Sequence[int]]) -> Float64Array:
+def error_with_patterns(fit: Fit, something_else: SomethingElse, folds: Sequence[Sequence[int]]) -> Float64Array:
     """Cell error of held-out pushes with the patterns that were found less that without [m], shape (n_pushes,): below 0 where they help.
 
     Both are predicted in the linear range of the fit, from all pushes outside a fold and the first poses of those within; with the patterns
@@ -199,16 +196,16 @@ def error_with_patterns(fit: Fit, found: SomethingElse, folds: Sequence[Sequence
 
     Args:
         fit: to all pushes.
-        found: beside it.
+        something_else: in its residuals.
         folds: numbers of the pushes that are held out together.
     """
     linear = _linear(fit)
-    assert linear is not None, "patterns were found beside this fit"
-    probable = [pattern for pattern in found.patterns if pattern.share >= _PROBABLE * found.best.share]
+    assert linear is not None, "patterns were found in the residuals of this fit"
+    probable = [pattern for pattern in something_else.patterns if pattern.share >= 0.1 * something_else.best.share]
     weights = np.array([pattern.share for pattern in probable])
     ends = np.empty((1 + len(probable), len(fit.problem.records), 3))
-    for fold, own in zip(folds, map_in_threads(partial(_end_residuals, fit, linear, probable), folds), strict=True):
-        ends[:, list(fold)] = own
+    for fold, residuals_of_fold in zip(folds, map_in_threads(partial(_end_residuals, fit, linear, probable), folds), strict=True):
+        ends[:, list(fold)] = residuals_of_fold
     with_them = np.tensordot(weights / weights.sum(), ends[1:], axes=1)
     return np.asarray(np.linalg.norm(with_them, axis=1) - np.linalg.norm(ends[0], axis=1))
 
@@ -225,12 +222,12 @@ def _end_residuals(fit: Fit, linear: _Linear, patterns: Sequence[Pattern], fold:
         change = pattern.family.columns @ amplitude
         predicted.append(change + linear.jacobian @ rest.step(rest.observed - change[rows]))
     residuals = np.empty((len(predicted), len(fold), 3))
-    for place, push in enumerate(fold):
+    for row, push in enumerate(fold):
         ends = slice(layout.poses[push + 1] - 3, layout.poses[push + 1])
         observation = problem.observations[push]
         whitening = linear.weight[ends][:, None] * observation.whitening[-1]
         in_metres = cell_displacement(problem.records[push].shape.cells, observation.pose[-1, 2]) @ np.linalg.inv(whitening)
-        residuals[:, place] = [in_metres @ (linear.observed - own)[ends] for own in predicted]
+        residuals[:, row] = [in_metres @ (linear.observed - prediction)[ends] for prediction in predicted]
     return residuals
 
 
@@ -239,10 +236,11 @@ def _linear(fit: Fit) -> _Linear | None:
     linear = problem.linearise(fit.x)
     if linear is None:
         return None
-    weight = np.concatenate([np.repeat(np.sqrt(problem.frame_weight(own)), own.shape[1]) for own in (*linear.poses, *linear.forces)])
+    residuals = (*linear.poses, *linear.forces)
+    weight = np.concatenate([np.repeat(np.sqrt(problem.frame_weight(residual)), residual.shape[1]) for residual in residuals])
     weighted = np.concatenate([linear.by_poses, linear.by_forces]) * weight[:, None]
     # The residual of a problem is simulated minus observed.
-    observed = -weight * np.concatenate([own.ravel() for own in (*linear.poses, *linear.forces)])
+    observed = -weight * np.concatenate([residual.ravel() for residual in residuals])
     layout = _Layout.of(fit)
     return _solved(problem.unit_prior, fit.x, weighted, observed, weight, layout.rows_of_pushes(layout.all))
 
@@ -267,9 +265,10 @@ def _noise(fit: Fit, linear: _Linear, n_draws: int) -> Float64Array:
     """Draws of what `_Linear.residual` is under noise alone, shape (n_rows, n_draws)."""
     rng, problem = np.random.default_rng(0), fit.problem
     drawn = [draw_noise(observation, rng, n_draws) for observation in problem.observations]
-    drawn += [rng.normal(size=(n_draws, len(own.force), 2)) * np.isfinite(own.std)[:, None] for own in problem.forces if own is not None]
+    forces = [mean for mean in problem.forces if mean is not None]
+    drawn += [rng.normal(size=(n_draws, len(mean.force), 2)) * np.isfinite(mean.std)[:, None] for mean in forces]
     # The slope of the cost of a draw, by which it is judged, has the weights of the draw.
-    scores = [(own * problem.frame_weight(own)[..., None]).reshape(n_draws, -1) for own in drawn]
+    scores = [(part * problem.frame_weight(part)[..., None]).reshape(n_draws, -1) for part in drawn]
     noise = np.hstack(scores).T / linear.weight[:, None]
     return np.asarray(noise - linear.jacobian @ (linear.onto @ noise))
 
@@ -286,7 +285,10 @@ def _evaluate(family: Family, linear: _Linear, residuals: Float64Array) -> tuple
     slope = _slope(family, linear, residuals)
     precisions = _precisions(family, linear)
     values = np.array(
-        [own.log_bayes_factors(member.gathered(slope), family.scales) for member, own in zip(family.members, precisions, strict=True)]
+        [
+            precision.log_bayes_factors(member.gathered(slope), family.scales)
+            for member, precision in zip(family.members, precisions, strict=True)
+        ]
     )
     both = _log_mean(values.reshape(-1, values.shape[2]))
     member_number, scale_number = np.unravel_index(np.argmax(values[:, :, 0]), values.shape[:2])
@@ -297,8 +299,8 @@ def _precisions(family: Family, linear: _Linear) -> list[AmplitudePrecision]:
     """Of the amplitudes of each member."""
     if family.columns_of_push and all(member.weights is None for member in family.members):
         blocks = _blocks(family, linear)
-        by_unknowns = np.hstack([linear.jacobian[rows].T @ own for rows, own in blocks])
-        grams = [own.T @ own for _, own in blocks]
+        by_unknowns = np.hstack([linear.jacobian[rows].T @ columns for rows, columns in blocks])
+        grams = [columns.T @ columns for _, columns in blocks]
         return [AmplitudePrecision.of_blocks(grams, family.columns_of_push, by_unknowns, linear.hessian)] * len(family.members)
     information = family.columns.T @ linear.without_fitted(family.columns)
     return [AmplitudePrecision.of(member.gathered(member.gathered(information).T)) for member in family.members]
@@ -308,12 +310,12 @@ def _slope(family: Family, linear: _Linear, residuals: Float64Array) -> Float64A
     """Columns of a family times residuals, shape (n_columns, n)."""
     if not family.columns_of_push:
         return np.asarray(family.columns.T @ residuals)
-    return np.concatenate([own.T @ residuals[rows] for rows, own in _blocks(family, linear)])
+    return np.concatenate([columns.T @ residuals[rows] for rows, columns in _blocks(family, linear)])
 
 
 def _blocks(family: Family, linear: _Linear) -> list[tuple[NDArray[np.int64], Float64Array]]:
     """Rows of each push, and the part of its columns there."""
-    return [(rows, family.columns[rows, own]) for rows, own in zip(linear.rows, family.columns_of_push, strict=True)]
+    return [(rows, family.columns[rows, columns]) for rows, columns in zip(linear.rows, family.columns_of_push, strict=True)]
 
 
 def _log_mean(values: Float64Array) -> Float64Array:

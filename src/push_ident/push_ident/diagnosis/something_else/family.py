@@ -18,35 +18,35 @@ Rows = tuple[Float64Array, Float64Array]
 
 
 class Acts(Enum):
-    """What a pattern acts on."""
+    """Quantity that a pattern acts on; values as in JSON."""
 
     FRICTION = "friction"
     FORCE = "force"
     """With a torque, along the axes of the table."""
     FORCE_ON_MOTION = "force along the motion"
     """Along and across the motion, with a torque."""
-    TOOL = "pusher"
+    PUSHER = "pusher"
 
 
 class VariesWith(Enum):
-    """The coordinate that a pattern follows."""
+    """The coordinate that a pattern depends on; values as in JSON."""
 
-    SPOT = "spot"
-    """One place."""
-    PLACE = "place"
+    POINT = "spot"
+    """One position."""
+    POSITION = "place"
     FROM_PUSH = "from push"
     """The same from one push on."""
     ONE_PUSH = "one push"
     PUSH = "push"
-    """Each push for itself."""
+    """Each push on its own."""
     SINCE_CONTACT = "time since contact"
-    WAY = "way slid"
+    TRAVEL = "way slid"
     SPEED = "speed"
     HEADING = "heading in the table"
-    OWN_HEADING = "heading in the object"
+    HEADING_IN_OBJECT = "heading in the object"
     SIDE = "side of the object"
     TIME = "time"
-    """In each push in its own way."""
+    """Within each push on its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Member:
     """One hypothesis of a family."""
 
     key: float | tuple[float, float] | None
-    """What distinguishes it: number of the push, decay time [s] or length [m], place [m]; None where the family has only one."""
+    """What distinguishes it: number of the push, decay time [s] or length [m], position [m]; None where the family has only one."""
     weights: Float64Array | None
     """Its patterns as combinations of the columns of the family, shape (n_columns, n); None where each column is one of them."""
 
@@ -80,7 +80,7 @@ class Family:
     scales: tuple[float, ...]
     """Prior standard deviations of the amplitudes; which of them holds is not known."""
     at: Float64Array | None = None
-    """What each column stands for, where that is a place [m], a speed [m/s], an angle [rad] or a number of a push and a time [s], shape
+    """What each column stands for, where that is a position [m], a speed [m/s], an angle [rad] or a number of a push and a time [s], shape
     (n_columns, n); columns of several components of a force repeat it."""
     columns_of_push: tuple[slice, ...] = ()
     """Columns of each push, zero in the rows of all others; none where the pushes share their columns."""
@@ -88,14 +88,14 @@ class Family:
 
 def shared(responses: Sequence[dict[str, Rows]], name: str) -> Float64Array:
     """Columns that all pushes share: rows of the poses of all pushes, then those of their forces."""
-    return np.concatenate([np.concatenate([own[name][kind] for own in responses]) for kind in (0, 1)])
+    return np.concatenate([np.concatenate([response[name][kind] for response in responses]) for kind in (0, 1)])
 
 
 def separate(responses: Sequence[dict[str, Rows]], name: str) -> tuple[Float64Array, tuple[slice, ...]]:
     """The same with columns of each push for itself, and which those are."""
-    ends = np.cumsum([0, *(own[name][0].shape[1] for own in responses)]).tolist()
+    ends = np.cumsum([0, *(response[name][0].shape[1] for response in responses)]).tolist()
     columns = tuple(slice(first, last) for first, last in pairwise(ends))
-    return np.concatenate([_block_diagonal([own[name][kind] for own in responses]) for kind in (0, 1)]), columns
+    return np.concatenate([_block_diagonal([response[name][kind] for response in responses]) for kind in (0, 1)]), columns
 
 
 def _block_diagonal(blocks: Sequence[Float64Array]) -> Float64Array:
@@ -113,10 +113,10 @@ def all_of() -> tuple[Member, ...]:
     return (Member(None, None),)
 
 
-def singles(places: Float64Array) -> tuple[Member, ...]:
-    """One place each; `places` of shape (n, 2)."""
-    identity = np.eye(len(places))
-    return tuple(Member((float(x), float(y)), identity[:, [k]]) for k, (x, y) in enumerate(places))
+def singles(positions: Float64Array) -> tuple[Member, ...]:
+    """One position each, of shape (n, 2)."""
+    identity = np.eye(len(positions))
+    return tuple(Member((float(x), float(y)), identity[:, [k]]) for k, (x, y) in enumerate(positions))
 
 
 def parts(keys: Sequence[float], n_each: int) -> tuple[Member, ...]:

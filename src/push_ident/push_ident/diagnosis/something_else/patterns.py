@@ -1,7 +1,7 @@
 """What something outside the catalogue could do: patterns of small forces and displacements, and how they would change the poses.
 
 A pattern is a force on the object, a displacement of the pusher, or a factor of the friction of some cells, that follows one coordinate of
-the motion: the place on the table, a heading, the order of the pushes, the time since contact, the way slid, the speed, the side of the
+the motion: the position on the table, a heading, the order of the pushes, the time since contact, the travel, the speed, the side of the
 object that is touched, or the time within each push. The derivative of the motion by a force in any step is known (`StepResponse`), so
 that the change of all poses by any pattern is a product, whatever law it stands for.
 
@@ -34,45 +34,55 @@ from push_ident.diagnosis.something_else.family import (
 )
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.fit import Fit
+from push_ident.physics.effect import STILL
 from push_ident.physics.simulation import Motion, StepResponse
 from push_ident.types import Float64Array
 
-__all__ = ["FIRST_SECONDS", "RADIUS", "pattern_families", "waves"]
-
-_STILL = 1e-3
-"""Speed below which a direction of motion fades [m/s], as of effects."""
-_SPACING = 0.03
-"""Distance of neighbouring places [m]."""
-_WIDTH = 0.03
-"""Standard deviation of the bell over a place [m], about the size of two cells."""
-RADIUS = 2 * _WIDTH
-"""Distance at which a bell over a place has fallen to an eighth [m]: what "within" means."""
-_MAX_PLACES = 120
-"""Largest number of places; where the pushes reach further, places lie further apart."""
-_THIN = 4
-"""Every so many steps the friction of cells by their place is computed (17 ms): less than a cell's size at any speed."""
-_HARMONICS: Final = (1, 2, 3, 4)
-"""Of a heading."""
-FIRST_SECONDS: Final = (0.1, 0.3, 0.9)
-"""Decay times since contact [s]."""
-FIRST_WAYS: Final = (0.005, 0.02, 0.05)
-"""Decay lengths of the way slid [m]."""
-_SPEEDS: Final = (0.01, 0.03, 0.1, 0.3)
-"""Speeds between which a function of the speed is interpolated by their logarithm [m/s]."""
-_SIDES = 12
-"""Directions from the centre of mass to the contact, object axes."""
-_KNOT_SECONDS = 0.08
-"""Distance of the knots of a function of the time within a push [s]: it follows changes up to about 4 Hz."""
-_MAX_KNOTS = 24
-"""Largest number of knots of a push."""
+__all__ = ["PATTERNS", "PatternSettings", "pattern_families", "waves"]
 
 
-_FORCES: Final = (0.01, 0.03, 0.1, 0.3)
-"""Prior standard deviations of a force, in friction limits of the object, and of a torque, in those times the radius of gyration [1]."""
-_FRICTIONS: Final = (0.1, 0.3, 1.0)
-"""Prior standard deviations of a share of the friction [1]."""
-_LENGTHS: Final = (0.3, 1.0, 3.0)
-"""Prior standard deviations of a displacement [mm]."""
+@dataclass(frozen=True, slots=True)
+class PatternSettings:
+    """Which patterns are looked for. Judgement, where no reason is given."""
+
+    spacing: float = 0.03
+    """Distance of neighbouring positions on the table [m]."""
+    width: float = 0.03
+    """Standard deviation of the bell over a position [m], about the size of two cells."""
+    max_positions: int = 120
+    """Where the pushes reach further, positions lie further apart."""
+    stride: int = 4
+    """Steps from one to the next for which the friction of cells by their position is computed (17 ms): less than a cell's size at any
+    speed."""
+    harmonics: tuple[int, ...] = (1, 2, 3, 4)
+    """Of a heading."""
+    decay_times: tuple[float, ...] = (0.1, 0.3, 0.9)
+    """Since contact [s]."""
+    decay_lengths: tuple[float, ...] = (0.005, 0.02, 0.05)
+    """Of the travel [m]."""
+    speeds: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3)
+    """Between which a function of the speed is interpolated by their logarithm [m/s]."""
+    n_sides: int = 12
+    """Directions from the centre of mass to the contact, object axes."""
+    knot_interval: float = 0.08
+    """Between the knots of a function of the time within a push [s]: it follows changes up to about 4 Hz."""
+    max_knots: int = 24
+    """Of a push."""
+    force_stds: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3)
+    """Prior standard deviations of a force, in friction limits of the object, and of a torque, in those times the radius of gyration
+    [1]."""
+    friction_stds: tuple[float, ...] = (0.1, 0.3, 1.0)
+    """Prior standard deviations of a share of the friction [1]."""
+    length_stds: tuple[float, ...] = (0.3, 1.0, 3.0)
+    """Prior standard deviations of a displacement [mm]."""
+
+    @property
+    def radius(self) -> float:
+        """Distance at which a bell over a position has fallen to an eighth [m]: what "within" means."""
+        return 2 * self.width
+
+
+PATTERNS: Final = PatternSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,20 +102,20 @@ class _Path:
     """Friction limit of the object [N]."""
     since: Float64Array
     """Time since the first contact [s], below 0 before it, shape (n_steps,)."""
-    way: Float64Array
-    """Slid since then [m], shape (n_steps,)."""
+    travel: Float64Array
+    """Since then [m], shape (n_steps,)."""
 
     @classmethod
     def of(cls, response: StepResponse) -> _Path:
         arms = response.arms
         radius = float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
         velocity, turn = response.twist[:, :2], radius * response.twist[:, 2]
-        speed = np.sqrt(np.sum(velocity**2, axis=1) + turn**2 + _STILL**2)
+        speed = np.sqrt(np.sum(velocity**2, axis=1) + turn**2 + STILL**2)
         steps = np.diff(response.time, prepend=2 * response.time[0] - response.time[1])
         first = response.time[np.argmax(response.touches)] if np.any(response.touches) else np.inf
         return cls(
             response, velocity / speed[:, None], speed, turn / speed, radius, float(response.limit.sum()), response.time - first,
-            np.cumsum((speed - _STILL) * steps),
+            np.cumsum((speed - STILL) * steps),
         )  # fmt: skip
 
     def motion_wrench(self) -> Float64Array:
@@ -119,11 +129,11 @@ class _Path:
         return self.friction * wrench
 
     def load_wrench(self) -> Float64Array:
-        """Torques of a centre of friction that moves in the object by a radius of it, along its axes, shape (n_steps, 3, 2)."""
+        """Torques of a centre of friction that moves in the object by a radius of gyration, along its axes, shape (n_steps, 3, 2)."""
         x, y, yaw = *self.along.T, self.response.pose[:, 2]
-        own_x, own_y = np.cos(yaw) * x + np.sin(yaw) * y, -np.sin(yaw) * x + np.cos(yaw) * y
+        object_x, object_y = np.cos(yaw) * x + np.sin(yaw) * y, -np.sin(yaw) * x + np.cos(yaw) * y
         wrench = np.zeros((len(x), 3, 2))
-        wrench[:, 2, 0], wrench[:, 2, 1] = -own_y, own_x
+        wrench[:, 2, 0], wrench[:, 2, 1] = -object_y, object_x
         return self.friction * self.radius * wrench
 
     def table_wrench(self) -> Float64Array:
@@ -146,7 +156,7 @@ class _Block:
         return cls(wrench, np.zeros((len(wrench), 2, wrench.shape[2])))
 
     @classmethod
-    def tool(cls, displacement: Float64Array) -> _Block:
+    def pusher_path(cls, displacement: Float64Array) -> _Block:
         return cls(np.zeros((len(displacement), 3, displacement.shape[2])), displacement)
 
 
@@ -162,16 +172,16 @@ def pattern_families(fit: Fit) -> tuple[Family, ...] | None:
     if any(response is None for _, response in simulated):
         return None
     paths = [_Path.of(response) for _, response in simulated if response is not None]
-    places = _places(paths)
-    responses = map_in_threads(lambda push: _respond(fit, push, simulated[push][0], paths[push], places), range(len(paths)))
-    return tuple(_families(responses, places, [_knot_times(path) for path in paths]))
+    positions = _positions(paths)
+    responses = map_in_threads(lambda push: _respond(fit, push, simulated[push][0], paths[push], positions), range(len(paths)))
+    return tuple(_families(responses, positions, [_knot_times(path) for path in paths]))
 
 
-def _respond(fit: Fit, push: int, motion: Motion, path: _Path, places: Float64Array) -> dict[str, Rows]:
+def _respond(fit: Fit, push: int, motion: Motion, path: _Path, positions: Float64Array) -> dict[str, Rows]:
     """Change of the residuals of one push by every pattern."""
-    problem, mechanics, blocks = fit.problem, fit.mechanics, _blocks_of(path, places)
+    problem, mechanics, blocks = fit.problem, fit.mechanics, _blocks_of(path, positions)
     if problem.uses_forces:
-        blocks |= _felt_blocks_of(path)
+        blocks |= _force_blocks_of(path)
     wrench = np.concatenate([b.wrench for b in blocks.values()], axis=2)
     displacement = np.concatenate([b.displacement for b in blocks.values()], axis=2)
     by_pose, by_impulse = path.response(wrench, displacement)
@@ -185,59 +195,59 @@ def _respond(fit: Fit, push: int, motion: Motion, path: _Path, places: Float64Ar
     return dict(zip(blocks, zip(*parts, strict=True), strict=True))
 
 
-def _places(paths: Sequence[_Path]) -> Float64Array:
-    """Places on the table that an object came over, shape (n, 2)."""
-    centres = np.concatenate([p.response.pose[np.append(np.maximum(_samples(p.response, 4 * _THIN), 0), -1), :2] for p in paths])
+def _positions(paths: Sequence[_Path]) -> Float64Array:
+    """Positions on the table that an object came over, shape (n, 2)."""
+    centres = np.concatenate([p.response.pose[np.append(np.maximum(_samples(p.response, 4 * PATTERNS.stride), 0), -1), :2] for p in paths])
     reach = max(float(np.max(np.linalg.norm(p.response.arms, axis=1))) for p in paths)
     low, high = centres.min(axis=0) - reach, centres.max(axis=0) + reach
-    spacing = _SPACING
+    spacing = PATTERNS.spacing
     while True:
         axes = [np.arange(a, b + spacing, spacing) for a, b in zip(low, high, strict=True)]
         grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         near = np.min(np.linalg.norm(grid[:, None] - centres, axis=2), axis=1) < reach
-        if np.count_nonzero(near) <= _MAX_PLACES:
+        if np.count_nonzero(near) <= PATTERNS.max_positions:
             return grid[near]
         spacing *= 1.1
 
 
-def _blocks_of(path: _Path, places: Float64Array) -> dict[str, _Block]:
+def _blocks_of(path: _Path, positions: Float64Array) -> dict[str, _Block]:
     motion, load, table = path.motion_wrench(), path.load_wrench(), path.table_wrench()
     acting = np.concatenate([motion, load], axis=2)
     after = np.asarray(path.since > 0.0, dtype=np.float64)
     heading = np.arctan2(path.along[:, 1], path.along[:, 0])
-    own = heading - path.response.pose[:, 2]
-    first = np.column_stack([after * np.exp(-np.maximum(path.since, 0.0) / t) for t in FIRST_SECONDS])
-    first_ways = np.column_stack([np.exp(-path.way / w) for w in FIRST_WAYS])
+    heading_in_object = heading - path.response.pose[:, 2]
+    first = np.column_stack([after * np.exp(-np.maximum(path.since, 0.0) / t) for t in PATTERNS.decay_times])
+    first_travel = np.column_stack([np.exp(-path.travel / w) for w in PATTERNS.decay_lengths])
     bells = _bells(path)
-    tool = np.zeros((len(bells), 2, 2)) + 1e-3 * np.eye(2)
+    pusher_path = np.zeros((len(bells), 2, 2)) + 1e-3 * np.eye(2)
     return {
-        "friction": _Block.forces(_friction_by_place(path, places)),
-        "field": _Block.forces(_field(path, places)),
+        "friction": _Block.forces(_friction_by_position(path, positions)),
+        "field": _Block.forces(_field(path, positions)),
         "order_motion": _Block.forces(motion),
         "order_table": _Block.forces(table),
-        "order_tool": _Block.tool(tool),
+        "order_pusher": _Block.pusher_path(pusher_path),
         "since": _Block.forces(_times(acting, first)),
-        "way": _Block.forces(_times(acting, first_ways)),
-        "speed": _Block.forces(_times(acting, _hats(np.log(path.speed), np.log(_SPEEDS)))),
+        "travel": _Block.forces(_times(acting, first_travel)),
+        "speed": _Block.forces(_times(acting, _hats(np.log(path.speed), np.log(PATTERNS.speeds)))),
         "heading": _Block.forces(_times(motion, waves(heading))),
-        "own_heading": _Block.forces(_times(motion, waves(own))),
-        "side": _Block.tool(_sides(path)),
+        "heading_in_object": _Block.forces(_times(motion, waves(heading_in_object))),
+        "side": _Block.pusher_path(_sides(path)),
         "time": _Block.forces(_times(table, bells)),
-        "time_tool": _Block.tool(_times(tool, bells)),
+        "time_pusher": _Block.pusher_path(_times(pusher_path, bells)),
     }
 
 
-def _felt_blocks_of(path: _Path) -> dict[str, _Block]:
+def _force_blocks_of(path: _Path) -> dict[str, _Block]:
     """Friction of all cells alike, for pushes with measured forces."""
     friction = _all_friction(path)
     after = np.asarray(path.since > 0.0, dtype=np.float64)
-    first = np.column_stack([after * np.exp(-np.maximum(path.since, 0.0) / t) for t in FIRST_SECONDS])
-    first_ways = np.column_stack([np.exp(-path.way / w) for w in FIRST_WAYS])
+    first = np.column_stack([after * np.exp(-np.maximum(path.since, 0.0) / t) for t in PATTERNS.decay_times])
+    first_travel = np.column_stack([np.exp(-path.travel / w) for w in PATTERNS.decay_lengths])
     return {
         "order_friction": _Block.forces(friction),
         "friction_since": _Block.forces(_times(friction, first)),
-        "friction_way": _Block.forces(_times(friction, first_ways)),
-        "friction_speed": _Block.forces(_times(friction, _hats(np.log(path.speed), np.log(_SPEEDS)))),
+        "friction_travel": _Block.forces(_times(friction, first_travel)),
+        "friction_speed": _Block.forces(_times(friction, _hats(np.log(path.speed), np.log(PATTERNS.speeds)))),
     }
 
 
@@ -248,7 +258,7 @@ def _hats(at: Float64Array, knots: Float64Array) -> Float64Array:
 
 def waves(angle: Float64Array) -> Float64Array:
     """Waves of a heading [rad], higher ones weaker, shape (len(angle), n)."""
-    return np.column_stack([wave(k * angle) / k for k in _HARMONICS for wave in (np.cos, np.sin)])
+    return np.column_stack([wave(k * angle) / k for k in PATTERNS.harmonics for wave in (np.cos, np.sin)])
 
 
 def _knot_times(path: _Path) -> Float64Array:
@@ -257,26 +267,26 @@ def _knot_times(path: _Path) -> Float64Array:
     if not len(acts):
         return path.response.time[:1]
     start, end = path.response.time[acts[[0, -1]]]
-    return np.linspace(start, end, int(np.clip(np.ceil((end - start) / _KNOT_SECONDS), 1, _MAX_KNOTS)) + 1)
+    return np.linspace(start, end, int(np.clip(np.ceil((end - start) / PATTERNS.knot_interval), 1, PATTERNS.max_knots)) + 1)
 
 
 def _bells(path: _Path) -> Float64Array:
     """Bells over the knots, shape (n_steps, n)."""
     knots = _knot_times(path)
-    width = max(_KNOT_SECONDS, float(knots[-1] - knots[0]) / max(1, len(knots) - 1))
+    width = max(PATTERNS.knot_interval, float(knots[-1] - knots[0]) / max(1, len(knots) - 1))
     return np.asarray(np.exp(-0.5 * ((path.response.time[:, None] - knots) / width) ** 2))
 
 
-def _friction_by_place(path: _Path, places: Float64Array) -> Float64Array:
-    """Friction of the cells within a bell over each place, shape (n_steps, 3, n_places)."""
+def _friction_by_position(path: _Path, positions: Float64Array) -> Float64Array:
+    """Friction of the cells within a bell over each position, shape (n_steps, 3, n_positions)."""
     pose = path.response.pose
 
     def near(steps: NDArray[np.int64], x: Float64Array, y: Float64Array) -> Float64Array:
-        # A bell over a place is a product over the two axes, on which places of a grid repeat.
-        bell_x, bell_y = (_bells_over(own + pose[steps, axis][:, None], places[:, axis]) for axis, own in ((0, x), (1, y)))
+        # A bell over a position is a product over the two axes, on which positions of a grid repeat.
+        bell_x, bell_y = (_bells_over(arm + pose[steps, axis][:, None], positions[:, axis]) for axis, arm in ((0, x), (1, y)))
         return bell_x * bell_y
 
-    return _friction_of(path, near, len(places))
+    return _friction_of(path, near, len(positions))
 
 
 def _all_friction(path: _Path) -> Float64Array:
@@ -291,19 +301,19 @@ _Weigh = Callable[[NDArray[np.int64], Float64Array, Float64Array], Float64Array]
 def _friction_of(path: _Path, weigh: _Weigh, n_patterns: int) -> Float64Array:
     """Friction of the cells times weights, shape (n_steps, 3, n_patterns)."""
     response, arms = path.response, path.response.arms
-    sampled = _samples(response, _THIN)
-    moves = (sampled >= 0) & (path.speed[sampled] > 2.0 * _STILL)
+    sampled = _samples(response, PATTERNS.stride)
+    moves = (sampled >= 0) & (path.speed[sampled] > 2.0 * STILL)
     steps = sampled[moves]
     cos, sin = np.cos(response.pose[steps, 2])[:, None], np.sin(response.pose[steps, 2])[:, None]
     x, y = cos * arms[:, 0] - sin * arms[:, 1], sin * arms[:, 0] + cos * arms[:, 1]
     turn = response.twist[steps, 2][:, None]
     vx, vy = response.twist[steps, 0][:, None] - turn * y, response.twist[steps, 1][:, None] + turn * x
-    size = np.sqrt(vx**2 + vy**2 + _STILL**2)
+    size = np.sqrt(vx**2 + vy**2 + STILL**2)
     fx, fy = -response.limit * vx / size, -response.limit * vy / size
     force = np.stack([fx, fy, x * fy - y * fx], axis=1)
     wrench = np.zeros((len(sampled), 3, n_patterns))
     wrench[moves] = np.matmul(force, weigh(steps, x, y))
-    return np.repeat(wrench, _THIN, axis=0)[-sampled[0] :][: len(response.time)]
+    return np.repeat(wrench, PATTERNS.stride, axis=0)[-sampled[0] :][: len(response.time)]
 
 
 def _samples(response: StepResponse, every: int) -> NDArray[np.int64]:
@@ -314,15 +324,15 @@ def _samples(response: StepResponse, every: int) -> NDArray[np.int64]:
 def _bells_over(at: Float64Array, centres: Float64Array) -> Float64Array:
     """exp(-1/2 (at - centre)^2 / width^2), shape (*at.shape, n_centres)."""
     different, number = np.unique(centres, return_inverse=True)
-    return np.asarray(np.exp(-0.5 * ((at[..., None] - different) / _WIDTH) ** 2)[..., number])
+    return np.asarray(np.exp(-0.5 * ((at[..., None] - different) / PATTERNS.width) ** 2)[..., number])
 
 
-def _field(path: _Path, places: Float64Array) -> Float64Array:
-    """Pull of the centre of mass towards each place, largest 4 cm from it, shape (n_steps, 3, n_places)."""
-    away = path.response.pose[:, None, :2] - places
-    width = np.sqrt(2.0) * _WIDTH
+def _field(path: _Path, positions: Float64Array) -> Float64Array:
+    """Pull of the centre of mass towards each position, largest 4 cm from it, shape (n_steps, 3, n_positions)."""
+    away = path.response.pose[:, None, :2] - positions
+    width = np.sqrt(2.0) * PATTERNS.width
     strength = np.exp(0.5 - 0.5 * np.sum(away**2, axis=2) / width**2)
-    wrench = np.zeros((len(away), 3, len(places)))
+    wrench = np.zeros((len(away), 3, len(positions)))
     wrench[:, :2] = np.moveaxis(-away / width * strength[..., None], 2, 1)
     return path.friction * wrench * np.sqrt(np.sum(path.along**2, axis=1) + path.turning**2)[:, None, None]
 
@@ -332,56 +342,58 @@ def _sides(path: _Path) -> Float64Array:
     offset = path.response.pusher - path.response.pose[:, :2]
     direction = offset / np.maximum(np.linalg.norm(offset, axis=1), 1e-9)[:, None]
     angle = np.arctan2(offset[:, 1], offset[:, 0]) - path.response.pose[:, 2]
-    at = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
-    bell = np.exp((np.cos(angle[:, None] - at) - 1.0) / (2.0 * np.pi / _SIDES) ** 2)
+    at = 2.0 * np.pi * np.arange(PATTERNS.n_sides) / PATTERNS.n_sides
+    bell = np.exp((np.cos(angle[:, None] - at) - 1.0) / (2.0 * np.pi / PATTERNS.n_sides) ** 2)
     return np.asarray(-1e-3 * direction[:, :, None] * bell[:, None, :])
 
 
-def _families(responses: Sequence[dict[str, Rows]], places: Float64Array, knots: Sequence[Float64Array]) -> list[Family]:
-    n, sides = len(responses), 2.0 * np.pi * np.arange(_SIDES)[:, None] / _SIDES
-    times = np.concatenate([np.column_stack([np.full(len(own), push), own]) for push, own in enumerate(knots)])
-    friction, field, heading, own_heading, side = (
-        shared(responses, name) for name in ("friction", "field", "heading", "own_heading", "side")
+def _families(responses: Sequence[dict[str, Rows]], positions: Float64Array, knots: Sequence[Float64Array]) -> list[Family]:
+    n, sides = len(responses), 2.0 * np.pi * np.arange(PATTERNS.n_sides)[:, None] / PATTERNS.n_sides
+    times = np.concatenate(
+        [np.column_stack([np.full(len(knots_of_push), push), knots_of_push]) for push, knots_of_push in enumerate(knots)]
+    )
+    friction, field, heading, heading_in_object, side = (
+        shared(responses, name) for name in ("friction", "field", "heading", "heading_in_object", "side")
     )
     (by_motion, of_3), (by_table, _), (by_tool, of_2) = (
-        separate(responses, name) for name in ("order_motion", "order_table", "order_tool")
+        separate(responses, name) for name in ("order_motion", "order_table", "order_pusher")
     )
-    (time, of_time), (time_tool, of_time_tool) = (separate(responses, name) for name in ("time", "time_tool"))
-    since, way, speed = (shared(responses, name) for name in ("since", "way", "speed"))
-    n_acting = since.shape[1] // len(FIRST_SECONDS)
-    speeds = np.repeat(_SPEEDS, speed.shape[1] // len(_SPEEDS))[:, None]
+    (time, of_time), (time_tool, of_time_tool) = (separate(responses, name) for name in ("time", "time_pusher"))
+    since, travel, speed = (shared(responses, name) for name in ("since", "travel", "speed"))
+    n_acting = since.shape[1] // len(PATTERNS.decay_times)
+    speeds = np.repeat(PATTERNS.speeds, speed.shape[1] // len(PATTERNS.speeds))[:, None]
     families = [
-        Family(Acts.FRICTION, VariesWith.SPOT, friction, singles(places), _FRICTIONS, places),
-        Family(Acts.FRICTION, VariesWith.PLACE, friction, all_of(), _FRICTIONS, places),
-        Family(Acts.FORCE, VariesWith.SPOT, field, singles(places), _FORCES, places),
-        Family(Acts.FORCE, VariesWith.PLACE, field, all_of(), _FORCES, places),
-        Family(Acts.FORCE, VariesWith.FROM_PUSH, by_table, from_push(n, 3), _FORCES, columns_of_push=of_3),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.FROM_PUSH, by_motion, from_push(n, 3), _FORCES, columns_of_push=of_3),
-        Family(Acts.TOOL, VariesWith.FROM_PUSH, by_tool, from_push(n, 2), _LENGTHS, columns_of_push=of_2),
-        Family(Acts.FORCE, VariesWith.ONE_PUSH, by_table, one_push(n, 3), _FORCES, columns_of_push=of_3),
-        Family(Acts.TOOL, VariesWith.ONE_PUSH, by_tool, one_push(n, 2), _LENGTHS, columns_of_push=of_2),
-        Family(Acts.FORCE, VariesWith.PUSH, by_table, all_of(), _FORCES, columns_of_push=of_3),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.SINCE_CONTACT, since, parts(FIRST_SECONDS, n_acting), _FORCES),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.WAY, way, parts(FIRST_WAYS, n_acting), _FORCES),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.SPEED, speed, all_of(), _FORCES, speeds),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.HEADING, heading, all_of(), _FORCES),
-        Family(Acts.FORCE_ON_MOTION, VariesWith.OWN_HEADING, own_heading, all_of(), _FORCES),
-        Family(Acts.TOOL, VariesWith.SIDE, side, all_of(), _LENGTHS, sides),
-        Family(Acts.FORCE, VariesWith.TIME, time, all_of(), _FORCES, np.repeat(times, 3, axis=0), of_time),
-        Family(Acts.TOOL, VariesWith.TIME, time_tool, all_of(), _LENGTHS, np.repeat(times, 2, axis=0), of_time_tool),
+        Family(Acts.FRICTION, VariesWith.POINT, friction, singles(positions), PATTERNS.friction_stds, positions),
+        Family(Acts.FRICTION, VariesWith.POSITION, friction, all_of(), PATTERNS.friction_stds, positions),
+        Family(Acts.FORCE, VariesWith.POINT, field, singles(positions), PATTERNS.force_stds, positions),
+        Family(Acts.FORCE, VariesWith.POSITION, field, all_of(), PATTERNS.force_stds, positions),
+        Family(Acts.FORCE, VariesWith.FROM_PUSH, by_table, from_push(n, 3), PATTERNS.force_stds, columns_of_push=of_3),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.FROM_PUSH, by_motion, from_push(n, 3), PATTERNS.force_stds, columns_of_push=of_3),
+        Family(Acts.PUSHER, VariesWith.FROM_PUSH, by_tool, from_push(n, 2), PATTERNS.length_stds, columns_of_push=of_2),
+        Family(Acts.FORCE, VariesWith.ONE_PUSH, by_table, one_push(n, 3), PATTERNS.force_stds, columns_of_push=of_3),
+        Family(Acts.PUSHER, VariesWith.ONE_PUSH, by_tool, one_push(n, 2), PATTERNS.length_stds, columns_of_push=of_2),
+        Family(Acts.FORCE, VariesWith.PUSH, by_table, all_of(), PATTERNS.force_stds, columns_of_push=of_3),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.SINCE_CONTACT, since, parts(PATTERNS.decay_times, n_acting), PATTERNS.force_stds),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.TRAVEL, travel, parts(PATTERNS.decay_lengths, n_acting), PATTERNS.force_stds),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.SPEED, speed, all_of(), PATTERNS.force_stds, speeds),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.HEADING, heading, all_of(), PATTERNS.force_stds),
+        Family(Acts.FORCE_ON_MOTION, VariesWith.HEADING_IN_OBJECT, heading_in_object, all_of(), PATTERNS.force_stds),
+        Family(Acts.PUSHER, VariesWith.SIDE, side, all_of(), PATTERNS.length_stds, sides),
+        Family(Acts.FORCE, VariesWith.TIME, time, all_of(), PATTERNS.force_stds, np.repeat(times, 3, axis=0), of_time),
+        Family(Acts.PUSHER, VariesWith.TIME, time_tool, all_of(), PATTERNS.length_stds, np.repeat(times, 2, axis=0), of_time_tool),
     ]
-    return families if "order_friction" not in responses[0] else families + _felt_families(responses)
+    return families if "order_friction" not in responses[0] else families + _force_families(responses)
 
 
-def _felt_families(responses: Sequence[dict[str, Rows]]) -> list[Family]:
+def _force_families(responses: Sequence[dict[str, Rows]]) -> list[Family]:
     """Friction of all cells alike."""
     n = len(responses)
-    by_push, own = separate(responses, "order_friction")
-    since, way, speed = (shared(responses, name) for name in ("friction_since", "friction_way", "friction_speed"))
+    by_push, columns = separate(responses, "order_friction")
+    since, travel, speed = (shared(responses, name) for name in ("friction_since", "friction_travel", "friction_speed"))
     return [
-        Family(Acts.FRICTION, VariesWith.FROM_PUSH, by_push, from_push(n, 1), _FRICTIONS, columns_of_push=own),
-        Family(Acts.FRICTION, VariesWith.ONE_PUSH, by_push, one_push(n, 1), _FRICTIONS, columns_of_push=own),
-        Family(Acts.FRICTION, VariesWith.SINCE_CONTACT, since, parts(FIRST_SECONDS, 1), _FRICTIONS),
-        Family(Acts.FRICTION, VariesWith.WAY, way, parts(FIRST_WAYS, 1), _FRICTIONS),
-        Family(Acts.FRICTION, VariesWith.SPEED, speed, all_of(), _FRICTIONS, np.array(_SPEEDS)[:, None]),
+        Family(Acts.FRICTION, VariesWith.FROM_PUSH, by_push, from_push(n, 1), PATTERNS.friction_stds, columns_of_push=columns),
+        Family(Acts.FRICTION, VariesWith.ONE_PUSH, by_push, one_push(n, 1), PATTERNS.friction_stds, columns_of_push=columns),
+        Family(Acts.FRICTION, VariesWith.SINCE_CONTACT, since, parts(PATTERNS.decay_times, 1), PATTERNS.friction_stds),
+        Family(Acts.FRICTION, VariesWith.TRAVEL, travel, parts(PATTERNS.decay_lengths, 1), PATTERNS.friction_stds),
+        Family(Acts.FRICTION, VariesWith.SPEED, speed, all_of(), PATTERNS.friction_stds, np.array(PATTERNS.speeds)[:, None]),
     ]

@@ -51,33 +51,33 @@ class AmplitudePrecision:
     ) -> AmplitudePrecision:
         """From the blocks of Phi'Phi, the columns of each, S of shape (n_unknowns, n) and H."""
         factors = [np.linalg.eigh(gram) for gram in grams]
-        turned = np.hstack([by_unknowns[:, own] @ directions for own, (_, directions) in zip(columns, factors, strict=True)])
-        size = np.maximum(np.concatenate([own for own, _ in factors]), 0.0)
-        return cls(size, tuple((own, directions) for own, (_, directions) in zip(columns, factors, strict=True)), turned, hessian)
+        turned = np.hstack([by_unknowns[:, block] @ directions for block, (_, directions) in zip(columns, factors, strict=True)])
+        size = np.maximum(np.concatenate([block for block, _ in factors]), 0.0)
+        return cls(size, tuple((block, directions) for block, (_, directions) in zip(columns, factors, strict=True)), turned, hessian)
 
     def log_bayes_factors(self, slope: Float64Array, scales: Sequence[float]) -> Float64Array:
         """1/2 g' (1/s^2 + A)^-1 g - 1/2 log det(1 + s^2 A) for several s and slopes g, shapes (n_scales,) and (n, n_slopes): (n_scales,
         n_slopes) [nat]."""
-        turned = np.concatenate([directions.T @ slope[own] for own, directions in self.directions])
+        turned = np.concatenate([directions.T @ slope[columns] for columns, directions in self.directions])
         values = np.empty((len(scales), slope.shape[1]))
         for row, scale2 in zip(values, np.square(scales), strict=True):
             weight = 1.0 / (1.0 / scale2 + self.size)
             row[:] = 0.5 * weight @ turned**2 - 0.5 * np.sum(np.log1p(scale2 * self.size))
             if len(self.hessian):
                 rest = self._rest(weight)
-                seen = (self.by_unknowns * weight) @ turned
-                row += 0.5 * np.sum(seen * np.linalg.solve(rest, seen), axis=0)
+                by_unknowns = (self.by_unknowns * weight) @ turned
+                row += 0.5 * np.sum(by_unknowns * np.linalg.solve(rest, by_unknowns), axis=0)
                 row -= 0.5 * (np.linalg.slogdet(rest)[1] - np.linalg.slogdet(self.hessian)[1])
         return values
 
     def amplitudes(self, slope: Float64Array, scale: float) -> Float64Array:
         """(1/s^2 + A)^-1 g for one slope, shape (n,)."""
-        turned = np.concatenate([directions.T @ slope[own] for own, directions in self.directions])
+        turned = np.concatenate([directions.T @ slope[columns] for columns, directions in self.directions])
         weight = 1.0 / (1.0 / scale**2 + self.size)
-        found = weight * turned
+        amplitudes = weight * turned
         if len(self.hessian):
-            found += weight * (self.by_unknowns.T @ np.linalg.solve(self._rest(weight), self.by_unknowns @ found))
-        return np.concatenate([directions @ found[own] for own, directions in self.directions])
+            amplitudes += weight * (self.by_unknowns.T @ np.linalg.solve(self._rest(weight), self.by_unknowns @ amplitudes))
+        return np.concatenate([directions @ amplitudes[columns] for columns, directions in self.directions])
 
     def _rest(self, weight: Float64Array) -> Float64Array:
         """K."""

@@ -10,20 +10,20 @@ import numpy as np
 
 from push_ident.diagnosis.something_else.evidence import Pattern
 from push_ident.diagnosis.something_else.family import Acts, VariesWith
-from push_ident.diagnosis.something_else.patterns import RADIUS, waves
+from push_ident.diagnosis.something_else.patterns import PATTERNS, waves
 from push_ident.types import Float64Array
 
 __all__ = ["PatternWords", "describe_pattern"]
 
 _LOOK_FOR: Final = {
-    (Acts.FRICTION, VariesWith.SPOT): "another surface, a film or dirt at that place of the table",
-    (Acts.FRICTION, VariesWith.PLACE): "parts of the table with another surface, a film or dirt",
-    (Acts.FORCE, VariesWith.SPOT): "a magnet, a dent or a bump, an air stream or a cable at that place",
-    (Acts.FORCE, VariesWith.PLACE): "slopes and dents of the table, magnets, air streams, cables",
-    (Acts.TOOL, VariesWith.FROM_PUSH): "a tool that came loose or was bent before that push, or an arm that lost its reference",
-    (Acts.TOOL, VariesWith.ONE_PUSH): "a collision, a slipped tool or lost frames in that push; repeat it",
-    (Acts.TOOL, VariesWith.SIDE): "a bump, a seam, a label or a soft part of that side, or a wrong outline there",
-    (Acts.TOOL, VariesWith.TIME): "a vibrating or wobbling tool, play in the arm, or poses that jump",
+    (Acts.FRICTION, VariesWith.POINT): "another surface, a film or dirt at that place of the table",
+    (Acts.FRICTION, VariesWith.POSITION): "parts of the table with another surface, a film or dirt",
+    (Acts.FORCE, VariesWith.POINT): "a magnet, a dent or a bump, an air stream or a cable at that place",
+    (Acts.FORCE, VariesWith.POSITION): "slopes and dents of the table, magnets, air streams, cables",
+    (Acts.PUSHER, VariesWith.FROM_PUSH): "a tool that came loose or was bent before that push, or an arm that lost its reference",
+    (Acts.PUSHER, VariesWith.ONE_PUSH): "a collision, a slipped tool or lost frames in that push; repeat it",
+    (Acts.PUSHER, VariesWith.SIDE): "a bump, a seam, a label or a soft part of that side, or a wrong outline there",
+    (Acts.PUSHER, VariesWith.TIME): "a vibrating or wobbling tool, play in the arm, or poses that jump",
 }
 """By what acts and what it follows."""
 _LOOK_FOR_BY_COORDINATE: Final = {
@@ -31,15 +31,13 @@ _LOOK_FOR_BY_COORDINATE: Final = {
     VariesWith.ONE_PUSH: "what touched or hindered the object in that push; repeat it",
     VariesWith.PUSH: "what differs from push to push: how the object was put down, a cable, loose contents",
     VariesWith.SINCE_CONTACT: "contents that shift or slosh, a soft contact, or friction that changes after breaking away",
-    VariesWith.WAY: "friction that changes while sliding: a film that is wiped away, a soft or sticky surface",
+    VariesWith.TRAVEL: "friction that changes while sliding: a film that is wiped away, a soft or sticky surface",
     VariesWith.SPEED: "a film of liquid, air under the object, or friction that depends on the speed by another law",
     VariesWith.HEADING: "a grain, a seam or an edge of the table",
-    VariesWith.OWN_HEADING: "feet, edges, wheels or a grain of the object's base",
+    VariesWith.HEADING_IN_OBJECT: "feet, edges, wheels or a grain of the object's base",
     VariesWith.TIME: "an air stream, a vibration, a cable that drags, or somebody who touches the object",
 }
 """Of a force, by what it follows."""
-_DECAYED = 3.0
-"""Decay times or lengths after which a pattern has faded to a twentieth [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,25 +70,26 @@ def _what(pattern: Pattern) -> str:
     largest = float(amplitude[np.argmax(np.abs(amplitude))])
     if acts is Acts.FRICTION:
         return f"friction that is {'higher' if largest > 0 else 'lower'} by up to {100 * min(size, 1.0):.0f} %"
-    if acts is Acts.TOOL:
+    if acts is Acts.PUSHER:
         return f"a displacement of the pusher from its reported path by up to {size:.1f} mm"
-    if pattern.family.varies_with is VariesWith.SPOT:
+    if pattern.family.varies_with is VariesWith.POINT:
         return f"a force {'towards' if largest > 0 else 'away from'} one place, up to {100 * size:.1f} % of the friction of the object"
     return f"a force or a torque of up to {100 * size:.1f} % of the friction of the object"
 
 
 def _where(pattern: Pattern, sources: Sequence[str]) -> str:
     varies, key = pattern.family.varies_with, pattern.member.key
+    decayed = 3.0  # decay times or lengths after which a pattern has faded to a twentieth
     if isinstance(key, tuple):
-        return f"on everything within {1e3 * RADIUS:.0f} mm of ({1e3 * key[0]:.0f}, {1e3 * key[1]:.0f}) mm of the table"
+        return f"on everything within {1e3 * PATTERNS.radius:.0f} mm of ({1e3 * key[0]:.0f}, {1e3 * key[1]:.0f}) mm of the table"
     if varies in (VariesWith.FROM_PUSH, VariesWith.ONE_PUSH):
         assert key is not None, "these have a push"
         source = sources[int(key)]
         return f"from {source} on" if varies is VariesWith.FROM_PUSH else f"in {source} only"
     if varies is VariesWith.SINCE_CONTACT and key is not None:
-        return f"in the first {_DECAYED * key:.1f} s after contact"
-    if varies is VariesWith.WAY and key is not None:
-        return f"in the first {1e3 * _DECAYED * key:.0f} mm of sliding"
+        return f"in the first {decayed * key:.1f} s after contact"
+    if varies is VariesWith.TRAVEL and key is not None:
+        return f"in the first {1e3 * decayed * key:.0f} mm of sliding"
     return _by_amplitude(pattern)
 
 
@@ -100,7 +99,7 @@ def _by_amplitude(pattern: Pattern) -> str:
     varies = family.varies_with
     if varies is VariesWith.PUSH:
         return "in each push in another way"
-    if varies in (VariesWith.HEADING, VariesWith.OWN_HEADING):
+    if varies in (VariesWith.HEADING, VariesWith.HEADING_IN_OBJECT):
         frame = "table" if varies is VariesWith.HEADING else "object"
         return f"by the direction of motion in the {frame}, most towards {np.degrees(_largest_heading(amplitude)):.0f}°"
     assert family.at is not None, "the other coordinates have values"
@@ -128,9 +127,9 @@ def _frequency(at: Float64Array, amplitude: Float64Array) -> float:
     power = np.zeros(len(candidates))
     n_components = int(np.count_nonzero(np.all(at == at[0], axis=1)))
     for push in np.unique(at[:, 0]):
-        own = at[:, 0] == push
-        time = at[own, 1][::n_components]
-        values = amplitude[own].reshape(-1, n_components)
+        of_push = at[:, 0] == push
+        time = at[of_push, 1][::n_components]
+        values = amplitude[of_push].reshape(-1, n_components)
         wave = np.exp(-2j * np.pi * candidates[:, None] * time)
         power += np.sum(np.abs(wave @ (values - values.mean(axis=0))) ** 2, axis=1) / len(time)
     return float(candidates[np.argmax(power)])

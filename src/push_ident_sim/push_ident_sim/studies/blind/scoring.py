@@ -109,7 +109,7 @@ def _outcome(diagnosis: Diagnosis) -> Json:
         "probabilities": None
         if probabilities is None
         else {**probabilities.effects, SOMETHING_ELSE: probabilities.something_else, "nothing": probabilities.nothing},
-        "failed_gates": [gate.found for gate in diagnosis.gates if not gate.passed],
+        "failed_gates": [gate.finding for gate in diagnosis.gates if not gate.passed],
     }
 
 
@@ -146,7 +146,7 @@ def _detectability(information: EffectInformation | None, wanted: Mapping[str, F
     """
     if information is None:
         return {}
-    places, precision = information.places, information.precision
+    places, precision = information.indices, information.precision
 
     def place(name: str) -> NDArray[np.int64]:
         return places[name][[not p.shape for p in EFFECTS[name].parameters]]

@@ -72,7 +72,7 @@ def _outcome(diagnosis: Diagnosis) -> Json:
     model = None if fit is None else fit.posterior.model
     return {
         "verdict": diagnosis.verdict.value,
-        "refused": [gate.found for gate in diagnosis.gates if not gate.passed],
+        "refused": [gate.finding for gate in diagnosis.gates if not gate.passed],
         "effects": [{"name": e.name, "parameters": e.parameters} for e in diagnosis.effects],
         "something_else": None if probabilities is None else probabilities.something_else,
         "gap": None if gap is None else {f"{key}_m": float(np.mean(getattr(gap, key))) for key in ("before", "after", "noise")},
