@@ -29,19 +29,9 @@ Mesh = tuple[FloatArray, NDArray[np.int64]]
 """Vertices [m], shape (n, 3), and the three vertices of each triangle, shape (m, 3)."""
 
 INTRINSICS = CameraIntrinsics(width=640, height=480, fx=600.0, fy=600.0, cx=319.5, cy=239.5)
-_TRIANGLES_PER_LINK = 200
-_FOCAL_BASELINE = 43.5
-"""Of a Kinect [px m]: 580 px x 0.075 m."""
-_SPARSE = 8
-"""Every so many pixels are enough for the usual noise of an image."""
-_NEAREST = 0.05
-"""What comes nearer to the camera may cover all of the image [m]."""
 ALBEDO = 0.5
 """Share of the light that a surface scatters back where nothing else is given; an estimate between black
 plastic and white paper."""
-_OFF_SURFACE = 3e-4
-"""Share of the way to the second viewpoint after which something may hide it: rounding must not let a surface hide itself. At 1 m it is
-0.3 mm."""
 
 
 def look_at(position: ArrayLike, target: ArrayLike) -> FloatArray:
@@ -81,10 +71,10 @@ class DepthNoise:
         if self.scale > 0:
             sigma = self.scale * (np.float32(0.0012) + np.float32(0.0019) * (depth - np.float32(0.4)) ** 2)
             depth = depth + sigma * rng.standard_normal(depth.shape, dtype=np.float32)
-            edges = _at_edge(depth, self.edge_step + 4.0 * float(np.nanmedian(sigma[::_SPARSE, ::_SPARSE])))
+            edges = _at_edge(depth, self.edge_step + 4.0 * float(np.nanmedian(sigma[::8, ::8])))
             depth[edges & (rng.random(depth.shape, dtype=np.float32) < self.edge_dropout)] = np.nan
             if self.disparity_step > 0:
-                steps = np.float32(_FOCAL_BASELINE / self.disparity_step)
+                steps = np.float32(43.5 / self.disparity_step)  # of a Kinect: 580 px x 0.075 m
                 depth = np.asarray(steps / np.round(steps / depth), dtype=np.float32)
         return np.round(depth * np.float32(1000.0)) * np.float32(0.001)
 
@@ -104,7 +94,7 @@ def _at_edge(depth: DepthImage, step: float) -> NDArray[np.bool_]:
 class Placed:
     """Something before the camera."""
 
-    thing: SimObject | Mesh
+    item: SimObject | Mesh
     pose: ArrayLike
     """Of its frame in `table`: (x, y, yaw) [m, m, rad], or homogeneous, shape (4, 4)."""
     albedo: float = ALBEDO
@@ -194,20 +184,20 @@ class DepthCamera:
         """
         return self.render_scene([Placed(self._sim_object, pose_object)], robot_link_poses)
 
-    def render_scene(self, things: Sequence[Placed], robot_link_poses: dict[str, FloatArray]) -> DepthImage:
+    def render_scene(self, items: Sequence[Placed], robot_link_poses: dict[str, FloatArray]) -> DepthImage:
         """As `render`, with any number of things on the table."""
-        hits = self._cast(self._placed(things, robot_link_poses))
+        hits = self._cast(self._positioned(items, robot_link_poses))
         depth = self._table.copy()
         depth[hits.covered] = np.fmin(depth[hits.covered], np.where(np.isfinite(hits.depth), hits.depth, np.float32(np.nan)))
         return depth
 
-    def view(self, things: Sequence[Placed], robot_link_poses: dict[str, FloatArray], second: float = 0.0) -> View:
+    def view(self, items: Sequence[Placed], robot_link_poses: dict[str, FloatArray], second: float = 0.0) -> View:
         """All that a model of a sensor needs to know.
 
         Args:
             second: Where the projector or the second imager is: x in the frame of the camera [m]; 0: there is none.
         """
-        placed = self._placed(things, robot_link_poses)
+        placed = self._positioned(items, robot_link_poses)
         hits = self._cast(placed)
         depth, cosine = self._table.copy(), self._cosine_of_table()
         albedo = np.full(depth.shape, ALBEDO, dtype=np.float32)
@@ -219,9 +209,9 @@ class DepthCamera:
         rays = self._rays[shown][:, 3:]
         normals = hits.answer["primitive_normals"].numpy()[nearer]
         cosine[shown] = np.abs(np.sum(rays * normals, axis=-1)) / np.linalg.norm(rays, axis=-1)
-        of_thing = np.array([albedo for _, _, albedo in placed], dtype=np.float32)
-        if len(of_thing):
-            albedo[shown] = of_thing[hits.answer["geometry_ids"].numpy()[nearer]]
+        of_item = np.array([albedo for _, _, albedo in placed], dtype=np.float32)
+        if len(of_item):
+            albedo[shown] = of_item[hits.answer["geometry_ids"].numpy()[nearer]]
         cosine[~np.isfinite(depth)] = 1.0
         return View(depth, cosine, albedo, self._lit(hits, depth, second))
 
@@ -238,8 +228,9 @@ class DepthCamera:
         rays = self._rays[asked]
         points = rays[:, :3] + depth[asked][:, None] * rays[:, 3:]
         towards = np.concatenate([points, viewpoint.astype(np.float32) - points], axis=-1)
-        # The ray is as long as the way to the viewpoint, and does not begin on the surface itself.
-        hidden = hits.scene.test_occlusions(_tensor(towards), tnear=_OFF_SURFACE, tfar=1.0)
+        # The ray is as long as the distance to the viewpoint. It begins 0.3 mm off the surface at 1 m, so that rounding does not let a
+        # surface hide itself.
+        hidden = hits.scene.test_occlusions(_tensor(towards), tnear=3e-4, tfar=1.0)
         lit[asked] = ~hidden.numpy()
         return lit
 
@@ -247,18 +238,18 @@ class DepthCamera:
         directions = self._rays[..., 3:]
         return np.asarray(np.abs(directions[..., 2]) / np.linalg.norm(directions, axis=-1), dtype=np.float32)
 
-    def _placed(self, things: Sequence[Placed], robot_link_poses: dict[str, FloatArray]) -> list[tuple[Mesh, FloatArray, float]]:
+    def _positioned(self, items: Sequence[Placed], robot_link_poses: dict[str, FloatArray]) -> list[tuple[Mesh, FloatArray, float]]:
         """Mesh, homogeneous pose in `table` and albedo of everything but the table."""
         robot = [(mesh, robot_link_poses[name], ALBEDO) for name, mesh in self._links.items() if name in robot_link_poses]
-        return [(self._mesh(placed.thing), _homogeneous(placed.pose), placed.albedo) for placed in things] + robot
+        return [(self._mesh(placed.item), _homogeneous(placed.pose), placed.albedo) for placed in items] + robot
 
-    def _mesh(self, thing: SimObject | Mesh) -> Mesh:
-        if not isinstance(thing, SimObject):
-            return thing
+    def _mesh(self, item: SimObject | Mesh) -> Mesh:
+        if not isinstance(item, SimObject):
+            return item
         # The object is kept as well, so that no other one gets its id.
-        if id(thing) not in self._meshes:
-            self._meshes[id(thing)] = thing, _object_mesh(thing)
-        return self._meshes[id(thing)][1]
+        if id(item) not in self._meshes:
+            self._meshes[id(item)] = item, _object_mesh(item)
+        return self._meshes[id(item)][1]
 
     def _cast(self, placed: list[tuple[Mesh, FloatArray, float]]) -> _Hits:
         import open3d
@@ -283,7 +274,7 @@ class DepthCamera:
         """
         camera = self.intrinsics
         x, y, z = ((vertices - self.pose_camera_in_table[:3, 3]) @ self.pose_camera_in_table[:3, :3]).T
-        if z.min() < _NEAREST:
+        if z.min() < 0.05:  # what comes so near may cover all of the image [m]
             return slice(None), slice(None)
         u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
         # On a background at infinity the shadow lies beside the thing by its whole disparity.
@@ -336,11 +327,11 @@ def _merge(meshes: list[Mesh]) -> Mesh:
     return np.concatenate([p for p, _ in meshes]), np.concatenate([f + o for (_, f), o in zip(meshes, offsets, strict=True)])
 
 
-def _object_mesh(thing: SimObject) -> Mesh:
+def _object_mesh(sim_object: SimObject) -> Mesh:
     import open3d
 
-    size, meshes = thing.cell_size, []
-    for (x, y), height in zip(thing.cells, thing.height, strict=True):
+    size, meshes = sim_object.cell_size, []
+    for (x, y), height in zip(sim_object.cells, sim_object.height, strict=True):
         box = open3d.geometry.TriangleMesh.create_box(size, size, float(height))
         box.translate((x - size / 2, y - size / 2, 0.0))
         meshes.append((np.asarray(box.vertices), np.asarray(box.triangles).astype(np.int64)))
@@ -364,7 +355,7 @@ def _hull(file: Path) -> Any:
     if not file.is_file():
         raise InputError(f"The robot description has the mesh {plain_text(str(file))}, which is no file; install the package that has it.")
     hull, _ = open3d.io.read_triangle_mesh(file).compute_convex_hull()
-    return hull.simplify_quadric_decimation(_TRIANGLES_PER_LINK)
+    return hull.simplify_quadric_decimation(200)
 
 
 def _solid_mesh(collision: ET.Element) -> Mesh:
@@ -389,10 +380,10 @@ def _solid_mesh(collision: ET.Element) -> Mesh:
     else:
         raise InputError(f"The robot description has a {solid.tag}, expected box, cylinder, sphere or mesh.")
     origin = collision.find("origin")
-    placed = np.eye(4)
+    pose = np.eye(4)
     if origin is not None:
         roll, pitch, yaw = (float(v) for v in origin.attrib.get("rpy", "0 0 0").split())
-        placed[:3, :3] = open3d.geometry.get_rotation_matrix_from_zyx((yaw, pitch, roll))
-        placed[:3, 3] = [float(v) for v in origin.attrib.get("xyz", "0 0 0").split()]
-    mesh.transform(placed)
+        pose[:3, :3] = open3d.geometry.get_rotation_matrix_from_zyx((yaw, pitch, roll))
+        pose[:3, 3] = [float(v) for v in origin.attrib.get("xyz", "0 0 0").split()]
+    mesh.transform(pose)
     return np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)

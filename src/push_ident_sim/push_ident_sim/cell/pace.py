@@ -6,13 +6,8 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
 
 __all__ = ["Meter", "Pace"]
-
-_LAG: Final = 0.02
-"""A simulation that is further behind its pace than this does not try to catch up [s]. What it catches up goes by at once, without news
-from other processes: an arm that gets its motion in pieces of 0.08 s would come to their ends, and brake."""
 
 
 class Meter:
@@ -60,5 +55,7 @@ class Pace:
         ahead = (now - self._sim) / factor - (time.perf_counter() - self._wall)
         if ahead > 0:
             time.sleep(ahead)
-        elif ahead < -_LAG:
+        elif ahead < -0.02:
+            # It does not catch up: what it catches up goes by at once, without news from other processes. An arm that gets its motion in
+            # pieces of 0.08 s would come to their ends, and brake.
             self._wall, self._sim = time.perf_counter(), now

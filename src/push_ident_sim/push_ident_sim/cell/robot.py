@@ -38,11 +38,7 @@ PUSHER_RADIUS = 0.018
 PUSHER_LENGTH = 0.080
 CONTACT_LINK = "hand_contact"
 """Only in Bullet: what touches the object in place of the cylinder."""
-_CONTACT_ABOVE_TIP = 0.004
-"""[m]: low enough for the flattest object at the height at which the tool pushes."""
 _WRIST = ("lbr_iiwa_link_5", "lbr_iiwa_link_6", "lbr_iiwa_link_7")
-_WRIST_JOINTS = 3
-"""Joints of the wrist of an arm."""
 HOME = (0.0, 1.001, 0.0, -1.923, 0.0, 0.2176, 0.0)
 """Joint positions [rad] with the tip 0.28 m above the middle of the workspace, tool down."""
 
@@ -91,7 +87,7 @@ def robot_from_file(path: Path) -> CellRobot:
         raise InputError(f"{urdf.path}: the mesh {plain_text(missing[0])} is no file; install the package that has it, or source it.")
     chain = urdf.chain(tool.link)
     # What hangs on the third joint from the end may come down to the table.
-    moving = [joint.get("name", "") for joint in chain if joint.get("type") != "fixed"][-_WRIST_JOINTS:]
+    moving = [joint.get("name", "") for joint in chain if joint.get("type") != "fixed"][-3:]
     first = next((i for i, joint in enumerate(chain) if joint.get("name") in moving), 0)
     wrist = {child.get("link", "") for joint in chain[first:] if (child := joint.find("child")) is not None}
     description = _with_masses(cell_description(robot, urdf))
@@ -148,7 +144,8 @@ def bullet_description(arm: CellRobot, *, turning_finger: bool = False) -> str:
     ET.SubElement(inertial, "mass", value="0.01")
     ET.SubElement(inertial, "inertia", ixx="1e-6", ixy="0", ixz="0", iyy="1e-6", iyz="0", izz="1e-6")
     ET.SubElement(ET.SubElement(ET.SubElement(link, "collision"), "geometry"), "sphere", radius=str(arm.pusher_radius))
-    at = f"0 0 {arm.pusher_length - _CONTACT_ABOVE_TIP}"
+    # 4 mm above the tip: low enough for the flattest object at the height at which the tool pushes.
+    at = f"0 0 {arm.pusher_length - 0.004}"
     joint = _fixed_joint(robot, f"{CONTACT_LINK}_joint", arm.pusher_link, CONTACT_LINK, at)
     if turning_finger:
         joint.set("type", "continuous")

@@ -25,8 +25,6 @@ _SLOPE = np.float32(1.5)
 """Margin on that slope, for rounding and for surfaces that bend."""
 _STEEPEST_COSINE = np.float32(0.05)
 """Surfaces are taken for no steeper than this: 87 degrees."""
-_DEVIATIONS = 3.0
-"""No edge is displaced further from its mean displacement, in standard deviations."""
 _NEIGHBOURS = np.ones((3, 3), dtype=np.uint8)
 _FIELDS = ("dropout", "edge", "noise")
 """Random fields of an image, in the order in which they are drawn."""
@@ -88,20 +86,20 @@ class Sensor:
         return np.array([*motion[:2, 3], np.arctan2(motion[1, 0], motion[0, 0])])
 
     def camera(
-        self, thing: SimObject, reported: FloatArray, intrinsics: CameraIntrinsics | None = None, description: str | None = None
+        self, sim_object: SimObject, reported: FloatArray, intrinsics: CameraIntrinsics | None = None, description: str | None = None
     ) -> DepthCamera:
         """Camera with the true lens and the true pose of this unit.
 
         Args:
-            thing: What lies before it.
+            sim_object: What lies before it.
             reported: Its pose in `table` as it is published, shape (4, 4).
             intrinsics: True ones but for the distortion; None: the published ones.
             description: URDF of the arm before it; None: the iiwa.
         """
         pinhole = intrinsics or self.intrinsics
         if not self._model:
-            return DepthCamera(thing, reported, pinhole, description=description)
-        return DepthCamera(thing, reported @ self._model.extrinsics_error(self._seed), pinhole, self._model.distortion, description)
+            return DepthCamera(sim_object, reported, pinhole, description=description)
+        return DepthCamera(sim_object, reported @ self._model.extrinsics_error(self._seed), pinhole, self._model.distortion, description)
 
     def look(self, camera: DepthCamera, pose_object: ArrayLike, robot_link_poses: dict[str, FloatArray]) -> View | DepthImage:
         """What lies before `camera`, for `read`: the plain sensor needs no more than depth. Arguments as of `DepthCamera.render`."""
@@ -109,20 +107,21 @@ class Sensor:
             return camera.render(pose_object, robot_link_poses)
         return camera.view([Placed(camera.sim_object, pose_object)], robot_link_poses, self._model.second)
 
-    def read(self, seen: View | DepthImage, rng: np.random.Generator) -> DepthImage:
+    def read(self, view: View | DepthImage, rng: np.random.Generator) -> DepthImage:
         """Depth as it is measured [m], shape (height, width), NaN where nothing is. What is `seen` comes from `look`."""
-        if not isinstance(seen, View):
-            return self._plain.apply(seen.copy(), rng)
+        if not isinstance(view, View):
+            return self._plain.apply(view.copy(), rng)
         model = self._model or SENSORS["ideal"]
-        depth = np.where(np.isfinite(seen.depth), seen.depth, np.float32(np.inf))
-        slope = _slope(depth, seen.cosine, model.intrinsics.fx)
-        reads = _within_reach(model, depth) & seen.lit & (self._field(model, "dropout", rng, depth.shape) > _threshold(model, seen))
+        depth = np.where(np.isfinite(view.depth), view.depth, np.float32(np.inf))
+        slope = _slope(depth, view.cosine, model.intrinsics.fx)
+        reads = _within_reach(model, depth) & view.lit & (self._field(model, "dropout", rng, depth.shape) > _threshold(model, view))
         ragged = np.float32(model.halo) + np.float32(model.edge_jitter) * self._field(model, "edge", rng, depth.shape)
-        reach = int(np.ceil(abs(model.halo) + _DEVIATIONS * model.edge_jitter))
+        # No edge is displaced by more than three standard deviations from its mean displacement.
+        reach = int(np.ceil(abs(model.halo) + 3.0 * model.edge_jitter))
         depth, reads = _displaced(depth, reads, slope, ragged, reach)
         depth, reads = _mixed(model, depth, reads, slope, rng)
         depth[~reads] = np.nan
-        depth += self._scale * model.noise.deviation(depth, seen.cosine) * self._field(model, "noise", rng, depth.shape)
+        depth += self._scale * model.noise.deviation(depth, view.cosine) * self._field(model, "noise", rng, depth.shape)
         if model.disparity_step > 0:
             steps = np.float32(model.focal_baseline / model.disparity_step)
             depth = steps / np.round(steps / depth)
@@ -134,8 +133,8 @@ class Sensor:
         if model.static_share == 0:
             return fresh
         if name not in self._static:
-            own = np.random.default_rng([self._seed, zlib.crc32(model.name.encode()), 2 + _FIELDS.index(name)])
-            self._static[name] = _correlated(own, shape, model.window)
+            generator = np.random.default_rng([self._seed, zlib.crc32(model.name.encode()), 2 + _FIELDS.index(name)])
+            self._static[name] = _correlated(generator, shape, model.window)
         share = np.float32(model.static_share)
         return np.sqrt(share) * self._static[name] + np.sqrt(np.float32(1.0) - share) * fresh
 
@@ -221,10 +220,10 @@ def _displaced(depth: DepthImage, reads: Mask, slope: DepthImage, ragged: DepthI
     Args:
         reach: Largest displacement [px].
     """
-    found, readable = depth.copy(), reads.copy()
+    displaced, readable = depth.copy(), reads.copy()
     near, far = _edges(depth, slope)
     if reach == 0 or not near.any():
-        return found, readable
+        return displaced, readable
     front = np.where(near & reads, depth, np.float32(np.inf))
     back = np.where(far, depth, np.float32(-np.inf))
     back_read = np.where(far & reads, depth, np.float32(-np.inf))
@@ -238,10 +237,10 @@ def _displaced(depth: DepthImage, reads: Mask, slope: DepthImage, ragged: DepthI
         with np.errstate(invalid="ignore"):
             covered &= depth - front > limit
             eroded &= back - depth > limit
-        found[covered], readable[covered] = front[covered], True
-        found[eroded], readable[eroded] = np.abs(back_read[eroded]), np.isfinite(back_read[eroded])
+        displaced[covered], readable[covered] = front[covered], True
+        displaced[eroded], readable[eroded] = np.abs(back_read[eroded]), np.isfinite(back_read[eroded])
         untouched &= ~(covered | eroded)
-    return found, readable
+    return displaced, readable
 
 
 def _mixed(model: SensorModel, depth: DepthImage, reads: Mask, slope: DepthImage, rng: np.random.Generator) -> tuple[DepthImage, Mask]:
@@ -256,8 +255,8 @@ def _mixed(model: SensorModel, depth: DepthImage, reads: Mask, slope: DepthImage
     holes = lot < model.edge_dropout
     # Without a jump between what reads around it there is nothing to mix: one of the surfaces is in the shadow.
     flies = ~holes & (lot < model.edge_dropout + model.flying) & reads[edge] & (farthest - nearest > _EDGE)
-    own = depth[edge]
-    own[flies] = 1.0 / (weight[flies] / nearest[flies] + (1.0 - weight[flies]) / farthest[flies])
-    depth[edge] = own
+    at_edge = depth[edge]
+    at_edge[flies] = 1.0 / (weight[flies] / nearest[flies] + (1.0 - weight[flies]) / farthest[flies])
+    depth[edge] = at_edge
     reads[edge] &= ~holes
     return depth, reads

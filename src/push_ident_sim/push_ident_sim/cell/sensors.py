@@ -57,8 +57,6 @@ _STEEP: Final = np.radians(60.0)
 """Incidence beyond which axial noise grows with the angle (Nguyen)."""
 _STEEPEST: Final = np.radians(85.0)
 """The law of that growth is not used beyond; it has a pole at 90 degrees."""
-_HALF_HEIGHT: Final = 0.4
-"""Half of what the image shows from a suitable pose, at the distance of the middle of the table [m]: the workspace."""
 _PLAIN_POSITION: Final = (0.55, 0.0, 0.85)
 """Of the plain sensor [m], `table` frame; suitable poses lie in its direction."""
 _INSIDE: Final = (1.4, 0.85)
@@ -186,7 +184,8 @@ def suitable_pose(name: str) -> FloatArray:
     position = np.array(_PLAIN_POSITION)
     if name in SENSORS:
         camera, (nearest, farthest) = SENSORS[name].intrinsics, SENSORS[name].depth_range
-        distance = np.clip(2.0 * _HALF_HEIGHT * camera.fy / camera.height, _INSIDE[0] * nearest, _INSIDE[1] * farthest)
+        # At the middle of the table the image shows 0.8 m from top to bottom: the workspace.
+        distance = np.clip(2.0 * 0.4 * camera.fy / camera.height, _INSIDE[0] * nearest, _INSIDE[1] * farthest)
         position *= distance / np.linalg.norm(position)
     return look_at(position, (0.0, 0.0, 0.0))
 

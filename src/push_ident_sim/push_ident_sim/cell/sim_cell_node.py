@@ -122,14 +122,6 @@ PARAMETERS: Final = (
     ),
 )
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_STOP_WITHIN: Final = 1.0
-"""Longest wait for both threads at the end [s]. A first rendering may take longer; nothing is lost with it."""
-_SOON: Final = 0.1
-"""A trajectory that starts later is refused [s]: nobody may remember having sent it."""
-_BREATH: Final = 0.1
-"""Pause after a time step that failed [s]."""
-_MAX_VELOCITY: Final = 100.0
-"""Of a joint in a trajectory [rad/s]; no arm comes near."""
 _TRUTH_ID: Final = "truth"
 """Id of an object whose poses come from the truth."""
 
@@ -140,7 +132,7 @@ class _Snapshot:
 
     stamp: float
     """Of the image [s]; later than the state under a latency."""
-    thing: SimObject
+    sim_object: SimObject
     pose_object: FloatArray
     """Planar, shape (3,), or homogeneous, shape (4, 4)."""
     robot_link_poses: dict[str, FloatArray]
@@ -164,21 +156,21 @@ class _SimCell(Component):
         self._node, self._settings = node, node.settings
         values = self._settings.as_dict()
         effects = InjectedEffects.of({name: values[_EFFECT + name] for name in INJECTED})
-        thing = _object_of(values)
+        sim_object = _object_of(values)
         table = Table.rectangle(np.array(values["table"]))
         config = WorldConfig(time_step=values["time_step"], table=tuple(values["table"]), effects=effects)
         robot = cell_robot(values["robot"])
-        self._world = CellWorld(thing, config, pose=values["start_pose"], robot=robot)
+        self._world = CellWorld(sim_object, config, pose=values["start_pose"], robot=robot)
         self._camera_period = 1.0 / values["camera_rate"] if values["camera_rate"] > 0 else np.inf
         self._state_period, self._truth_period = 1.0 / values["state_rate"], 1.0 / values["truth_rate"]
         self._clock_period = 1.0 / values["clock_rate"]
-        self._state_rng, self._camera_rng, self._luck, self._truth_rng = np.random.default_rng(values["noise_seed"]).spawn(4)
+        self._state_rng, self._camera_rng, self._drop_rng, self._truth_rng = np.random.default_rng(values["noise_seed"]).spawn(4)
         self._sensor = Sensor(values["sensor"], values["noise_seed"], values["depth_noise"])
         self._camera: DepthCamera | None = None
         if values["camera_rate"] > 0:
             check_rendered(effects)
             reported = pose_of_quaternion(values["camera_position"], values["camera_quaternion"])
-            self._camera = self._sensor.camera(thing, *true_camera(effects, reported, self._sensor.intrinsics), robot.description)
+            self._camera = self._sensor.camera(sim_object, *true_camera(effects, reported, self._sensor.intrinsics), robot.description)
             self._camera.set_table(values["table"])
         (self._dropped,) = effects["dropped_frames"]
         self._wrench_noise = float(values["wrench_noise"])
@@ -231,7 +223,8 @@ class _SimCell(Component):
         """Stop both threads."""
         self._stop.set()
         self._running.set()
-        deadline = time.monotonic() + _STOP_WITHIN
+        # A first rendering may take longer than a second; nothing is lost with it.
+        deadline = time.monotonic() + 1.0
         for thread in self._threads:
             thread.join(max(0.0, deadline - time.monotonic()))
         if not any(thread.is_alive() for thread in self._threads):
@@ -250,7 +243,7 @@ class _SimCell(Component):
             with self._node.guard.watch("simulation"):
                 self._advance(schedule)
             if self._node.guard.refused > was and self._world.time == schedule.now:
-                time.sleep(_BREATH)  # A world that cannot be stepped must not keep a core busy.
+                time.sleep(0.1)  # A world that cannot be stepped must not keep a core busy.
             schedule.now = self._world.time
             pace.wait(schedule.now, self._settings["real_time_factor"])
 
@@ -275,7 +268,7 @@ class _SimCell(Component):
             self._publish_as_perception(now)
         if now >= schedule.image - 0.5 * step and self._camera is not None:
             schedule.image += self._camera_period
-            if self._luck.random() >= self._dropped:
+            if self._drop_rng.random() >= self._dropped:
                 pose, links = self._world.object_transform(), self._world.robot_link_poses()
                 schedule.late.append(_Snapshot(now + stamp_delay(self._world.config.effects, now), self._world.object, pose, links))
         while schedule.late and schedule.late[0].stamp <= now + 0.5 * step:
@@ -308,9 +301,10 @@ class _SimCell(Component):
                 f"{self._world.joint_names[j]} goes to {trajectory.position[i, j]:.3f} rad at point {i}, "
                 f"expected {self._world.joint_lower[j]:.3f} to {self._world.joint_upper[j]:.3f}."
             )
+        soon = 0.1  # nobody may remember having sent what starts later [s]
         start = stamp_from_msg(msg.header.stamp)
-        if start > now + _SOON:
-            raise InputError(f"it starts in {start - now:.3f} s, expected a stamp of 0 or of at most {_SOON} s from now.")
+        if start > now + soon:
+            raise InputError(f"it starts in {start - now:.3f} s, expected a stamp of 0 or of at most {soon} s from now.")
         return trajectory.from_state(now, *self._trajectory.sample(now), start=start or None)
 
     def _publish_state(self, now: float) -> None:
@@ -326,10 +320,10 @@ class _SimCell(Component):
         self._truth_pub.publish(position_to_msg(stamp, [x, y, 0.0], yaw=float(yaw), frame_id=TABLE_FRAME))
 
     def _publish_object(self, seed: int) -> None:
-        thing = self._world.object
-        self._object_pub.publish(String(data=_truth_json(thing, seed)))
+        sim_object = self._world.object
+        self._object_pub.publish(String(data=_truth_json(sim_object, seed)))
         if self._as_perception is not None:
-            cells, outline = shape_to_msgs(true_model(thing).shape, _TRUTH_ID, stamp_to_msg(self._world.time))
+            cells, outline = shape_to_msgs(true_model(sim_object).shape, _TRUTH_ID, stamp_to_msg(self._world.time))
             self._cells_pub.publish(cells)
             self._outline_pub.publish(outline)
 
@@ -361,12 +355,12 @@ class _SimCell(Component):
 
     def _render_one(self, snapshot: _Snapshot) -> None:
         assert self._camera is not None
-        if snapshot.thing is not self._camera.sim_object:
-            self._camera.sim_object = snapshot.thing
+        if snapshot.sim_object is not self._camera.sim_object:
+            self._camera.sim_object = snapshot.sim_object
         with self._meter.measure("rays"):
-            seen = self._sensor.look(self._camera, snapshot.pose_object, snapshot.robot_link_poses)
+            view = self._sensor.look(self._camera, snapshot.pose_object, snapshot.robot_link_poses)
         with self._meter.measure("depth noise"):
-            depth = self._sensor.read(seen, self._camera_rng)
+            depth = self._sensor.read(view, self._camera_rng)
         with self._meter.measure("images"):
             frame = DepthFrame(snapshot.stamp, depth, self._sensor.intrinsics)
             image, info = depth_frame_to_msgs(frame, stamp_to_msg(snapshot.stamp), encoding=self._sensor.encoding)
@@ -452,8 +446,9 @@ def _trajectory_from_msg(msg: JointTrajectoryMsg, joint_names: tuple[str, ...]) 
     times = np.array([point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in msg.points])
     positions = np.array([point.positions for point in msg.points])[:, order]
     velocities = np.array([point.velocities for point in msg.points])[:, order] if with_velocity else None
-    if velocities is not None and not np.all(np.abs(velocities) <= _MAX_VELOCITY):
-        raise InputError(f"its velocities are not finite or over {_MAX_VELOCITY:.0f} rad/s.")
+    max_velocity = 100.0  # no arm comes near [rad/s]
+    if velocities is not None and not np.all(np.abs(velocities) <= max_velocity):
+        raise InputError(f"its velocities are not finite or over {max_velocity:.0f} rad/s.")
     return JointTrajectory(times, positions, velocities)
 
 
@@ -462,11 +457,11 @@ def _object_of(values: dict[str, Any]) -> SimObject:
     return make_object(values["object"], values["seed"], values["pusher_friction"])
 
 
-def _truth_json(thing: SimObject, seed: int) -> str:
+def _truth_json(sim_object: SimObject, seed: int) -> str:
     """The object's truth: lengths in metres, masses in kilograms, object frame."""
     arrays = ("cells", "height", "mass", "friction", "outline")
-    scalars = {"name": thing.name, "seed": seed, "cell_size": thing.cell_size, "pusher_friction": thing.pusher_friction}
-    return json.dumps({**scalars, **{name: getattr(thing, name).tolist() for name in arrays}})
+    scalars = {"name": sim_object.name, "seed": seed, "cell_size": sim_object.cell_size, "pusher_friction": sim_object.pusher_friction}
+    return json.dumps({**scalars, **{name: getattr(sim_object, name).tolist() for name in arrays}})
 
 
 def main(args: list[str] | None = None) -> int:

@@ -23,8 +23,6 @@ PARAMETERS: Final = (
     Parameter("closing_time", 1.0, "from open to closed [s]", 0.0, 30.0),
     Parameter("fault", 0, "fault code that the hand reports; 0: none", 0, 15),
 )
-_PERIOD: Final = 0.1
-"""[s], as the Modbus driver polls."""
 
 
 class SimHandNode(CellNode):
@@ -50,7 +48,8 @@ class _SimHand(Component):
         self._looked = time.monotonic()
         self._publisher = node.create_publisher(HandStatus, "Robotiq3FGripper/InputRegisters", 10)
         node.create_subscription(HandCommand, "Robotiq3FGripper/OutputRegisters", self._on_command, 1)
-        node.create_timer(_PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        # As often as the Modbus driver polls.
+        node.create_timer(0.1, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def resume(self) -> None:
         """Move from here on."""

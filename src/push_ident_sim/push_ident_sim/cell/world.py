@@ -52,6 +52,8 @@ class WorldConfig:
     table: tuple[float, float, float, float] = TABLE
     """x_min, x_max, y_min, y_max of the table [m]. With another one than the default, the object is one rigid body that may tilt and fall,
     and no effects can be injected."""
+    pause: float = 0.5
+    """A push is over when the pusher has not touched the object for this long [s]."""
     effects: InjectedEffects = field(default_factory=InjectedEffects)
     """Injected effects; those on the camera act in `camera.py`."""
 
@@ -66,14 +68,6 @@ class WorldConfig:
     def is_rigid(self) -> bool:
         """Whether the object is one rigid body."""
         return tuple(self.table) != TABLE
-
-
-_LOWERED = 0.06
-"""Below this height the effects on the tool's place act in full [m], ..."""
-_RAISED = 0.10
-"""... and above this not at all."""
-_PAUSE = 0.5
-"""A push is over when the pusher has not touched the object for this long [s]."""
 
 
 class CellWorld:
@@ -98,9 +92,9 @@ class CellWorld:
         self._table = add_table(self._client, self.config.table)
         self._add_robot()
         self._tool = _DrivenTool(effects, self.config.time_step, self.robot) if ToolErrors.needed(effects) else None
-        self._thing = self._new_thing(sim_object)
-        self._thing.place(self._start_pose)
-        self._thing.start_push()
+        self._body = self._new_body(sim_object)
+        self._body.place(self._start_pose)
+        self._body.start_push()
         self._n_steps = 0
         self.set_joint_targets(self.robot.start, np.zeros(len(self.joint_names)))
         self._impulse = np.zeros(3)
@@ -149,10 +143,10 @@ class CellWorld:
 
     def step(self) -> None:
         """Advance by one time step."""
-        self._thing.prepare_step(self._force[:2], self.config.time_step)
+        self._body.prepare_step(self._force[:2], self.config.time_step)
         self._client.stepSimulation()
         self._n_steps += 1
-        self._force = self._thing.force_of(self._robot, self._contact_link)
+        self._force = self._body.force_of(self._robot, self._contact_link)
         self._impulse += self._force * self.config.time_step
         self._impulse_steps += 1
         self._count_pushes()
@@ -161,10 +155,10 @@ class CellWorld:
         """Count a push when it is over."""
         if self._force.any():
             self._last_touch = self.time
-        elif np.isfinite(self._last_touch) and self.time - self._last_touch > _PAUSE:
+        elif np.isfinite(self._last_touch) and self.time - self._last_touch > self.config.pause:
             self._last_touch = -np.inf
             self._n_pushes += 1
-            self._thing.set_pushes_done(self._n_pushes)
+            self._body.set_pushes_done(self._n_pushes)
 
     def close(self) -> None:
         """Free the engine."""
@@ -215,7 +209,7 @@ class CellWorld:
 
     # --- object --------------------------------------------------------------------------------------------------------
 
-    def _new_thing(self, sim_object: SimObject) -> BulletObject | RigidObject:
+    def _new_body(self, sim_object: SimObject) -> BulletObject | RigidObject:
         if self.config.is_rigid:
             return RigidObject(self._client, sim_object, self._table, self.config.gravity)
         return BulletObject(self._client, sim_object, self.config.gravity, self.config.effects)
@@ -223,19 +217,19 @@ class CellWorld:
     @property
     def has_fallen(self) -> bool:
         """Whether the object tips over an edge of the table, or lies below it."""
-        return isinstance(self._thing, RigidObject) and self._thing.has_fallen
+        return isinstance(self._body, RigidObject) and self._body.has_fallen
 
     def object_transform(self) -> FloatArray:
         """True pose of the object frame, homogeneous, shape (4, 4); of one that cannot tilt, planar, shape (3,)."""
-        return self._thing.transform() if isinstance(self._thing, RigidObject) else self._thing.pose()
+        return self._body.transform() if isinstance(self._body, RigidObject) else self._body.pose()
 
     def object_pose(self) -> FloatArray:
         """True (x, y, yaw) [m, m, rad] of the object frame, shape (3,); yaw is not wrapped."""
-        return self._thing.pose()
+        return self._body.pose()
 
     def object_velocity(self) -> FloatArray:
         """True (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,)."""
-        return self._thing.velocity()
+        return self._body.velocity()
 
     def place_object(self, pose: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate).
@@ -243,27 +237,27 @@ class CellWorld:
         Raises InputError where the pusher occupies the place, and then does not move the object.
         """
         before = self.object_pose(), self.object_velocity()
-        self._thing.place(checked_pose(pose), velocity)
-        if self._thing.touches(self._robot, self._contact_link):
-            self._thing.place(*before)
+        self._body.place(checked_pose(pose), velocity)
+        if self._body.touches(self._robot, self._contact_link):
+            self._body.place(*before)
             raise InputError(f"The pusher occupies the place of the object, {np.round(np.asarray(pose), 4)}; lift or move the tool first.")
-        self._thing.start_push()
+        self._body.start_push()
 
-    def replace_object(self, thing: SimObject, pose: ArrayLike) -> None:
+    def replace_object(self, sim_object: SimObject, pose: ArrayLike) -> None:
         """Replace the object by another one at `pose`, at rest; `pose` becomes its start pose.
 
         Raises InputError where the pusher occupies the place, and then keeps the old object.
         """
         pose = checked_pose(pose)
-        new = self._new_thing(thing)
-        new.place(pose)
-        if new.touches(self._robot, self._contact_link):
-            self._client.removeBody(new.body)
+        body = self._new_body(sim_object)
+        body.place(pose)
+        if body.touches(self._robot, self._contact_link):
+            self._client.removeBody(body.body)
             raise InputError(f"The pusher occupies the place of the object, {np.round(pose, 4)}; lift or move the tool first.")
-        self._client.removeBody(self._thing.body)
-        self.object, self._thing, self._start_pose = thing, new, pose
-        self._thing.start_push()
-        self._thing.set_pushes_done(self._n_pushes)
+        self._client.removeBody(self._body.body)
+        self.object, self._body, self._start_pose = sim_object, body, pose
+        self._body.start_push()
+        self._body.set_pushes_done(self._n_pushes)
 
     def reset_object(self) -> None:
         """Put the object back to its start pose, at rest; raises InputError where the pusher occupies the place."""
@@ -273,7 +267,7 @@ class CellWorld:
 
     def cell_loads(self) -> FloatArray:
         """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
-        return self._thing.cell_loads(self._table)
+        return self._body.cell_loads(self._table)
 
     def take_pusher_force(self) -> FloatArray:
         """Force of the pusher on the object [N], shape (3,): mean over the steps since the last call."""
@@ -296,11 +290,13 @@ class _DrivenTool:
     def driven(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Targets [rad], [rad/s] of the motors where the arm commands those given; called once per time step."""
         tip = self._kinematics.forward(position)[:3, 3]
-        if tip[2] > _RAISED:
+        # Below the first height the effects on the position of the tool act in full, above the second not at all [m].
+        lowered, raised = 0.06, 0.10
+        if tip[2] > raised:
             self._errors.start(tip[:2])
-        share = float(np.clip((_RAISED - tip[2]) / (_RAISED - _LOWERED), 0.0, 1.0))
-        aside = share * (self._errors.true_position(tip[:2]) - tip[:2])
-        bend = np.linalg.pinv(self._kinematics.jacobian(position)) @ [*aside, 0.0, 0.0, 0.0, 0.0]
+        share = float(np.clip((raised - tip[2]) / (raised - lowered), 0.0, 1.0))
+        displacement = share * (self._errors.true_position(tip[:2]) - tip[:2])
+        bend = np.linalg.pinv(self._kinematics.jacobian(position)) @ [*displacement, 0.0, 0.0, 0.0, 0.0]
         self._bend_rate = (bend - self._bend) / self._time_step
         self._bend = bend
         return position + bend, velocity + self._bend_rate

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.physics.effect import OnPusherPath
-from push_ident_sim.injected.equations import acts_by_equation, driven_place
+from push_ident_sim.injected.equations import acts_by_equation, driven_position
 from push_ident_sim.injected.values import InjectedEffects
 
 __all__ = ["ToolErrors"]
@@ -25,7 +25,7 @@ class ToolErrors:
         self._offset = np.array(effects["tool_offset"])
         self._radius, frequency = effects["pusher_wobble"]
         self._turn = 2.0 * np.pi * frequency * time_step
-        self._follow = 1.0 - np.exp(-time_step / lag) if lag > 0 else 1.0
+        self._lag_share = 1.0 - np.exp(-time_step / lag) if lag > 0 else 1.0
         self._n_steps = 0
         self._effects, self._time_step = effects, time_step
         self._by_equation = acts_by_equation(effects, OnPusherPath)
@@ -38,17 +38,17 @@ class ToolErrors:
 
     def start(self, reported: ArrayLike) -> None:
         """A motion begins where the arm reports `reported`."""
-        self._anchor = np.array(reported, dtype=np.float64)
-        self._followed = self._anchor.copy()
-        self._places = [self._anchor.copy()]
+        self._start = np.array(reported, dtype=np.float64)
+        self._lagged = self._start.copy()
+        self._reported_path = [self._start.copy()]
 
     def true_position(self, reported: FloatArray) -> FloatArray:
         """Where the tool is at the end of a time step at whose end the arm reports `reported`."""
         self._n_steps += 1
         if self._by_equation:
-            self._places.append(np.array(reported))
-            reported = driven_place(self._effects, self._time_step, np.array(self._places))
-        ahead = reported + self._scale * (reported - self._anchor)
-        self._followed = self._followed + self._follow * (ahead - self._followed)
+            self._reported_path.append(np.array(reported))
+            reported = driven_position(self._effects, self._time_step, np.array(self._reported_path))
+        ahead = reported + self._scale * (reported - self._start)
+        self._lagged = self._lagged + self._lag_share * (ahead - self._lagged)
         angle = self._turn * self._n_steps
-        return np.asarray(self._followed + self._offset + self._radius * np.array([np.cos(angle), np.sin(angle)]))
+        return np.asarray(self._lagged + self._offset + self._radius * np.array([np.cos(angle), np.sin(angle)]))

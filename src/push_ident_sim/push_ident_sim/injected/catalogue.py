@@ -30,8 +30,6 @@ _PARTS: dict[type, Part] = {
     OnForceTimes: "forces",
 }
 """What an effect acts on that is injected through its equation."""
-_WIDEST = 10.0
-"""Range of a parameter for which the core's catalogue has no limit, in its typical sizes."""
 
 
 class _Size(NamedTuple):
@@ -68,7 +66,8 @@ def _through_its_equation(effect: Effect) -> InjectedEffect:
     """An effect of the core's catalogue for which the engines have no law of their own."""
 
     def bounded(limit: float, sign: float, typical: float) -> float:
-        return limit if np.isfinite(limit) else sign * _WIDEST * typical
+        # Where the core's catalogue has no limit: ten typical sizes.
+        return limit if np.isfinite(limit) else sign * 10.0 * typical
 
     parameters = tuple(
         InjectedParameter(

@@ -36,7 +36,7 @@ __all__ = [
     "TableEquations",
     "acts_by_equation",
     "contact_quantity",
-    "driven_place",
+    "driven_position",
     "pusher_friction",
     "reported_forces",
     "reported_poses",
@@ -76,7 +76,7 @@ def pusher_friction(effects: InjectedEffects, coefficient: float) -> float:
     return coefficient
 
 
-def driven_place(effects: InjectedEffects, time_step: float, reported: FloatArray) -> FloatArray:
+def driven_position(effects: InjectedEffects, time_step: float, reported: FloatArray) -> FloatArray:
     """Where the tool is at the end of a path.
 
     Args:
@@ -148,11 +148,11 @@ class TableChange:
 class TableEquations:
     """Such effects between table and one object, time step by time step; they hold during a step, as in the core."""
 
-    def __init__(self, thing: SimObject, effects: InjectedEffects) -> None:
+    def __init__(self, sim_object: SimObject, effects: InjectedEffects) -> None:
         self._acting = list(_injected(effects, OnTable))
-        self._mass = float(thing.mass.sum())
-        self._place = thing.cells - thing.mass @ thing.cells / self._mass
-        self._spread = float(np.mean(np.sum(self._place**2, axis=1)) + thing.cell_size**2 / 6.0)
+        self._mass = float(sim_object.mass.sum())
+        self._arms = sim_object.cells - sim_object.mass @ sim_object.cells / self._mass
+        self._spread = float(np.mean(np.sum(self._arms**2, axis=1)) + sim_object.cell_size**2 / 6.0)
         self.start()
 
     def __bool__(self) -> bool:
@@ -197,16 +197,16 @@ class TableEquations:
             factor *= [acts.load(values, body, cell, memory) for cell in self._cells(body)]
         if acts.plane is not None:
             even, x, y = acts.plane(values, body, memory)
-            factor *= even + self._place @ np.array([x, y])
+            factor *= even + self._arms @ np.array([x, y])
         if acts.shift is not None:
-            centre = limit @ self._place / limit.sum()
-            away = self._place - centre
+            centre = limit @ self._arms / limit.sum()
+            away = self._arms - centre
             covariance = (limit[:, None] * away).T @ away / limit.sum()
             load = Load(float(centre[0]), float(centre[1]), float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1]))
             factor *= 1.0 + away @ np.linalg.solve(covariance, np.array(acts.shift(values, body, load, memory)))
         return factor
 
     def _cells(self, body: Body) -> Iterator[Cell]:
-        for rx, ry in self._place.tolist():
+        for rx, ry in self._arms.tolist():
             x, y = body.cos * rx - body.sin * ry, body.sin * rx + body.cos * ry
             yield Cell(body.x + x, body.y + y, body.vx - body.omega * y, body.vy + body.omega * x, rx, ry)

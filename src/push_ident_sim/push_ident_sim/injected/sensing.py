@@ -95,7 +95,7 @@ class PoseSensor:
         """`std` of x, y [m] and yaw [rad], shape (3,)."""
         self._effects = effects
         self._std = std
-        self._rng, self._luck = rng, rng.spawn(1)[0]
+        self._rng, self._frame_rng = rng, rng.spawn(1)[0]
         self._noise: FloatArray | None = None
         self._delayed: deque[tuple[float, FloatArray]] = deque()
         (self._dropped,), (self._rho,) = effects["dropped_frames"], effects["noise_correlation"]
@@ -106,8 +106,8 @@ class PoseSensor:
         before, self._noise = self._noise, fresh
         if before is not None:
             self._noise = self._rho * before + np.sqrt(1.0 - self._rho**2) * fresh
-        observed = flipped(self._effects, observed_poses(self._effects, pose[None]) + self._std * self._noise, self._luck)[0]
-        if self._luck.random() >= self._dropped:
+        observed = flipped(self._effects, observed_poses(self._effects, pose[None]) + self._std * self._noise, self._frame_rng)[0]
+        if self._frame_rng.random() >= self._dropped:
             self._delayed.append((time + stamp_delay(self._effects, time), observed))
         arrived = []
         while self._delayed and self._delayed[0][0] <= time + 1e-9:

@@ -43,7 +43,7 @@ class InjectedEffects:
     @classmethod
     def parse(cls, texts: Iterable[str]) -> InjectedEffects:
         """From texts such as `table_tilt=0.02` or `table_tilt=0.02,-0.01`. Raises InputError for what is not of that form."""
-        found = []
+        effects = []
         for text in texts:
             name, equals, numbers = text.partition("=")
             try:
@@ -52,14 +52,14 @@ class InjectedEffects:
                 values = ()
             if not (equals and values):
                 raise InputError(f"Effect {text!r} has no size, expected NAME=VALUE or NAME=VALUE,VALUE such as table_tilt=0.02.")
-            found.append((name.strip(), values))
-        return cls(tuple(found))
+            effects.append((name.strip(), values))
+        return cls(tuple(effects))
 
     def __bool__(self) -> bool:
         return bool(self.values)
 
     def __contains__(self, name: str) -> bool:
-        return any(own == name for own, _ in self.values)
+        return any(effect == name for effect, _ in self.values)
 
     def __getitem__(self, name: str) -> tuple[float, ...]:
         """Parameters of an effect; its defaults, at which it does nothing, where it is not injected."""

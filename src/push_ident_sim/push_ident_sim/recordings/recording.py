@@ -29,10 +29,6 @@ __all__ = ["RecordingSettings", "record_pushes", "seal", "standing_tool"]
 
 FloatArray = NDArray[np.float64]
 
-_PAUSE = 3.0
-"""Between two pushes [s]."""
-_LOOK = 2.0
-"""The camera films the object for this long before the first push [s]."""
 _TIP_HEIGHT = 0.012
 """Height of the filmed tool above the table [m]."""
 
@@ -77,26 +73,26 @@ def record_pushes(out: Path, settings: RecordingSettings) -> dict[str, Any]:
     """
     if out.exists():
         raise InputError(f"{out}: exists already and is not overwritten; give another name.")
-    thing = make_object(settings.object_name, settings.model)
+    sim_object = make_object(settings.object_name, settings.model)
     drawn = TruthSettings(n_train=settings.n_pushes, n_test=0, effects=settings.effects)
     pushes = replace(drawn.pushes, speed_range=settings.speed_range)
     if settings.camera:
         # In the field of view, and with the tool that the camera renders.
         pushes = PushSettings(speed_range=settings.speed_range, pusher_radius=PUSHER_RADIUS)
     drawn = replace(drawn, pushes=pushes)
-    own = [settings.model, OBJECT_NAMES.index(settings.object_name), settings.seed]
-    motions = make_pushes(thing, own, drawn, in_a_row=settings.camera)
-    rngs = [np.random.default_rng([*own, i, 1]) for i in range(len(motions))]
+    seed = [settings.model, OBJECT_NAMES.index(settings.object_name), settings.seed]
+    motions = make_pushes(sim_object, seed, drawn, in_a_row=settings.camera)
+    rngs = [np.random.default_rng([*seed, i, 1]) for i in range(len(motions))]
     if settings.camera:
-        _film(out, thing, motions, settings, pushes.pusher_radius, rngs)
+        _film(out, sim_object, motions, settings, pushes.pusher_radius, rngs)
     else:
-        shape, name = true_model(thing).shape, settings.object_name
+        shape, name = true_model(sim_object).shape, settings.object_name
         records = [
             PushRecord(name, shape, *observe_motion(m, pushes.pusher_radius, settings.noise, rng, settings.effects))
             for m, rng in zip(motions, rngs, strict=True)
         ]
         write_records(out, records)
-    return _truth(thing, settings)
+    return _truth(sim_object, settings)
 
 
 def seal(truth: dict[str, Any]) -> str:
@@ -104,39 +100,40 @@ def seal(truth: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(truth, sort_keys=True).encode()).hexdigest()
 
 
-def _truth(thing: SimObject, settings: RecordingSettings) -> dict[str, Any]:
+def _truth(sim_object: SimObject, settings: RecordingSettings) -> dict[str, Any]:
     return {
         "object": settings.object_name,
         "model": settings.model,
         "seed": settings.seed,
         "effects": {name: list(values) for name, values in settings.effects.values},
-        "cells_m": thing.cells.tolist(),
-        "mass_kg": thing.mass.tolist(),
-        "friction": thing.friction.tolist(),
-        "pusher_friction": thing.pusher_friction,
+        "cells_m": sim_object.cells.tolist(),
+        "mass_kg": sim_object.mass.tolist(),
+        "friction": sim_object.friction.tolist(),
+        "pusher_friction": sim_object.pusher_friction,
     }
 
 
 def _film(
     out: Path,
-    thing: SimObject,
+    sim_object: SimObject,
     motions: list[TrueMotion],
     settings: RecordingSettings,
     radius: float,
     rngs: list[np.random.Generator],
 ) -> None:
+    look, pause = 2.0, 3.0  # before the first push, and between two of them [s]
     noise, effects = settings.noise, settings.effects
     sensor, reported = Sensor(settings.sensor, settings.seed), suitable_pose(settings.sensor)
-    camera = sensor.camera(thing, *true_camera(effects, reported, sensor.intrinsics))
+    camera = sensor.camera(sim_object, *true_camera(effects, reported, sensor.intrinsics))
     with BagWriter(out) as writer:
         start = 1.0
         writer.write_extrinsics(start, reported)
         writer.write_pusher_shape(start, radius, height=PUSHER_LENGTH)
-        start += _LOOK
+        start += look
         for number, (motion, rng) in enumerate(zip(motions, rngs, strict=True)):
             _, path, wrench = observe_motion(motion, radius, noise, rng, effects)
             begin, end = noise.rest, noise.rest + float(motion.time[-1])
-            first = -_LOOK if number == 0 else 0.0
+            first = -look if number == 0 else 0.0
             times = np.arange(first, end + noise.rest, 1.0 / noise.rate)
             times = times[kept_frames(effects, len(times), rng)]
             for time in times:
@@ -154,7 +151,7 @@ def _film(
                 for time, force in zip(wrench.time, wrench.force, strict=True):
                     writer.write_wrench(start + float(time), force)
             writer.write_push_record(number + 1, "", start + begin, start + end)
-            start += end + noise.rest + _PAUSE
+            start += end + noise.rest + pause
 
 
 def standing_tool(tool: FloatArray) -> FloatArray:

@@ -71,12 +71,12 @@ class TruthSettings:
     pushes: PushSettings = field(default_factory=_paper_pushes)
     time_step: float = 1.0 / 240.0
     """Of the engine [s]."""
-    placing: float = 0.15
+    start_range: float = 0.15
     """First positions of the object lie within this distance of the middle of the table along x and y [m]; its yaw is uniform."""
     acceleration: float = 2.0
     """Of the pusher at the start and at the end of a push [m/s^2]."""
-    least_travel: float = 0.010
-    least_turn: float = 0.1
+    min_travel: float = 0.010
+    min_turn: float = 0.1
     """A push that moves the object's frame by less than this [m] and turns it by less than this [rad] is drawn again."""
     effects: InjectedEffects = field(default_factory=InjectedEffects)
     """Injected into the simulation and into its observation."""
@@ -108,14 +108,14 @@ class Engine(Protocol):
         ...
 
 
-def true_model(thing: SimObject) -> ObjectModel:
+def true_model(sim_object: SimObject) -> ObjectModel:
     """The true model of a simulated object, which identification should find."""
-    shape = ObjectShape(CellGrid(thing.cells, thing.cell_size), thing.outline)
-    return ObjectModel(shape, thing.mass, thing.friction, thing.pusher_friction)
+    shape = ObjectShape(CellGrid(sim_object.cells, sim_object.cell_size), sim_object.outline)
+    return ObjectModel(shape, sim_object.mass, sim_object.friction, sim_object.pusher_friction)
 
 
 def make_pushes(
-    thing: SimObject,
+    sim_object: SimObject,
     seed: Sequence[int],
     settings: TruthSettings | None = None,
     *,
@@ -136,19 +136,19 @@ def make_pushes(
     """
     settings = settings or TruthSettings()
     if engine is not None:
-        return _in_turn(engine, thing, seed, settings, in_a_row)
+        return _make_each(engine, sim_object, seed, settings, in_a_row)
     # Imported here, so that reading pushes and drawing results does not need Bullet.
     from push_ident_sim.engines.bullet.push_world import PushWorld
 
-    world = PushWorld(thing, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
+    world = PushWorld(sim_object, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
     try:
-        return _in_turn(world, thing, seed, settings, in_a_row)
+        return _make_each(world, sim_object, seed, settings, in_a_row)
     finally:
         world.close()
 
 
-def _in_turn(engine: Engine, thing: SimObject, seed: Sequence[int], settings: TruthSettings, in_a_row: bool) -> list[TrueMotion]:
-    shape = true_model(thing).shape
+def _make_each(engine: Engine, sim_object: SimObject, seed: Sequence[int], settings: TruthSettings, in_a_row: bool) -> list[TrueMotion]:
+    shape = true_model(sim_object).shape
     motions: list[TrueMotion] = []
     for i in range(settings.n_train + settings.n_test):
         pose = (motions[-1].pose[-1] if motions else np.zeros(3)) if in_a_row else None
@@ -163,11 +163,11 @@ def _one_push(
     while True:
         start = pose
         if start is None:
-            start = np.array([*rng.uniform(-settings.placing, settings.placing, 2), rng.uniform(-np.pi, np.pi)])
+            start = np.array([*rng.uniform(-settings.start_range, settings.start_range, 2), rng.uniform(-np.pi, np.pi)])
         plan = sample_push(shape, start, rng, settings.pushes)
         motion = world.push(start, path_of_plan(plan, settings), pushes_done=number)
         moved = np.abs(motion.pose[-1] - motion.pose[0])
-        if np.hypot(moved[0], moved[1]) >= settings.least_travel or moved[2] >= settings.least_turn:
+        if np.hypot(moved[0], moved[1]) >= settings.min_travel or moved[2] >= settings.min_turn:
             return motion
 
 
@@ -190,8 +190,14 @@ def path_of_plan(plan: PushPlan2D, settings: TruthSettings) -> PusherPath:
 
 def truth_file(folder: Path, name: str, seed: int, settings: TruthSettings | None = None) -> Path:
     """File of the pushes of `make_object(name, seed)`; its name differs for other settings, another object or other code."""
-    thing = make_object(name, seed)
-    values = [thing.cells, thing.height, thing.mass, thing.friction, np.array([thing.cell_size, thing.pusher_friction])]
+    sim_object = make_object(name, seed)
+    values = [
+        sim_object.cells,
+        sim_object.height,
+        sim_object.mass,
+        sim_object.friction,
+        np.array([sim_object.cell_size, sim_object.pusher_friction]),
+    ]
     by_equation = {file for file in extra_effect_files() if settings is not None and file.stem in settings.effects.as_dict()}
     code = code_digest(files_behind(Path(__file__)) | by_equation)
     content = json.dumps([code, asdict(settings or TruthSettings())], sort_keys=True).encode() + b"".join(v.tobytes() for v in values)
@@ -238,15 +244,15 @@ def load_truth(
         noise: of their observation.
     """
     settings, noise = settings or TruthSettings(), noise or CameraNoise()
-    thing = make_object(name, seed)
+    sim_object = make_object(name, seed)
     motions = _read_motions(generate_truth(folder, name, seed, settings))
-    shape = true_model(thing).shape
-    radius, own = settings.pushes.pusher_radius, OBJECT_NAMES.index(name)
+    shape = true_model(sim_object).shape
+    radius, number = settings.pushes.pusher_radius, OBJECT_NAMES.index(name)
     records = []
     for i, motion in enumerate(motions):
-        observed = observe_motion(motion, radius, noise, np.random.default_rng([seed, own, i, 1]), settings.effects)
+        observed = observe_motion(motion, radius, noise, np.random.default_rng([seed, number, i, 1]), settings.effects)
         records.append(PushRecord(name, shape, *observed, f"{name} {seed}, push {i}"))
-    return records[: settings.n_train], records[settings.n_train :], thing
+    return records[: settings.n_train], records[settings.n_train :], sim_object
 
 
 def observe_motion(
@@ -263,7 +269,7 @@ def observe_motion(
     """
     effects = effects or InjectedEffects()
     # A generator of its own, so that lost frames do not change the noise.
-    luck = rng.spawn(1)[0]
+    frame_rng = rng.spawn(1)[0]
     rest, end = noise.rest, float(motion.time[-1])
     clock = np.concatenate([[0.0], rest + motion.time, [2 * rest + end]])
     hold = np.r_[0, 0 : len(motion.time), len(motion.time) - 1]
@@ -275,8 +281,8 @@ def observe_motion(
     std = np.array([noise.position_std, noise.position_std, noise.yaw_std])
     observed = observed_poses(effects, at(measured_at(effects, frames), motion.pose))
     observed = observed + std * correlated(effects, rng.normal(size=(len(frames), 3)))
-    observed = flipped(effects, observed, luck)
-    kept = kept_frames(effects, len(frames), luck)
+    observed = flipped(effects, observed, frame_rng)
+    kept = kept_frames(effects, len(frames), frame_rng)
     poses = PoseTrack(frames[kept], observed[kept], np.broadcast_to(np.diag(std**2), (int(kept.sum()), 3, 3)))
     wrench = None
     if noise.force_std is not None:

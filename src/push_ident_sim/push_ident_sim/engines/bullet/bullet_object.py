@@ -9,6 +9,7 @@ body of its own in that frame, so that it never catches on the edge between two 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import IntEnum
 
 import numpy as np
 import pybullet as bullet
@@ -26,7 +27,7 @@ __all__ = [
     "ARM_GROUP",
     "CELL_GROUP",
     "OUTLINE_GROUP",
-    "OUTLINE_LINK",
+    "Link",
     "PUSHER_GROUP",
     "TABLE",
     "TABLE_GROUP",
@@ -41,15 +42,19 @@ FloatArray = NDArray[np.float64]
 
 TABLE = (-0.8, 0.8, -0.7, 0.7)
 """x_min, x_max, y_min, y_max of the table [m]."""
-_THICKNESS = 0.04
-"""Of the table [m]."""
 TABLE_GROUP, CELL_GROUP, OUTLINE_GROUP, PUSHER_GROUP, ARM_GROUP = (1 << bit for bit in range(8, 13))
-OUTLINE_LINK = 3
-"""A force little larger than its weight holds it up: friction along z, which cannot push the object, takes no share of the cone then."""
-_N_PLANE_JOINTS = 3
-_FRAME_LINK = 2
-"""Link that moves in the plane (x, y, yaw); outline and cells hang below it."""
-_FIRST_CELL_LINK = 4
+
+
+class Link(IntEnum):
+    """Links of the chain; the first three joints are those of the plane (x, y, yaw)."""
+
+    FRAME = 2
+    """Moves in the plane; outline and cells hang below it."""
+    OUTLINE = 3
+    """A force little larger than its weight holds it up, for friction along z, which cannot push, to take no share of the cone."""
+    FIRST_CELL = 4
+
+
 _FRAME_MASS = 1e-4
 """Of each link that is no cell [kg]: small against any cell."""
 _CORNER_RADIUS = 1e-4
@@ -87,7 +92,7 @@ def _normal_gravity(gravity: float, effects: InjectedEffects) -> float:
 def add_table(client: BulletClient, bounds: Sequence[float] = TABLE) -> int:
     """Put a table with its top at z = 0, from x_min to x_max and from y_min to y_max [m]; returns its body."""
     x_min, x_max, y_min, y_max = bounds
-    half = 0.5 * np.array([x_max - x_min, y_max - y_min, _THICKNESS])
+    half = 0.5 * np.array([x_max - x_min, y_max - y_min, 0.04])
     shape = client.createCollisionShape(bullet.GEOM_BOX, halfExtents=half.tolist())
     table: int = client.createMultiBody(0.0, shape, basePosition=[0.5 * (x_min + x_max), 0.5 * (y_min + y_max), -half[2]])
     # Bullet multiplies the coefficients of the two bodies: the table and the pusher have 1, the object's side the coefficient itself.
@@ -104,17 +109,20 @@ def checked_pose(pose: ArrayLike) -> FloatArray:
     return pose
 
 
-def outline_shape(client: BulletClient, thing: SimObject, growth: float) -> int:
-    """Collision shape of the outline of `thing`, moved outwards by `growth` [m]: one box per rectangle and one thin post per convex corner.
+def outline_shape(client: BulletClient, sim_object: SimObject, growth: float) -> int:
+    """Collision shape of the outline of `sim_object`, moved outwards by `growth` [m]: one box per rectangle and one thin post per convex corner.
 
     Bullet rounds the edges of a box by its collision margin of 1 mm, which would displace a pusher at a corner by up to 0.4 mm.
     """
-    height = float(thing.height.max())
-    rectangles = outline_rectangles(thing.cells, thing.cell_size)
-    before, after = thing.outline - np.roll(thing.outline, 1, axis=0), np.roll(thing.outline, -1, axis=0) - thing.outline
+    height = float(sim_object.height.max())
+    rectangles = outline_rectangles(sim_object.cells, sim_object.cell_size)
+    before, after = (
+        sim_object.outline - np.roll(sim_object.outline, 1, axis=0),
+        np.roll(sim_object.outline, -1, axis=0) - sim_object.outline,
+    )
     outward = before / np.linalg.norm(before, axis=1)[:, None] - after / np.linalg.norm(after, axis=1)[:, None]
     convex = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0] > 0
-    posts = (thing.outline + (growth - _CORNER_RADIUS) * outward)[convex]
+    posts = (sim_object.outline + (growth - _CORNER_RADIUS) * outward)[convex]
     centres = [*(centre for centre, _ in rectangles), *posts]
     shape: int = client.createCollisionShapeArray(
         shapeTypes=[bullet.GEOM_BOX] * len(rectangles) + [bullet.GEOM_CAPSULE] * len(posts),
@@ -130,30 +138,30 @@ def outline_shape(client: BulletClient, thing: SimObject, growth: float) -> int:
 class BulletObject:
     """A `SimObject` standing on the table of one engine; all poses in the `table` frame."""
 
-    def __init__(self, client: BulletClient, thing: SimObject, gravity: float, effects: InjectedEffects = _NONE) -> None:
+    def __init__(self, client: BulletClient, sim_object: SimObject, gravity: float, effects: InjectedEffects = _NONE) -> None:
         """Put the object at (0, 0, 0), at rest. `gravity` [m/s^2], `client` from `connect` with the same gravity and effects."""
         self.body: int
         """The engine's number of the chain."""
         self._client = client
-        self._thing = thing
+        self._sim_object = sim_object
         gravity = _normal_gravity(gravity, effects)
-        self._limit = thing.friction * thing.mass * gravity
-        self._support = SupportEffects(thing, effects, gravity) if SupportEffects.needed(effects) else None
-        self._friction, self._mass = thing.friction, thing.mass
-        n_cells = len(thing)
-        outline = outline_shape(client, thing, outline_growth(effects))
+        self._limit = sim_object.friction * sim_object.mass * gravity
+        self._support = SupportEffects(sim_object, effects, gravity) if SupportEffects.needed(effects) else None
+        self._friction, self._mass = sim_object.friction, sim_object.mass
+        n_cells = len(sim_object)
+        outline = outline_shape(client, sim_object, outline_growth(effects))
         foot = client.createCollisionShape(bullet.GEOM_SPHERE, radius=_FOOT_RADIUS)
-        n_links = _FIRST_CELL_LINK + n_cells
+        n_links = Link.FIRST_CELL + n_cells
         self.body = client.createMultiBody(
             baseMass=0.0,
-            linkMasses=[_FRAME_MASS] * _FIRST_CELL_LINK + thing.mass.tolist(),
+            linkMasses=[_FRAME_MASS] * Link.FIRST_CELL + sim_object.mass.tolist(),
             linkCollisionShapeIndices=[-1, -1, -1, outline] + [foot] * n_cells,
             linkVisualShapeIndices=[-1] * n_links,
-            linkPositions=[[0.0, 0.0, 0.0]] * _FIRST_CELL_LINK + [[x, y, _FOOT_RADIUS] for x, y in thing.cells.tolist()],
+            linkPositions=[[0.0, 0.0, 0.0]] * Link.FIRST_CELL + [[x, y, _FOOT_RADIUS] for x, y in sim_object.cells.tolist()],
             linkOrientations=[[0.0, 0.0, 0.0, 1.0]] * n_links,
             linkInertialFramePositions=[[0.0, 0.0, 0.0]] * n_links,
             linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * n_links,
-            linkParentIndices=[0, 1, 2] + [_FRAME_LINK + 1] * (1 + n_cells),
+            linkParentIndices=[0, 1, 2] + [Link.FRAME + 1] * (1 + n_cells),
             linkJointTypes=[bullet.JOINT_PRISMATIC, bullet.JOINT_PRISMATIC, bullet.JOINT_REVOLUTE]
             + [bullet.JOINT_PRISMATIC] * (1 + n_cells),
             linkJointAxis=[[1, 0, 0], [0, 1, 0], [0, 0, 1]] + [[0, 0, 1]] * (1 + n_cells),
@@ -162,24 +170,28 @@ class BulletObject:
         for link in range(n_links):
             client.changeDynamics(self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, restitution=0.0)
             client.setCollisionFilterGroupMask(self.body, link, CELL_GROUP, TABLE_GROUP)
-        for link in range(_FIRST_CELL_LINK):
+        for link in range(Link.FIRST_CELL):
             client.changeDynamics(self.body, link, localInertiaDiagonal=[1e-8] * 3)
-        for link, (mass, friction) in enumerate(zip(thing.mass.tolist(), thing.friction.tolist(), strict=True), start=_FIRST_CELL_LINK):
-            client.changeDynamics(self.body, link, lateralFriction=friction, localInertiaDiagonal=[mass * thing.cell_size**2 / 6.0] * 3)
-        pusher_friction = friction_of_pusher(effects, thing.pusher_friction)
-        client.changeDynamics(self.body, OUTLINE_LINK, lateralFriction=pusher_friction, restitution=restitution(effects))
+        for link, (mass, friction) in enumerate(
+            zip(sim_object.mass.tolist(), sim_object.friction.tolist(), strict=True), start=Link.FIRST_CELL
+        ):
+            client.changeDynamics(
+                self.body, link, lateralFriction=friction, localInertiaDiagonal=[mass * sim_object.cell_size**2 / 6.0] * 3
+            )
+        pusher_friction = friction_of_pusher(effects, sim_object.pusher_friction)
+        client.changeDynamics(self.body, Link.OUTLINE, lateralFriction=pusher_friction, restitution=restitution(effects))
         client.setJointMotorControl2(
-            self.body, OUTLINE_LINK, bullet.POSITION_CONTROL, targetPosition=0.0, force=2.0 * _FRAME_MASS * gravity
+            self.body, Link.OUTLINE, bullet.POSITION_CONTROL, targetPosition=0.0, force=2.0 * _FRAME_MASS * gravity
         )
-        client.setCollisionFilterGroupMask(self.body, OUTLINE_LINK, OUTLINE_GROUP, PUSHER_GROUP)
+        client.setCollisionFilterGroupMask(self.body, Link.OUTLINE, OUTLINE_GROUP, PUSHER_GROUP)
 
     def pose(self) -> FloatArray:
         """True (x, y, yaw) [m, m, rad] of the object frame, shape (3,); yaw is not wrapped."""
-        return np.array([s[0] for s in self._client.getJointStates(self.body, range(_N_PLANE_JOINTS))])
+        return np.array([s[0] for s in self._client.getJointStates(self.body, range(Link.OUTLINE))])
 
     def velocity(self) -> FloatArray:
         """True (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,)."""
-        return np.array([s[1] for s in self._client.getJointStates(self.body, range(_N_PLANE_JOINTS))])
+        return np.array([s[1] for s in self._client.getJointStates(self.body, range(Link.OUTLINE))])
 
     def place(self, pose: FloatArray, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate), even where something is in its place."""
@@ -201,14 +213,14 @@ class BulletObject:
 
         `push_force` is that of the pusher on the object in the last step [N], shape (2,); `time_step` [s].
         """
-        states = self._client.getJointStates(self.body, range(_N_PLANE_JOINTS))
+        states = self._client.getJointStates(self.body, range(Link.OUTLINE))
         velocity = np.array([state[1] for state in states])
         if self._support is None:
             cosine, sine = np.cos(states[2][0]), np.sin(states[2][0])
             wrench = cone_friction_correction(
-                self._thing.cells @ np.array([[cosine, sine], [-sine, cosine]]),
-                self._thing.mass,
-                self._thing.cell_size,
+                self._sim_object.cells @ np.array([[cosine, sine], [-sine, cosine]]),
+                self._sim_object.mass,
+                self._sim_object.cell_size,
                 self._limit,
                 velocity,
             )
@@ -216,35 +228,35 @@ class BulletObject:
             action = self._support.advance(np.array([state[0] for state in states]), velocity, push_force, time_step)
             wrench = action.wrench
             self._set_cells(action.friction, action.mass)
-            cells = range(_FIRST_CELL_LINK, _FIRST_CELL_LINK + len(self._thing))
+            cells = range(Link.FIRST_CELL, Link.FIRST_CELL + len(self._sim_object))
             self._client.setJointMotorControlArray(self.body, cells, bullet.TORQUE_CONTROL, forces=(-action.load).tolist())
-        self._client.setJointMotorControlArray(self.body, range(_N_PLANE_JOINTS), bullet.TORQUE_CONTROL, forces=wrench.tolist())
+        self._client.setJointMotorControlArray(self.body, range(Link.OUTLINE), bullet.TORQUE_CONTROL, forces=wrench.tolist())
 
     def _set_cells(self, friction: FloatArray, mass: FloatArray) -> None:
         if not np.array_equal(mass, self._mass):
             self._mass = mass
-            for link, value in enumerate(mass.tolist(), start=_FIRST_CELL_LINK):
-                inertia = [value * self._thing.cell_size**2 / 6.0] * 3
+            for link, value in enumerate(mass.tolist(), start=Link.FIRST_CELL):
+                inertia = [value * self._sim_object.cell_size**2 / 6.0] * 3
                 self._client.changeDynamics(self.body, link, mass=value, localInertiaDiagonal=inertia)
         if not np.array_equal(friction, self._friction):
             self._friction = friction
-            for link, value in enumerate(friction.tolist(), start=_FIRST_CELL_LINK):
+            for link, value in enumerate(friction.tolist(), start=Link.FIRST_CELL):
                 self._client.changeDynamics(self.body, link, lateralFriction=value)
 
     def cell_loads(self, table: int) -> FloatArray:
         """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
-        loads = np.zeros(len(self._thing))
+        loads = np.zeros(len(self._sim_object))
         for contact in self._client.getContactPoints(self.body, table):
-            loads[contact[3] - _FIRST_CELL_LINK] += contact[9]
+            loads[contact[3] - Link.FIRST_CELL] += contact[9]
         return loads
 
     def force_of(self, pusher: int, link: int) -> FloatArray:
         """Force on the outline of one link of the body `pusher` in the last step [N], shape (3,)."""
         force = np.zeros(3)
-        for contact in self._client.getContactPoints(self.body, pusher, OUTLINE_LINK, link):
+        for contact in self._client.getContactPoints(self.body, pusher, Link.OUTLINE, link):
             force += contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11]) + contact[12] * np.array(contact[13])
         return force
 
     def touches(self, pusher: int, link: int) -> bool:
         """Whether the outline overlaps a link of the body `pusher`."""
-        return bool(self._client.getClosestPoints(pusher, self.body, 0.0, link, OUTLINE_LINK))
+        return bool(self._client.getClosestPoints(pusher, self.body, 0.0, link, Link.OUTLINE))

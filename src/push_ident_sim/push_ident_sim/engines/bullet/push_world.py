@@ -22,16 +22,7 @@ __all__ = ["PushWorld"]
 
 FloatArray = NDArray[np.float64]
 
-_PUSHER_MASS = 1.0
-_FINGER_MASS = 0.02
-"""Of a finger that turns: little, so that it turns at once."""
-_PUSHER_EFFORT = 1e4
-"""[N]: the object cannot hold the pusher back."""
-_SWINGING_STEPS = 30
-"""Time steps for which an object on springs must be at rest: it may only be reversing."""
-_SETTLING_STEPS = 10
-"""After the object was put down, so that every foot bears its load."""
-_ASIDE = np.array([10.0, 10.0])
+_FAR_AWAY = np.array([10.0, 10.0])
 """Far from any object [m]."""
 
 
@@ -40,7 +31,7 @@ class PushWorld:
 
     def __init__(
         self,
-        thing: SimObject,
+        sim_object: SimObject,
         pusher_radius: float,
         *,
         time_step: float = 1.0 / 240.0,
@@ -52,7 +43,7 @@ class PushWorld:
         """An object on the table.
 
         Args:
-            thing: the object.
+            sim_object: the object.
             pusher_radius: [m], > 0.
             time_step: [s].
             solver_iterations: of the engine.
@@ -67,12 +58,13 @@ class PushWorld:
         self._table = add_table(self._client)
         self._object: BulletObject | RigidObject
         if rigid:
-            self._object = RigidObject(self._client, thing, self._table, GRAVITY)
+            self._object = RigidObject(self._client, sim_object, self._table, GRAVITY)
         else:
-            self._object = BulletObject(self._client, thing, GRAVITY, effects)
+            self._object = BulletObject(self._client, sim_object, GRAVITY, effects)
         self._tool = ToolErrors(effects, time_step) if ToolErrors.needed(effects) else None
-        self._add_pusher(float(thing.height.max()) / 2 if pusher_height is None else pusher_height, effects)
-        self._still_steps = _SWINGING_STEPS if "compliant_table" in effects or "tether" in effects else 1
+        self._add_pusher(float(sim_object.height.max()) / 2 if pusher_height is None else pusher_height, effects)
+        # An object on springs may only be reversing.
+        self._still_steps = 30 if "compliant_table" in effects or "tether" in effects else 1
         self._force, self._at = np.zeros(2), np.zeros(2)
 
     def _add_pusher(self, height: float, effects: InjectedEffects) -> None:
@@ -82,11 +74,11 @@ class PushWorld:
         normal that the wall had when it turned less, and the pusher then sticks where it should slide.
         """
         client = self._client
-        masses = [_PUSHER_MASS] * 2
+        masses = [1.0, 1.0]
         joints = [(bullet.JOINT_PRISMATIC, [1, 0, 0]), (bullet.JOINT_PRISMATIC, [0, 1, 0])]
         if "rolling_finger" in effects:
             joints.append((bullet.JOINT_REVOLUTE, [0, 0, 1]))
-            masses.append(_FINGER_MASS)
+            masses.append(0.02)  # little, so that the finger turns at once
         n_links = len(joints)
         shape = client.createCollisionShape(bullet.GEOM_SPHERE, radius=self.pusher_radius, collisionFramePosition=[0.0, 0.0, height])
         self._pusher_link = n_links - 1
@@ -171,11 +163,11 @@ class PushWorld:
         start = self._begin(tool)
         # Bullet keeps a contact of the push before where both bodies were put elsewhere, as long as they parted along its normal: it then
         # counts as a deep one, and throws the object away. Distant bodies have no contact.
-        self._place_pusher(start + _ASIDE)
+        self._place_pusher(start + _FAR_AWAY)
         self._object.place(checked_pose(pose_object_in_table))
         self._client.performCollisionDetection()
         self._place_pusher(start)
-        for _ in range(_SETTLING_STEPS):
+        for _ in range(10):  # until every foot bears its load
             self._step(start, np.zeros(2))
         # Settling may creep by micrometres.
         self._object.place(checked_pose(pose_object_in_table), velocity)
@@ -196,7 +188,7 @@ class PushWorld:
 
     def displace(self, pose_object_in_table: ArrayLike) -> None:
         """Put the object elsewhere while the pusher stays, at rest: someone bumps into it. The two must not overlap."""
-        self._place_pusher(self._at + _ASIDE)
+        self._place_pusher(self._at + _FAR_AWAY)
         self._object.place(checked_pose(pose_object_in_table))
         self._client.performCollisionDetection()
         self._place_pusher(self._at)
@@ -224,15 +216,16 @@ class PushWorld:
         self._client.disconnect()
 
     def _step(self, target: FloatArray, velocity: FloatArray) -> None:
+        effort = 1e4  # [N]: the object cannot hold the pusher back
         self._client.setJointMotorControlArray(
-            self._pusher, range(2), bullet.VELOCITY_CONTROL, targetVelocities=velocity.tolist(), forces=[_PUSHER_EFFORT] * 2
+            self._pusher, range(2), bullet.VELOCITY_CONTROL, targetVelocities=velocity.tolist(), forces=[effort] * 2
         )
         self._object.prepare_step(self._force, self.time_step)
         self._client.stepSimulation()
         self._force = self._object.force_of(self._pusher, self._pusher_link)[:2]
 
     def _begin(self, reported: FloatArray) -> FloatArray:
-        """True place of the tool when a path begins at `reported`."""
+        """True position of the tool when a path begins at `reported`."""
         self._force = np.zeros(2)
         if self._tool is None:
             return reported

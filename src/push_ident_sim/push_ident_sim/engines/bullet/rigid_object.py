@@ -19,36 +19,30 @@ __all__ = ["RigidObject"]
 
 FloatArray = NDArray[np.float64]
 
-_FOOT_RADIUS = 0.002
-"""[m]"""
-_FOOT_MASS = 1e-6
-"""Of a link that carries a foot [kg]: the body has the mass."""
-_FALLEN = 0.1
-"""Angle by which an object leans that falls [rad]: while it is held it tilts by less than 0.01."""
-
 
 class RigidObject:
     """A `SimObject` standing on the table of one engine, as `BulletObject`; all poses in the `table` frame."""
 
-    def __init__(self, client: BulletClient, thing: SimObject, table: int, gravity: float) -> None:
+    def __init__(self, client: BulletClient, sim_object: SimObject, table: int, gravity: float) -> None:
         """Put the object at (0, 0, 0), at rest."""
-        self._client, self._thing, self._table, self._gravity = client, thing, table, gravity
-        total = float(thing.mass.sum())
-        self._height = float(thing.mass @ thing.height / total) / 2
-        self._centre: FloatArray = thing.mass @ thing.cells / total
-        arms = thing.cells - self._centre
-        across = thing.mass @ (arms**2 + thing.cell_size**2 / 12.0)
-        upright = float(thing.mass @ thing.height**2) / 12.0
-        foot = client.createCollisionShape(bullet.GEOM_SPHERE, radius=_FOOT_RADIUS)
-        n = len(thing)
+        self._client, self._sim_object, self._table, self._gravity = client, sim_object, table, gravity
+        total = float(sim_object.mass.sum())
+        self._height = float(sim_object.mass @ sim_object.height / total) / 2
+        self._centre: FloatArray = sim_object.mass @ sim_object.cells / total
+        arms = sim_object.cells - self._centre
+        across = sim_object.mass @ (arms**2 + sim_object.cell_size**2 / 12.0)
+        upright = float(sim_object.mass @ sim_object.height**2) / 12.0
+        radius = 0.002  # of a foot [m]
+        foot = client.createCollisionShape(bullet.GEOM_SPHERE, radius=radius)
+        n = len(sim_object)
         self.body: int = client.createMultiBody(
             baseMass=total,
-            baseCollisionShapeIndex=outline_shape(client, thing, 0.0),
+            baseCollisionShapeIndex=outline_shape(client, sim_object, 0.0),
             baseInertialFramePosition=[*self._centre, self._height],
-            linkMasses=[_FOOT_MASS] * n,
+            linkMasses=[1e-6] * n,  # the body has the mass
             linkCollisionShapeIndices=[foot] * n,
             linkVisualShapeIndices=[-1] * n,
-            linkPositions=[[x, y, _FOOT_RADIUS] for x, y in thing.cells.tolist()],
+            linkPositions=[[x, y, radius] for x, y in sim_object.cells.tolist()],
             linkOrientations=[[0.0, 0.0, 0.0, 1.0]] * n,
             linkInertialFramePositions=[[0.0, 0.0, 0.0]] * n,
             linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * n,
@@ -61,13 +55,13 @@ class RigidObject:
             self.body,
             -1,
             localInertiaDiagonal=inertia,
-            lateralFriction=thing.pusher_friction,
+            lateralFriction=sim_object.pusher_friction,
             restitution=0.0,
             linearDamping=0.0,
             angularDamping=0.0,
         )
         client.setCollisionFilterGroupMask(self.body, -1, OUTLINE_GROUP, PUSHER_GROUP)
-        for link, friction in enumerate(thing.friction.tolist()):
+        for link, friction in enumerate(sim_object.friction.tolist()):
             client.changeDynamics(self.body, link, lateralFriction=friction, restitution=0.0, localInertiaDiagonal=[1e-12] * 3)
             client.setCollisionFilterGroupMask(self.body, link, CELL_GROUP, TABLE_GROUP)
 
@@ -101,7 +95,8 @@ class RigidObject:
     @property
     def has_fallen(self) -> bool:
         """Whether it tips over an edge, or lies below the table."""
-        return self.lean > _FALLEN or float(self._state()[0][2]) < 0.0
+        # While it is held it leans by less than 0.01 rad.
+        return self.lean > 0.1 or float(self._state()[0][2]) < 0.0
 
     def place(self, pose: FloatArray, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate)."""
@@ -120,19 +115,19 @@ class RigidObject:
 
     def prepare_step(self, push_force: FloatArray, time_step: float) -> None:
         """Apply, for the next time step, the correction of Bullet's cone friction to Coulomb's law."""
-        thing = self._thing
+        sim_object = self._sim_object
         centre, turn = self._state()
-        arms = (thing.cells - self._centre) @ turn[:2, :2].T
+        arms = (sim_object.cells - self._centre) @ turn[:2, :2].T
         linear, angular = self._client.getBaseVelocity(self.body)
-        limit = thing.friction * self.cell_loads(self._table)
+        limit = sim_object.friction * self.cell_loads(self._table)
         velocity = np.array([linear[0], linear[1], angular[2]])
-        wrench = cone_friction_correction(arms, thing.mass, thing.cell_size, limit, velocity)
+        wrench = cone_friction_correction(arms, sim_object.mass, sim_object.cell_size, limit, velocity)
         self._client.applyExternalForce(self.body, -1, [wrench[0], wrench[1], 0.0], centre.tolist(), bullet.WORLD_FRAME)
         self._client.applyExternalTorque(self.body, -1, [0.0, 0.0, wrench[2]], bullet.WORLD_FRAME)
 
     def cell_loads(self, table: int) -> FloatArray:
         """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
-        loads = np.zeros(len(self._thing))
+        loads = np.zeros(len(self._sim_object))
         for contact in self._client.getContactPoints(self.body, table):
             loads[contact[3]] += contact[9]
         return loads

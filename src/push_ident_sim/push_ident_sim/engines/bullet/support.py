@@ -22,14 +22,8 @@ __all__ = ["SupportAction", "SupportEffects"]
 
 FloatArray = NDArray[np.float64]
 
-_LEAST = 0.05
-"""Share of its friction, load or mass that a cell keeps under any effect."""
-_MOVING = 5e-3
-"""Loose contents slide while the object is faster than this [m/s]."""
-_LEANING_TIME = 0.02
-"""Time constant in which the object leans over when it is pushed [s]: a contact force may last for one time step, a lean does not."""
-_BRISTLE_DAMPING = 0.5
-"""Of the table's surface, as a share of critical damping."""
+_MIN_SHARE = 0.05
+"""Of its friction, load or mass that a cell keeps under any effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,18 +80,18 @@ class SupportAction:
 class SupportEffects:
     """The support of one object under `effects`, step by step."""
 
-    def __init__(self, thing: SimObject, effects: InjectedEffects, gravity: float) -> None:
+    def __init__(self, sim_object: SimObject, effects: InjectedEffects, gravity: float) -> None:
         """`gravity` is its component along the table's normal [m/s^2]."""
         self.n_pushes = 0
         """Pushes that are over."""
-        self._thing = thing
+        self._sim_object = sim_object
         self._effects = effects
         self._gravity = gravity
-        self._centre = thing.mass @ thing.cells / thing.mass.sum()
+        self._centre = sim_object.mass @ sim_object.cells / sim_object.mass.sum()
         self._factors = [(law, np.array(effects[name])) for name, law in _FRICTION_FACTORS.items() if name in effects]
         self._grain = [_traceless(*effects[name]) for name in ("table_anisotropy", "base_anisotropy")]
-        self._height = push_height(effects, thing)
-        self._equations = TableEquations(thing, effects)
+        self._height = push_height(effects, sim_object)
+        self._equations = TableEquations(sim_object, effects)
         self.start(np.zeros(3))
 
     @staticmethod
@@ -111,7 +105,7 @@ class SupportEffects:
         self._equations.start()
         self._contents = np.zeros(2)
         self._push_force = np.zeros(2)
-        self._shear = np.zeros((len(self._thing), 2))
+        self._shear = np.zeros((len(self._sim_object), 2))
 
     def advance(self, pose: FloatArray, velocity: FloatArray, push_force: FloatArray, time_step: float) -> SupportAction:
         """The next time step.
@@ -122,15 +116,15 @@ class SupportEffects:
             push_force: of the pusher on the object in the last step [N], shape (2,).
             time_step: [s].
         """
-        thing = self._thing
+        sim_object = self._sim_object
         turn = _rotation(pose[2])
-        arms = thing.cells @ turn.T
+        arms = sim_object.cells @ turn.T
         slip = velocity[:2] + velocity[2] * np.column_stack([-arms[:, 1], arms[:, 0]])
         cells = _CellMotion(pose[:2] + arms, slip, np.hypot(slip[:, 0], slip[:, 1]), self.n_pushes)
 
-        friction = thing.friction.copy()
+        friction = sim_object.friction.copy()
         for law, values in self._factors:
-            friction *= np.maximum(law(values, cells), _LEAST)
+            friction *= np.maximum(law(values, cells), _MIN_SHARE)
         mass = self._moved_mass(turn, velocity, time_step)
         load = self._lean(arms, mass, push_force, time_step)
         limit = friction * (mass * self._gravity + load)
@@ -151,9 +145,9 @@ class SupportEffects:
             wrench = _sum(arms, force)
             friction = np.zeros_like(friction)
         else:
-            wrench = cone_friction_correction(arms, mass, thing.cell_size, limit, velocity, anisotropy=anisotropy)
+            wrench = cone_friction_correction(arms, mass, sim_object.cell_size, limit, velocity, anisotropy=anisotropy)
         if "viscous_film" in self._effects:
-            wrench += _sum(arms, -self._effects["viscous_film"][0] / len(thing) * slip)
+            wrench += _sum(arms, -self._effects["viscous_film"][0] / len(sim_object) * slip)
         if "tether" in self._effects:
             wrench += _sum(centre[None], -self._effects["tether"][0] * (pose[:2] + centre - self._anchor)[None])
         if self._equations:
@@ -163,21 +157,22 @@ class SupportEffects:
 
     def _moved_mass(self, turn: FloatArray, velocity: FloatArray, time_step: float) -> FloatArray:
         """Masses after the contents have slid back against the motion of the object."""
-        mass = self._thing.mass
+        mass = self._sim_object.mass
         if "moving_contents" not in self._effects:
             return mass
         distance, lag = self._effects["moving_contents"]
         speed = float(np.hypot(*velocity[:2]))
-        if speed > _MOVING:
+        if speed > 5e-3:  # loose contents stay where they are in a slower object [m/s]
             behind = -distance * (velocity[:2] / speed) @ turn
             self._contents += (1.0 - np.exp(-time_step / lag)) * (behind - self._contents)
-        return _tilted(mass, self._thing.cells, self._contents)
+        return _tilted(mass, self._sim_object.cells, self._contents)
 
     def _lean(self, arms: FloatArray, mass: FloatArray, push_force: FloatArray, time_step: float) -> FloatArray:
         """Load that a push above the table moves from the near to the far side."""
         if "push_height" not in self._effects:
             return np.zeros(len(mass))
-        self._push_force += (1.0 - np.exp(-time_step / _LEANING_TIME)) * (push_force - self._push_force)
+        leaning_time = 0.02  # [s]: a contact force may last for one time step, a lean does not
+        self._push_force += (1.0 - np.exp(-time_step / leaning_time)) * (push_force - self._push_force)
         weight = mass * self._gravity
         return _tilted(weight, arms, self._height / weight.sum() * self._push_force) - weight
 
@@ -187,7 +182,7 @@ class SupportEffects:
         length = np.hypot(self._shear[:, 0], self._shear[:, 1])
         self._shear *= np.minimum(1.0, travel / np.maximum(length, 1e-12))[:, None]
         stiffness = limit / travel
-        damping = 2.0 * _BRISTLE_DAMPING * np.sqrt(stiffness * mass)
+        damping = 2.0 * 0.5 * np.sqrt(stiffness * mass)  # half of critical damping
         force = -stiffness[:, None] * self._shear - damping[:, None] * slip
         size = np.hypot(force[:, 0], force[:, 1])
         return np.asarray(force * np.minimum(1.0, limit / np.maximum(size, 1e-12))[:, None])
@@ -200,7 +195,7 @@ def _tilted(values: FloatArray, arms: FloatArray, shift: FloatArray) -> FloatArr
     """
     from_centre = arms - values @ arms / values.sum()
     spread = (values[:, None] * from_centre).T @ from_centre / values.sum()
-    changed = values * np.maximum(1.0 + from_centre @ np.linalg.pinv(spread) @ shift, _LEAST)
+    changed = values * np.maximum(1.0 + from_centre @ np.linalg.pinv(spread) @ shift, _MIN_SHARE)
     return np.asarray(changed * (values.sum() / changed.sum()))
 
 

@@ -7,7 +7,7 @@ motion once a cell has slid a few hundredths of a millimetre. It stores energy, 
 implicit and so stable at any speed.
 
 The table under the cells is a bed of equal springs on which the rigid base stands with heave, pitch and roll: the loads are a linear
-function of the place in the base, and none is below zero. A cell without friction hangs above the table and bears nothing.
+function of the position in the base, and none is below zero. A cell without friction hangs above the table and bears nothing.
 
 All kernels are in this file, as numba does not notice a change of a kernel in another file.
 """
@@ -20,22 +20,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from push_ident_sim.engines.planar.laws import Laws
+from push_ident_sim.engines.planar.laws import CONSTANTS, Laws
 
 __all__ = ["Body", "Clock", "Path", "State", "StepChange", "advance", "bed_loads", "new_state"]
 
 FloatArray = NDArray[np.float64]
-
-_BED_TIME = 5e-3  # in which the bed gives way under a moment [s]
-_BRISTLE_DAMPING = 1.0  # of a bristle that does not slide, share of critical damping
-_FINGER_INERTIA = 0.02  # of a finger that turns: 20 g at half the square of its radius [kg]
-_MAGNET_REACH, _MAGNET_X, _MAGNET_Y = 0.04, 0.03, -0.04  # [m]
-_SPOT_REACH = 0.06  # [m]
-_COLD_TRAVEL = 0.02  # [m]
-_GUST_RATE = 2.0 * np.pi * 1.5  # [rad/s]
-_MOVING = 5e-3  # loose contents slide while the object is faster than this [m/s]
-_LEAST = 0.05  # share of its friction that a cell keeps
-_STILL_ROWS = 30  # for which the object rests before a push is over
 
 _kernel: Any = njit(cache=True, error_model="numpy")
 
@@ -43,7 +32,7 @@ _kernel: Any = njit(cache=True, error_model="numpy")
 class Body(NamedTuple):
     """The object; points from its centre of mass, object axes."""
 
-    place: FloatArray
+    arms: FloatArray
     """Of the cells [m], shape (n_cells, 2)."""
     friction: FloatArray
     """Friction coefficients of the cells, shape (n_cells,)."""
@@ -94,7 +83,7 @@ class State(NamedTuple):
     velocity: FloatArray
     """Of them, shape (3,)."""
     pusher: FloatArray
-    """Place of the pusher's axis [m], shape (2,)."""
+    """Of the pusher's axis [m], shape (2,)."""
     pusher_velocity: FloatArray
     """[m/s], shape (2,)."""
     bend: FloatArray
@@ -111,7 +100,7 @@ class State(NamedTuple):
     """Shift of the load by the height of the push [m], shape (2,), object axes."""
     contents: FloatArray
     """Shift of the load by loose contents [m], shape (2,), object axes."""
-    rubbed: FloatArray
+    table_wrench: FloatArray
     """Wrench of the table's friction in the last step, shape (3,)."""
     finger: FloatArray
     """Spin of the finger about its own axis [rad/s], shape (1,)."""
@@ -136,21 +125,21 @@ def new_state(body: Body, path: Path, pose: FloatArray, velocity: FloatArray, we
         plane=np.array([weight / n_cells, 0.0, 0.0]),
         lean=np.zeros(2),
         contents=np.zeros(2),
-        rubbed=np.zeros(3),
+        table_wrench=np.zeros(3),
         finger=np.zeros(1),
         sample=np.zeros(1, dtype=np.int64),
         still=np.zeros(1, dtype=np.int64),
     )
-    stands = bed_loads(body.place, body.friction > 0.0, weight, state.lean, state.plane, state.load)
+    stands = bed_loads(body.arms, body.friction > 0.0, weight, state.lean, state.plane, state.load)
     return state, stands
 
 
 @_kernel
-def bed_loads(place: FloatArray, bears: NDArray[np.bool_], weight: float, centre: FloatArray, plane: FloatArray, load: FloatArray) -> bool:
+def bed_loads(arms: FloatArray, bears: NDArray[np.bool_], weight: float, centre: FloatArray, plane: FloatArray, load: FloatArray) -> bool:
     """Loads [N] of cells on equal springs under a weight [N] whose centre lies at `centre` [m].
 
     Args:
-        place: of the cells from the centre of mass [m], shape (n_cells, 2), object axes.
+        arms: of the cells from the centre of mass [m], shape (n_cells, 2), object axes.
         bears: whether a cell touches the table, shape (n_cells,).
         plane: heave, pitch and roll of the last call (load at the centre and its slopes), shape (3,); changed in place.
         load: filled in, shape (n_cells,).
@@ -162,7 +151,7 @@ def bed_loads(place: FloatArray, bears: NDArray[np.bool_], weight: float, centre
         total = mx = my = 0.0
         n = sx = sy = sxx = sxy = syy = 0.0
         for i in range(len(load)):
-            x, y = place[i, 0], place[i, 1]
+            x, y = arms[i, 0], arms[i, 1]
             load[i] = max(0.0, plane[0] + plane[1] * x + plane[2] * y) if bears[i] else 0.0
             total += load[i]
             mx += load[i] * x
@@ -215,7 +204,7 @@ class _Touch(NamedTuple):
 
 
 @_kernel
-def _press(touch: _Touch, laws: Laws, body: Body, frame: _Frame, state: State, dt: float, force: FloatArray) -> None:
+def _contact_force(touch: _Touch, laws: Laws, body: Body, frame: _Frame, state: State, dt: float, force: FloatArray) -> None:
     """Add (fx, fy, torque) of one contact on the object to `force`."""
     normal_x, normal_y, px, py, gap, slot = touch
     velocity, pusher_velocity, finger = frame.velocity, state.pusher_velocity, state.finger[0]
@@ -234,13 +223,13 @@ def _press(touch: _Touch, laws: Laws, body: Body, frame: _Frame, state: State, d
     slide = slip_x * tangent_x + slip_y * tangent_y + finger * laws.finger_radius
     limit = laws.pusher_friction * press
     effective_t = 1.0 / (1.0 / body.mass + arm_t * arm_t / body.inertia)
-    finger_inertia = 0.5 * _FINGER_INERTIA * laws.finger_radius * laws.finger_radius
+    finger_inertia = 0.5 * CONSTANTS.finger_mass * laws.finger_radius * laws.finger_radius
     if laws.finger_radius > 0.0:
-        effective_t = 1.0 / (1.0 / effective_t + 2.0 / _FINGER_INERTIA)
+        effective_t = 1.0 / (1.0 / effective_t + 2.0 / CONSTANTS.finger_mass)
     bend = (state.bends[slot] + dt * slide) / (1.0 + dt * abs(slide) / laws.contact_travel)
     stiffness = limit / laws.contact_travel
     held = max(0.0, 1.0 - abs(bend) / laws.contact_travel)
-    drag = -stiffness * bend - _BRISTLE_DAMPING * 2.0 * np.sqrt(stiffness * effective_t) * held * slide
+    drag = -stiffness * bend - CONSTANTS.bristle_damping * 2.0 * np.sqrt(stiffness * effective_t) * held * slide
     drag = min(limit, max(-limit, drag))
     if laws.finger_radius > 0.0:
         finger += dt * drag * laws.finger_radius / finger_inertia
@@ -254,7 +243,7 @@ def _press(touch: _Touch, laws: Laws, body: Body, frame: _Frame, state: State, d
 
 
 @_kernel
-def _push(laws: Laws, body: Body, frame: _Frame, state: State, dt: float, force: FloatArray) -> None:
+def _pusher_force(laws: Laws, body: Body, frame: _Frame, state: State, dt: float, force: FloatArray) -> None:
     """Forces of a disc on a polygon (object axes, from the centre of mass): on faces it overlaps, and on corners between two of them."""
     outline, cos, sin, pusher, bends = body.outline, frame.cos, frame.sin, state.pusher, state.bends
     n, reach = len(outline), laws.pusher_radius + laws.outline_offset
@@ -296,14 +285,14 @@ def _push(laws: Laws, body: Body, frame: _Frame, state: State, dt: float, force:
         gap -= laws.outline_offset
         bends[4 * j + 1 - slot] = 0.0
         touch = _Touch(cos * nx - sin * ny, sin * nx + cos * ny, cos * qx - sin * qy, sin * qx + cos * qy, gap, slot)
-        _press(touch, laws, body, frame, state, dt, force)
+        _contact_force(touch, laws, body, frame, state, dt, force)
 
 
 @_kernel
-def _rub(laws: Laws, body: Body, frame: _Frame, state: State, change: StepChange, dt: float, force: FloatArray) -> None:
+def _table_friction(laws: Laws, body: Body, frame: _Frame, state: State, change: StepChange, dt: float, force: FloatArray) -> None:
     """Friction of the table on all cells; adds (fx, fy, torque) to `force`."""
     cos, sin, pose, velocity = frame.cos, frame.sin, frame.pose, frame.velocity
-    place, load, friction, bend, travel = body.place, state.load, body.friction, state.bend, state.travel
+    arms, load, friction, bend, travel = body.arms, state.load, body.friction, state.bend, state.travel
     mass, weight = body.mass, body.mass * laws.gravity
     # Both grains in table axes: one of the base turns at twice the yaw.
     cos2, sin2 = cos * cos - sin * sin, 2.0 * sin * cos
@@ -311,7 +300,7 @@ def _rub(laws: Laws, body: Body, frame: _Frame, state: State, change: StepChange
     e1 = laws.table_e1 + cos2 * base_e1 - sin2 * base_e2
     e2 = laws.table_e2 + sin2 * base_e1 + cos2 * base_e2
     for i in range(len(load)):
-        rx, ry = cos * place[i, 0] - sin * place[i, 1], sin * place[i, 0] + cos * place[i, 1]
+        rx, ry = cos * arms[i, 0] - sin * arms[i, 1], sin * arms[i, 0] + cos * arms[i, 1]
         vx, vy = velocity[0] - velocity[2] * ry, velocity[1] + velocity[2] * rx
         speed = np.sqrt(vx * vx + vy * vy)
         x, y = pose[0] + rx, pose[1] + ry
@@ -321,18 +310,18 @@ def _rub(laws: Laws, body: Body, frame: _Frame, state: State, change: StepChange
         if laws.stribeck != 0.0:
             factor *= 1.0 + laws.stribeck * np.exp(-((speed / laws.stribeck_speed) ** 2))
         if laws.greasy != 0.0:
-            factor *= 1.0 - laws.greasy * np.exp(-0.5 * (x * x + y * y) / _SPOT_REACH**2)
+            factor *= 1.0 - laws.greasy * np.exp(-0.5 * (x * x + y * y) / CONSTANTS.spot_reach**2)
         if laws.heating != 0.0:
             travel[i] += dt * speed
-            factor *= 1.0 - laws.heating * (1.0 - np.exp(-travel[i] / _COLD_TRAVEL))
-        limit = load[i] * friction[i] * max(_LEAST, factor) * change.factor[i]
+            factor *= 1.0 - laws.heating * (1.0 - np.exp(-travel[i] / CONSTANTS.cold_travel))
+        limit = load[i] * friction[i] * max(CONSTANTS.min_factor, factor) * change.factor[i]
         shrink = 1.0 / (1.0 + dt * speed / laws.travel)
         bend[i, 0] = (bend[i, 0] + dt * vx) * shrink
         bend[i, 1] = (bend[i, 1] + dt * vy) * shrink
         sx, sy = bend[i, 0] / laws.travel, bend[i, 1] / laws.travel
         held = max(0.0, 1.0 - np.sqrt(sx * sx + sy * sy))
         if held > 0.0 and limit > 0.0:
-            damping = _BRISTLE_DAMPING * 2.0 * np.sqrt(mass * load[i] / (weight * limit * laws.travel)) * held
+            damping = CONSTANTS.bristle_damping * 2.0 * np.sqrt(mass * load[i] / (weight * limit * laws.travel)) * held
             sx += damping * vx
             sy += damping * vy
             # Spring and damper of a bristle together never exceed its friction limit.
@@ -351,9 +340,9 @@ def _pull(pose: FloatArray, time: float, laws: Laws, mass: float, force: FloatAr
     """Forces at the centre of mass that come neither from the table's friction nor from the pusher."""
     force[0] += mass * laws.tilt_x - laws.tether * (pose[0] - laws.anchor_x)
     force[1] += mass * laws.tilt_y - laws.tether * (pose[1] - laws.anchor_y)
-    force[1] += laws.gust * np.sin(_GUST_RATE * time + laws.gust_phase)
+    force[1] += laws.gust * np.sin(CONSTANTS.gust_rate * time + laws.gust_phase)
     if laws.magnet != 0.0:
-        dx, dy = (_MAGNET_X - pose[0]) / _MAGNET_REACH, (_MAGNET_Y - pose[1]) / _MAGNET_REACH
+        dx, dy = (CONSTANTS.magnet[0] - pose[0]) / CONSTANTS.magnet_reach, (CONSTANTS.magnet[1] - pose[1]) / CONSTANTS.magnet_reach
         pull = laws.magnet * np.exp(0.5 - 0.5 * (dx * dx + dy * dy))
         force[0] += pull * dx
         force[1] += pull * dy
@@ -361,7 +350,7 @@ def _pull(pose: FloatArray, time: float, laws: Laws, mass: float, force: FloatAr
 
 @_kernel
 def _drive(path: Path, time: float, state: State) -> None:
-    """Place and velocity of the pusher at a time [s]."""
+    """Position and velocity of the pusher at a time [s]."""
     sample = state.sample[0]
     while sample + 2 < len(path.time) and path.time[sample + 1] <= time:
         sample += 1
@@ -377,18 +366,18 @@ def _drive(path: Path, time: float, state: State) -> None:
 @_kernel
 def _shift_loads(laws: Laws, body: Body, frame: _Frame, state: State, bears: NDArray[np.bool_], dt: float) -> bool:
     """Loads of the cells where the object leans or its contents move; returns whether it stands."""
-    cos, sin, velocity, lean, contents, rubbed = frame.cos, frame.sin, frame.velocity, state.lean, state.contents, state.rubbed
+    cos, sin, velocity, lean, contents, table_wrench = frame.cos, frame.sin, frame.velocity, state.lean, state.contents, state.table_wrench
     weight = body.mass * laws.gravity
-    share = dt / _BED_TIME
+    share = dt / CONSTANTS.bed_time
     # Pushed at the height of its centre of mass, only the moment of the table's friction makes the object lean.
-    lean[0] -= share * (laws.height * (cos * rubbed[0] + sin * rubbed[1]) / weight + lean[0])
-    lean[1] -= share * (laws.height * (cos * rubbed[1] - sin * rubbed[0]) / weight + lean[1])
+    lean[0] -= share * (laws.height * (cos * table_wrench[0] + sin * table_wrench[1]) / weight + lean[0])
+    lean[1] -= share * (laws.height * (cos * table_wrench[1] - sin * table_wrench[0]) / weight + lean[1])
     speed = np.sqrt(velocity[0] ** 2 + velocity[1] ** 2)
-    if laws.contents != 0.0 and speed > _MOVING:
+    if laws.contents != 0.0 and speed > CONSTANTS.moving:
         share = dt / (dt + laws.contents_time)
         contents[0] += share * (-laws.contents * (cos * velocity[0] + sin * velocity[1]) / speed - contents[0])
         contents[1] += share * (-laws.contents * (cos * velocity[1] - sin * velocity[0]) / speed - contents[1])
-    stands: bool = bed_loads(body.place, bears, weight, lean + contents, state.plane, state.load)
+    stands: bool = bed_loads(body.arms, bears, weight, lean + contents, state.plane, state.load)
     return stands
 
 
@@ -409,12 +398,12 @@ def advance(
         n_rows: largest number of rows to return.
 
     Returns:
-        Rows of pose, shape (n, 3), of the pusher's place, shape (n, 2), of its mean force in the row, shape (n, 2); whether the object
+        Rows of pose, shape (n, 3), of the pusher's position, shape (n, 2), of its mean force in the row, shape (n, 2); whether the object
         stood all the time; whether the path is over and the object at rest.
     """
     n_inner = clock.n_inner
     dt = clock.row_time / n_inner
-    poses, places, forces = np.empty((n_rows, 3)), np.empty((n_rows, 2)), np.zeros((n_rows, 2))
+    poses, positions, forces = np.empty((n_rows, 3)), np.empty((n_rows, 2)), np.zeros((n_rows, 2))
     pose, velocity = state.pose, state.velocity
     bears = body.friction > 0.0
     shifts = laws.height != 0.0 or laws.contents != 0.0
@@ -427,12 +416,12 @@ def advance(
             _drive(path, time, state)
             frame = _Frame(np.cos(pose[2]), np.sin(pose[2]), pose, velocity)
             contact[:] = 0.0
-            _push(laws, body, frame, state, dt, contact)
+            _pusher_force(laws, body, frame, state, dt, contact)
             if shifts:
                 stands = _shift_loads(laws, body, frame, state, bears, dt)
-            state.rubbed[:] = 0.0
-            _rub(laws, body, frame, state, change, dt, state.rubbed)
-            force[:] = contact + state.rubbed
+            state.table_wrench[:] = 0.0
+            _table_friction(laws, body, frame, state, change, dt, state.table_wrench)
+            force[:] = contact + state.table_wrench
             _pull(pose, time, laws, body.mass, force)
             force += change.wrench
             velocity[0] += dt * force[0] / body.mass
@@ -441,10 +430,10 @@ def advance(
             pose += dt * velocity
             forces[k, 0] += contact[0] / n_inner
             forces[k, 1] += contact[1] / n_inner
-        poses[k], places[k] = pose, state.pusher
+        poses[k], positions[k] = pose, state.pusher
         rests = max(abs(velocity[0]), abs(velocity[1])) < clock.rest_speed and abs(velocity[2]) < 10.0 * clock.rest_speed
         state.still[0] = state.still[0] + 1 if rests else 0
-        over = row * clock.row_time >= path.time[-1] and state.still[0] >= _STILL_ROWS
+        over = row * clock.row_time >= path.time[-1] and state.still[0] >= CONSTANTS.still_rows
         if over or not stands:
-            return poses[: k + 1], places[: k + 1], forces[: k + 1], stands, over
-    return poses, places, forces, stands, False
+            return poses[: k + 1], positions[: k + 1], forces[: k + 1], stands, over
+    return poses, positions, forces, stands, False

@@ -13,14 +13,43 @@ from push_ident_sim.injected.contact import bearing_torque, friction_of_pusher, 
 from push_ident_sim.injected.table import push_height, tether_anchor
 from push_ident_sim.objects import SimObject
 
-__all__ = ["OUTSIDE", "Laws", "laws_of"]
+__all__ = ["CONSTANTS", "OUTSIDE", "Laws", "laws_of"]
 
-_CONTACT_STIFFNESS = 2e5
-"""[N/m]"""
-_CONTACT_TRAVEL = 2e-5
-"""Deflection at which the tangential bristle of a contact slides [m]."""
-_TRAVEL = 2e-5
-"""Deflection at which a bristle under a cell slides [m]."""
+
+class _Constants(NamedTuple):
+    """Numbers of the planar world that no effect changes."""
+
+    contact_stiffness: float = 2e5
+    """[N/m]"""
+    contact_travel: float = 2e-5
+    """Deflection at which the tangential bristle of a contact slides [m]."""
+    travel: float = 2e-5
+    """Deflection at which a bristle under a cell slides, unless the table is compliant [m]."""
+    bed_time: float = 5e-3
+    """In which the bed gives way under a moment [s]."""
+    bristle_damping: float = 1.0
+    """Of a bristle that does not slide, as a share of critical damping [1]."""
+    finger_mass: float = 0.02
+    """Of a finger that turns [kg]."""
+    magnet: tuple[float, float] = (0.03, -0.04)
+    """Position of the magnet on the table [m]."""
+    magnet_reach: float = 0.04
+    """Distance at which it pulls most [m]."""
+    spot_reach: float = 0.06
+    """Standard deviation of the greasy spot [m]."""
+    cold_travel: float = 0.02
+    """Travel in which friction warms up [m]."""
+    gust_rate: float = 2.0 * np.pi * 1.5
+    """[rad/s]"""
+    moving: float = 5e-3
+    """Loose contents slide while the object is faster than this [m/s]."""
+    min_factor: float = 0.05
+    """Share of its friction that a cell keeps [1]."""
+    still_rows: int = 30
+    """For which the object rests before a push is over."""
+
+
+CONSTANTS = _Constants()
 
 
 def _outside(name: str, unit: str, typical: float, highest: float, what: str) -> InjectedEffect:
@@ -107,23 +136,23 @@ class Laws(NamedTuple):
 def laws_of(
     effects: InjectedEffects,
     outside: Mapping[str, float],
-    thing: SimObject,
+    sim_object: SimObject,
     *,
     pusher_radius: float,
     gravity: float,
     pushes_done: int,
-    put_down: tuple[float, float],
+    first_centre: tuple[float, float],
 ) -> Laws:
     """The laws of one push.
 
     Args:
         effects: of the world; those on the tool's path and on what is reported act elsewhere.
         outside: sizes of effects of `OUTSIDE`.
-        thing: what is pushed.
+        sim_object: what is pushed.
         pusher_radius: [m].
         gravity: [m/s^2].
         pushes_done: before this one.
-        put_down: the centre of mass where the object was put down first [m].
+        first_centre: the centre of mass where the object was put down first [m].
 
     Raises:
         InputError: an effect that is not known, or out of its range.
@@ -133,11 +162,11 @@ def laws_of(
     (skin,) = effects["compliant_table"]
     stribeck, stribeck_speed = effects["stribeck_friction"]
     contents, contents_time = effects["moving_contents"]
-    anchor = tether_anchor(effects, np.array(put_down))
+    anchor = tether_anchor(effects, np.array(first_centre))
     return Laws(
-        **_contact_laws(effects, thing, pusher_radius),
+        **_contact_laws(effects, sim_object, pusher_radius),
         gravity=float(gravity * np.sqrt(1.0 - tilt @ tilt)),
-        travel=skin if skin > 0.0 else _TRAVEL,
+        travel=skin if skin > 0.0 else CONSTANTS.travel,
         tilt_x=float(gravity * tilt[0]),
         tilt_y=float(gravity * tilt[1]),
         table_e1=effects["table_anisotropy"][0],
@@ -150,10 +179,10 @@ def laws_of(
         stribeck=stribeck,
         stribeck_speed=stribeck_speed,
         level=1.0 + effects["wear"][0] * pushes_done,
-        film=effects["viscous_film"][0] / len(thing),
+        film=effects["viscous_film"][0] / len(sim_object),
         greasy=outside.get("greasy_spot", 0.0),
         heating=outside.get("heating_friction", 0.0),
-        height=push_height(effects, thing),
+        height=push_height(effects, sim_object),
         contents=contents,
         contents_time=contents_time,
         tether=effects["tether"][0],
@@ -165,16 +194,16 @@ def laws_of(
     )
 
 
-def _contact_laws(effects: InjectedEffects, thing: SimObject, pusher_radius: float) -> dict[str, float]:
+def _contact_laws(effects: InjectedEffects, sim_object: SimObject, pusher_radius: float) -> dict[str, float]:
     """The laws between pusher and object."""
     rolls = "rolling_finger" in effects
     return {
         "pusher_radius": pusher_radius,
         "outline_offset": outline_growth(effects),
-        "pusher_friction": friction_of_pusher(effects, thing.pusher_friction),
-        "contact_stiffness": _CONTACT_STIFFNESS,
+        "pusher_friction": friction_of_pusher(effects, sim_object.pusher_friction),
+        "contact_stiffness": CONSTANTS.contact_stiffness,
         "damping_ratio": _damping_ratio(restitution(effects)),
-        "contact_travel": _CONTACT_TRAVEL,
+        "contact_travel": CONSTANTS.contact_travel,
         "finger_radius": pusher_radius if rolls else 0.0,
         "bearing_torque": bearing_torque(effects) if rolls else 0.0,
     }

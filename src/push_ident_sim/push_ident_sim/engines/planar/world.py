@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError, PushIdentError
+from push_ident.physics.support import GRAVITY
 from push_ident.types import PusherPath
 from push_ident_sim.engines.planar.integrator import Body, Clock, Path, State, StepChange, advance, bed_loads, new_state
 from push_ident_sim.engines.planar.laws import Laws, laws_of
@@ -21,19 +22,13 @@ __all__ = ["PlanarWorld"]
 
 FloatArray = NDArray[np.float64]
 
-_GRAVITY = 9.81
-_TOOL_STEP = 1e-3
-"""Time step for effects on the path of the tool [s]."""
-_TOOL_REST = 0.4
-"""Time for which they are followed after the path [s]."""
-
 
 class PlanarWorld:
     """An object on a table and a disc that follows a path, as `PushWorld`, by other laws. An object that tips over is an error."""
 
     def __init__(
         self,
-        thing: SimObject,
+        sim_object: SimObject,
         pusher_radius: float,
         *,
         time_step: float = 1.0 / 240.0,
@@ -45,21 +40,21 @@ class PlanarWorld:
         self.pusher_radius = pusher_radius
         self.time_step = time_step
         self._inner_steps = inner_steps
-        self._thing = thing
+        self._sim_object = sim_object
         self._effects = effects or InjectedEffects()
         self._outside = dict(outside or {})
-        mass = float(thing.mass.sum())
-        self._centre = thing.mass @ thing.cells / mass
-        place = np.ascontiguousarray(thing.cells - self._centre)
+        mass = float(sim_object.mass.sum())
+        self._centre = sim_object.mass @ sim_object.cells / mass
+        arms = np.ascontiguousarray(sim_object.cells - self._centre)
         self._body = Body(
-            place=place,
-            friction=np.array(thing.friction),
-            outline=np.ascontiguousarray(thing.outline - self._centre),
+            arms=arms,
+            friction=np.array(sim_object.friction),
+            outline=np.ascontiguousarray(sim_object.outline - self._centre),
             mass=mass,
-            inertia=float(thing.mass @ (np.sum(place**2, axis=1) + thing.cell_size**2 / 6.0)),
+            inertia=float(sim_object.mass @ (np.sum(arms**2, axis=1) + sim_object.cell_size**2 / 6.0)),
         )
-        self._equations = TableEquations(thing, self._effects)
-        self._put_down: tuple[float, float] | None = None
+        self._equations = TableEquations(sim_object, self._effects)
+        self._first_centre: tuple[float, float] | None = None
 
     def push(
         self,
@@ -85,28 +80,28 @@ class PlanarWorld:
             InputError: a pose or velocity that is not three finite numbers.
             PushIdentError: the object tips over.
         """
-        pose, speed = _three(pose_object_in_table, "pose_object_in_table"), _three(velocity, "velocity")
+        pose, speed = _checked_triple(pose_object_in_table, "pose_object_in_table"), _checked_triple(velocity, "velocity")
         arm = _turned(self._centre, pose[2])
         first = np.array([*(pose[:2] + arm), pose[2]])
         first_velocity = speed + np.array([-speed[2] * arm[1], speed[2] * arm[0], 0.0])
-        if self._put_down is None:
-            self._put_down = (float(first[0]), float(first[1]))
+        if self._first_centre is None:
+            self._first_centre = (float(first[0]), float(first[1]))
         clock, true_path = self._true_path(path)
         laws = laws_of(
             self._effects,
             self._outside,
-            self._thing,
+            self._sim_object,
             pusher_radius=self.pusher_radius,
-            gravity=_GRAVITY,
+            gravity=GRAVITY,
             pushes_done=pushes_done,
-            put_down=self._put_down,
+            first_centre=self._first_centre,
         )
         n_rows = int(np.ceil((clock[-1] + longest_rest) / self.time_step))
         times = Clock(self.time_step, self._inner_steps, rest_speed)
         start = new_state(self._body, Path(clock, true_path), first, first_velocity, self._body.mass * laws.gravity)
-        centres, pusher, force, stood = self._integrate(laws, Path(clock, true_path), start, times, n_rows, pushes_done)
-        if not stood:
-            raise PushIdentError(f"{self._thing.name} tips over: its load leaves its base; push it lower or with less loose contents.")
+        centres, pusher, force, stands_throughout = self._integrate(laws, Path(clock, true_path), start, times, n_rows, pushes_done)
+        if not stands_throughout:
+            raise PushIdentError(f"{self._sim_object.name} tips over: its load leaves its base; push it lower or with less loose contents.")
         poses = centres.copy()
         poses[:, :2] -= np.array([_turned(self._centre, yaw) for yaw in centres[:, 2]])
         time = np.arange(len(poses)) * np.float64(self.time_step)
@@ -119,9 +114,9 @@ class PlanarWorld:
     ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
         """Rows of pose of the centre of mass, pusher and force until the push is over, and whether the object stood all the time."""
         state, stands = start
-        n_cells = len(self._thing)
+        n_cells = len(self._sim_object)
         change = StepChange(np.ones(n_cells), np.zeros(2), np.zeros(3))
-        poses, places, forces = [state.pose[None].copy()], [state.pusher[None].copy()], [np.zeros((1, 2))]
+        poses, positions, forces = [state.pose[None].copy()], [state.pusher[None].copy()], [np.zeros((1, 2))]
         self._equations.start()
         # Further effects hold during a row; without any, all rows are made in one call.
         stride = 1 if self._equations else n_rows
@@ -131,37 +126,38 @@ class PlanarWorld:
                 limit = state.load * self._body.friction
                 now = self._equations.advance(state.pose, state.velocity, limit, clock.row_time, pushes_done)
                 change = StepChange(now.factor, now.skew, now.wrench)
-            pose, place, force, stands, over = advance(laws, self._body, path, state, change, clock, row, stride)
+            pose, position, force, stands, over = advance(laws, self._body, path, state, change, clock, row, stride)
             row += len(pose)
             poses.append(pose)
-            places.append(place)
+            positions.append(position)
             forces.append(force)
-        return np.concatenate(poses), np.concatenate(places), np.concatenate(forces), stands
+        return np.concatenate(poses), np.concatenate(positions), np.concatenate(forces), stands
 
     def _true_path(self, path: PusherPath) -> tuple[FloatArray, FloatArray]:
-        """True path of the tool: times from 0 [s], shape (n,), and places [m], shape (n, 2)."""
+        """True path of the tool: times from 0 [s], shape (n,), and positions [m], shape (n, 2)."""
         since = path.time - path.time[0]
         if not ToolErrors.needed(self._effects):
             return since, np.array(path.position)
-        tool = ToolErrors(self._effects, _TOOL_STEP)
+        step, rest = 1e-3, 0.4  # time step of the tool, and time for which it is followed after the path [s]
+        tool = ToolErrors(self._effects, step)
         tool.start(path.position[0])
-        # The tool may lag or circle, so that it is followed for a while after the path.
-        clock = np.arange(0.0, since[-1] + _TOOL_REST, _TOOL_STEP)
+        # It may lag or circle.
+        clock = np.arange(0.0, since[-1] + rest, step)
         reported = np.column_stack([np.interp(clock, since, path.position[:, axis]) for axis in (0, 1)])
-        return clock, np.array([tool.true_position(place) for place in reported])
+        return clock, np.array([tool.true_position(position) for position in reported])
 
     def cell_loads(self) -> FloatArray:
         """Normal force of the table on each cell at rest and without effects [N], shape (n_cells,)."""
-        bears, load = np.array(self._thing.friction) > 0.0, np.empty(len(self._thing))
-        weight = self._body.mass * _GRAVITY
-        bed_loads(self._body.place, bears, weight, np.zeros(2), np.array([weight / len(load), 0.0, 0.0]), load)
+        bears, load = np.array(self._sim_object.friction) > 0.0, np.empty(len(self._sim_object))
+        weight = self._body.mass * GRAVITY
+        bed_loads(self._body.arms, bears, weight, np.zeros(2), np.array([weight / len(load), 0.0, 0.0]), load)
         return load
 
     def close(self) -> None:
         """Nothing to free; as in `PushWorld`."""
 
 
-def _three(values: ArrayLike, name: str) -> FloatArray:
+def _checked_triple(values: ArrayLike, name: str) -> FloatArray:
     array = np.array(values, dtype=np.float64)
     if array.shape != (3,) or not np.all(np.isfinite(array)):
         raise InputError(f"`{name}` is {array}, expected three finite numbers (x, y, yaw).")
