@@ -9,31 +9,31 @@ import numpy as np
 import pytest
 
 from helpers.robots import NAMES, changed, robot_path
+from helpers.sim_objects import CAMERA, block
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.motion import plan_push
 from push_ident.pushing.robot.description import read_urdf
 from push_ident.pushing.robot.robot_file import motion_settings, push_settings, read_robot
 from push_ident.pushing.sampling import push_from_goal
-from push_ident_sim.cell.camera import DepthCamera, look_at
+from push_ident_sim.cell.camera import DepthCamera
 from push_ident_sim.cell.robot import cell_robot
 from push_ident_sim.cell.world import CellWorld
-from push_ident_sim.objects import Part, object_from_picture
 from push_ident_sim.recordings.truth import true_model
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_arm_of_a_robot_file_pushes_as_planned(name: str) -> None:
     robot, arm_in_cell = read_robot(robot_path(name)), cell_robot(str(robot_path(name)))
-    thing = object_from_picture("block", ["bbbb"] * 6, {"b": Part(0.6, 0.35, 0.04)}, 0.012, 0.3)
+    sim_object = block(4, friction=0.35)
     arm = ArmKinematics(arm_in_cell.description, neutral=arm_in_cell.neutral)
-    outline, distance = true_model(thing).shape, 0.05
+    outline, distance = true_model(sim_object).shape, 0.05
     push = push_from_goal(outline, [0.0, 0.0, 0.0], [-0.1, 0.0], 0.0, distance, 0.15, push_settings(robot))
     plan = plan_push(arm, arm_in_cell.start, push, motion_settings(robot))
     # From the lowered tool on: the way there and back is the same for every push.
     begin = plan.departure - 0.05
     (start,), _ = plan.trajectory.follow(np.array([begin]))
-    world = CellWorld(thing, robot=replace(arm_in_cell, start=tuple(start)))
+    world = CellWorld(sim_object, robot=replace(arm_in_cell, start=tuple(start)))
     try:
         deviation = 0.0
         while begin + world.time < plan.stop + 0.1:
@@ -52,9 +52,9 @@ def test_arm_of_a_robot_file_pushes_as_planned(name: str) -> None:
 
 def test_camera_sees_the_links_of_the_arm_of_the_file() -> None:
     robot = cell_robot(str(robot_path("ur5e")))
-    thing = object_from_picture("block", ["bb"] * 2, {"b": Part(0.6, 0.35, 0.04)}, 0.012, 0.3)
-    camera = DepthCamera(thing, look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0)), description=robot.description)
-    world = CellWorld(thing, robot=replace(robot, start=robot.neutral))
+    sim_object = block(2, 2)
+    camera = DepthCamera(sim_object, CAMERA, description=robot.description)
+    world = CellWorld(sim_object, robot=replace(robot, start=robot.neutral))
     try:
         empty, seen = (camera.render((5.0, 5.0, 0.0), poses) for poses in ({}, world.robot_link_poses()))
     finally:

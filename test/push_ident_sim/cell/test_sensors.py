@@ -164,8 +164,8 @@ def test_images_repeat_with_the_seeds_and_what_stands_still_is_of_the_unit() -> 
 @pytest.mark.parametrize("name", SENSOR_NAMES)
 def test_every_sensor_of_the_table_sees_an_object_in_the_workspace(name: str) -> None:
     sensor, reported = Sensor(name), suitable_pose(name)
-    thing, intrinsics = make_object("toolbox"), sensor.intrinsics
-    camera = sensor.camera(thing, reported)
+    sim_object, intrinsics = make_object("toolbox"), sensor.intrinsics
+    camera = sensor.camera(sim_object, reported)
     depth = sensor.read(sensor.look(camera, (0.0, 0.0, 0.4), {}), np.random.default_rng(0))
     perfect = camera.render((0.0, 0.0, 0.4), {})
     assert depth.shape == (intrinsics.height, intrinsics.width) and depth.dtype == np.float32
@@ -195,8 +195,8 @@ def test_true_pose_differs_from_the_published_one_by_the_stated_error() -> None:
 def test_true_lens_displaces_a_point_by_the_stated_distortion(camera: DepthCamera) -> None:
     k = 0.05
     lens = DepthCamera(make_object("book"), FROM_ABOVE, INTRINSICS, distortion=k)
-    thing = [Placed(box(0.1), (0.3, 0.0, 0.0))]
-    left = [int(np.argmax(c.render_scene(thing, {})[240, 330:] < 0.95)) for c in (camera, lens)]
+    sim_object = [Placed(box(0.1), (0.3, 0.0, 0.0))]
+    left = [int(np.argmax(c.render_scene(sim_object, {})[240, 330:] < 0.95)) for c in (camera, lens)]
     # The left edge of its top is at x = 0.25 m, z = 0.9 m; a pixel at r shows what else is at r (1 + k r^2).
     r = 0.25 / 0.9
     assert left[0] - left[1] == pytest.approx(INTRINSICS.fx * k * r**3, abs=1.0)
@@ -206,10 +206,10 @@ def test_true_lens_displaces_a_point_by_the_stated_distortion(camera: DepthCamer
 
 
 def test_plain_sensor_is_the_depth_noise() -> None:
-    thing, pose = make_object("hammer"), look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
+    sim_object, pose = make_object("hammer"), look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
     sensor = Sensor(PLAIN)
-    camera = sensor.camera(thing, pose)
-    expected = DepthNoise().apply(DepthCamera(thing, pose).render((0.1, 0.0, 0.2), {}), np.random.default_rng(5))
+    camera = sensor.camera(sim_object, pose)
+    expected = DepthNoise().apply(DepthCamera(sim_object, pose).render((0.1, 0.0, 0.2), {}), np.random.default_rng(5))
     seen = sensor.look(camera, (0.1, 0.0, 0.2), {})
     for _ in range(2):  # reading leaves what was seen as it is
         np.testing.assert_array_equal(sensor.read(seen, np.random.default_rng(5)), expected)

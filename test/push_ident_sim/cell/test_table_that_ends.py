@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from helpers.sim_objects import CAMERA
 from push_ident.errors import InputError
-from push_ident_sim.cell.camera import DepthCamera, look_at
+from push_ident_sim.cell.camera import DepthCamera
 from push_ident_sim.cell.world import CellWorld, WorldConfig
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import make_object
@@ -17,10 +18,10 @@ AWAY = (9.0, 9.0, 0.0)
 
 
 def test_object_stands_over_the_end_of_its_table_or_falls_out_of_view() -> None:
-    thing = make_object("toolbox", 1)
-    centre = thing.mass @ thing.cells / thing.mass.sum()
-    world = CellWorld(thing, WorldConfig(table=BOUNDS), pose=(END - 0.03 - centre[0], 0.0, 0.0))
-    camera = DepthCamera(thing, look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0)))
+    sim_object = make_object("toolbox", 1)
+    centre = sim_object.mass @ sim_object.cells / sim_object.mass.sum()
+    world = CellWorld(sim_object, WorldConfig(table=BOUNDS), pose=(END - 0.03 - centre[0], 0.0, 0.0))
+    camera = DepthCamera(sim_object, CAMERA)
     whole = camera.render(AWAY, {})
     camera.set_table(BOUNDS)
     empty = camera.render(AWAY, {})
@@ -29,7 +30,7 @@ def test_object_stands_over_the_end_of_its_table_or_falls_out_of_view() -> None:
     try:
         for _ in range(60):
             world.step()
-        assert not world.has_fallen and world.cell_loads().sum() == pytest.approx(9.81 * thing.mass.sum(), rel=0.05)
+        assert not world.has_fallen and world.cell_loads().sum() == pytest.approx(9.81 * sim_object.mass.sum(), rel=0.05)
         np.testing.assert_allclose(world.object_pose(), [END - 0.03 - centre[0], 0.0, 0.0], atol=2e-3)
         assert np.isfinite(camera.render(world.object_transform(), {})[beyond]).any(), "what overhangs is seen"
         world.place_object((END + 0.012 - centre[0], 0.0, 0.0))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.sim_objects import CAMERA, block, disc, points_in_table
 from push_ident.cli.main import app
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
@@ -16,7 +17,7 @@ from push_ident.geometry.se2 import rotation, transform_points
 from push_ident.offline.loading import load_pushes
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, PusherPath
-from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, look_at
+from push_ident_sim.cell.camera import INTRINSICS, DepthCamera
 from push_ident_sim.cell.robot import HOME, robot_description
 from push_ident_sim.cell.trajectory import JointTrajectory
 from push_ident_sim.cell.world import CellWorld, WorldConfig
@@ -24,7 +25,7 @@ from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.injected.sensing import PoseSensor, check_rendered, true_camera
-from push_ident_sim.objects import Part, SimObject, make_object, object_from_picture
+from push_ident_sim.objects import SimObject, make_object
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes, seal
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, observe_motion
 
@@ -32,18 +33,6 @@ G, STEP, RADIUS = 9.81, 1.0 / 240.0, 0.008
 MU, MASS = 0.3, 0.6
 SPEED = 0.4
 EXACT = CameraNoise(position_std=1e-9, yaw_std=1e-9, rate=100.0)
-
-
-def disc(friction: float = MU) -> SimObject:
-    x, y = np.meshgrid(*2 * [np.arange(-5, 6) * 0.012])
-    inside = np.hypot(x, y) <= 0.058
-    cells = np.column_stack([x[inside], y[inside]])
-    n = len(cells)
-    return SimObject("disc", 0.012, cells, np.full(n, 0.03), np.full(n, MASS / n), np.full(n, friction), 0.3)
-
-
-def block() -> SimObject:
-    return object_from_picture("block", ["b" * 10] * 6, {"b": Part(MASS, MU, 0.03)}, 0.012, 0.3)
 
 
 def thrown(
@@ -77,12 +66,12 @@ def pushed(
     heading: float = 0.0,
     speed: float = 0.1,
     distance: float = 0.08,
-    thing: SimObject | None = None,
+    sim_object: SimObject | None = None,
 ) -> tuple[TrueMotion, np.ndarray]:
     """A push of the block's left face, and the mean load of each cell in its last half."""
-    thing = thing or block()
-    world, loads = PushWorld(thing, RADIUS, effects=InjectedEffects.of(effects)), []
-    start = np.array([thing.outline[:, 0].min() - RADIUS, aside]) - 0.02 * np.array([np.cos(heading), np.sin(heading)])
+    sim_object = sim_object or block()
+    world, loads = PushWorld(sim_object, RADIUS, effects=InjectedEffects.of(effects)), []
+    start = np.array([sim_object.outline[:, 0].min() - RADIUS, aside]) - 0.02 * np.array([np.cos(heading), np.sin(heading)])
     end = start + distance * np.array([np.cos(heading), np.sin(heading)])
     try:
         motion = world.push(
@@ -188,17 +177,17 @@ def test_compliant_table_springs_back() -> None:
 
 
 def test_high_push_leans_the_object_on_its_far_side() -> None:
-    thing = block()
-    centres = [loads @ thing.cells / loads.sum() for _, loads in (pushed({}), pushed({"push_height": MU * 0.05}))]
+    sim_object = block()
+    centres = [loads @ sim_object.cells / loads.sum() for _, loads in (pushed({}), pushed({"push_height": MU * 0.05}))]
     np.testing.assert_allclose(centres[0], 0.0, atol=1e-4)
     # Moment of the push mu W h, over the weight W.
     np.testing.assert_allclose(centres[1], [MU * 0.05, 0.0], atol=5e-4)
 
 
 def test_loose_contents_slide_back() -> None:
-    thing = block()
+    sim_object = block()
     _, loads = pushed({"moving_contents": (0.01, 0.05)}, distance=0.1)
-    np.testing.assert_allclose(loads @ thing.cells / loads.sum(), [-0.01, 0.0], atol=5e-4)
+    np.testing.assert_allclose(loads @ sim_object.cells / loads.sum(), [-0.01, 0.0], atol=5e-4)
     assert loads.sum() == pytest.approx(MASS * G, rel=1e-3)
 
 
@@ -297,14 +286,11 @@ def test_correlated_noise_keeps_its_deviation() -> None:
 
 
 def test_rendered_camera_has_the_errors_of_the_pose_sensor() -> None:
-    thing, reported, pose = block(), look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0)), np.array([0.05, 0.08, 0.3])
+    sim_object, pose = block(), np.array([0.05, 0.08, 0.3])
 
     def centre(effects: dict) -> np.ndarray:
-        camera = DepthCamera(thing, *true_camera(InjectedEffects.of(effects), reported, INTRINSICS))
-        depth = camera.render(pose, {})
-        v, u = np.indices(depth.shape)
-        rays = np.stack([(u - INTRINSICS.cx) / INTRINSICS.fx, (v - INTRINSICS.cy) / INTRINSICS.fy, np.ones(u.shape)], axis=-1)
-        points = depth[..., None] * rays @ reported[:3, :3].T + reported[:3, 3]
+        camera = DepthCamera(sim_object, *true_camera(InjectedEffects.of(effects), CAMERA, INTRINSICS))
+        points = points_in_table(camera.render(pose, {}))
         return np.nanmean(points[points[..., 2] > 0.025][:, :2], axis=0)
 
     true = centre({})

@@ -76,7 +76,8 @@ def test_pushes_are_seeded_and_simulated_once(folder: Path) -> None:
     assert generate_truth(folder, "toolbox", 3, FEW).read_bytes() == content
     assert not list(folder.glob("*.partial"))
     others = {
-        truth_file(folder, *which) for which in (("toolbox", 4, FEW), ("book", 3, FEW), ("toolbox", 3, TruthSettings(2, 1, placing=0.1)))
+        truth_file(folder, *which)
+        for which in (("toolbox", 4, FEW), ("book", 3, FEW), ("toolbox", 3, TruthSettings(2, 1, start_range=0.1)))
     }
     assert len(others | {path}) == 4
 

@@ -110,7 +110,7 @@ def checked_pose(pose: ArrayLike) -> FloatArray:
 
 
 def outline_shape(client: BulletClient, sim_object: SimObject, growth: float) -> int:
-    """Collision shape of the outline of `sim_object`, moved outwards by `growth` [m]: one box per rectangle and one thin post per convex corner.
+    """Collision shape of the outline of `sim_object`, moved outwards by `growth` [m]: one box per rectangle and one post per convex corner.
 
     Bullet rounds the edges of a box by its collision margin of 1 mm, which would displace a pusher at a corner by up to 0.4 mm.
     """

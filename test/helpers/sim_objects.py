@@ -1,0 +1,30 @@
+"""Objects of the simulated world, and the camera over it, that several tests share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from push_ident.types import Float64Array
+from push_ident_sim.cell.camera import INTRINSICS, look_at
+from push_ident_sim.objects import Part, SimObject, object_from_picture
+
+CAMERA = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
+
+
+def block(columns: int = 10, rows: int = 6, friction: float = 0.3, mass: float = 0.6) -> SimObject:
+    return object_from_picture("block", ["b" * columns] * rows, {"b": Part(mass, friction, 0.03)}, 0.012, 0.3)
+
+
+def disc(friction: float = 0.3, mass: float = 0.6) -> SimObject:
+    x, y = np.meshgrid(*2 * [np.arange(-5, 6) * 0.012])
+    inside = np.hypot(x, y) <= 0.058
+    cells = np.column_stack([x[inside], y[inside]])
+    n = len(cells)
+    return SimObject("disc", 0.012, cells, np.full(n, 0.03), np.full(n, mass / n), np.full(n, friction), 0.3)
+
+
+def points_in_table(depth: np.ndarray) -> Float64Array:
+    """Points [m] of a depth image of `CAMERA` in the table frame, shape (height, width, 3)."""
+    v, u = np.indices(depth.shape)
+    rays = np.stack([(u - INTRINSICS.cx) / INTRINSICS.fx, (v - INTRINSICS.cy) / INTRINSICS.fy, np.ones(u.shape)], axis=-1)
+    return depth[..., None] * rays @ CAMERA[:3, :3].T + CAMERA[:3, 3]
