@@ -49,7 +49,7 @@ def test_noise_of_a_push_is_no_more_than_its_object_may_move_by_errors_of_the_fi
             return SimpleNamespace(pose=scenario.pose_object_in_table[None] + [jump, 0.0, 0.0])
 
     first = base.problem.first_pose(base.x, 0)
-    grazing = SimpleNamespace(problem=base.problem, unknowns=SimpleNamespace(mechanics=lambda z: Grazing()), x=base.x, z=base.z)
+    grazing = SimpleNamespace(problem=base.problem, mechanics=Grazing(), x=base.x, z=base.z)
     assert usual.max() < 0.003
     assert 0.003 < noise_errors(cast(Any, grazing), 64)[0] < 0.012
 
