@@ -85,7 +85,7 @@ def test_total_mass_and_friction_of_the_object_are_known_together_better_than_ea
     truth = hammer(2)
     records = [with_forces(r, truth) for r in random_records(truth, 4, 2)]
     posterior = identify(records).posterior
-    scale, mass = (posterior.unknowns.slice_of(name).start for name in ("friction_scale", "total_mass"))
+    scale, mass = (posterior.unknowns.slices[name].start for name in ("friction_scale", "total_mass"))
     std = np.array([posterior.unknowns.blocks[name].std[0] for name in ("friction_scale", "total_mass")])
     both = posterior.covariance[np.ix_([scale, mass], [scale, mass])] * np.outer(std, std)
     product = np.sqrt(both.sum())

@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from helpers.fuzzing import fuzzed
-from helpers.fuzzing.messages import messages_like
+from helpers.fuzzing.messages import TEXTS, messages_like
 from helpers.fuzzing.right import OBJECT, right_goals, right_messages
 from push_ident.errors import PushIdentError
 from push_ident.limits import LIMITS
@@ -154,8 +154,8 @@ def test_changed_messages_are_wrong_in_every_way() -> None:
 
     collect()
     positions, covariances = [msg.pose.pose.position.x for msg in seen], [np.array(msg.pose.covariance) for msg in seen]
-    assert any(np.isnan(x) for x in positions) and any(np.isinf(x) for x in positions) and any(x == 5e-324 for x in positions)
+    assert any(np.isnan(x) for x in positions) and any(np.isinf(x) for x in positions) and any(0.0 < x < 1e-300 for x in positions)
     assert any(np.isnan(c).any() for c in covariances) and any((c == 0).all() for c in covariances)
     assert any(msg.header.stamp.sec < 0 for msg in seen) and any(msg.header.stamp.nanosec >= 10**9 for msg in seen)
     assert any(msg.pose.pose.orientation.w == msg.pose.pose.orientation.z == 0.0 for msg in seen)
-    assert any("[/x]" in msg.header.frame_id for msg in seen) and any(len(msg.header.frame_id) > 1000 for msg in seen)
+    assert any(msg.header.frame_id in TEXTS for msg in seen)
