@@ -29,8 +29,8 @@ planar engine with other laws. Five objects of 76 to 96 cells with several groun
 as in the paper: contact uniform over the outline, direction within 40 degrees of its normal, 0.1 to 0.2 m/s, 6 to 10 cm; poses at 30 Hz
 with 1 mm and 0.5 degrees of noise. Identification knows the outline, not the masses, the frictions or the weight.
 
-**Cell error**: mean over the cells of the distance between predicted and observed cell centre at the end of a push. Errors are means over
-pushes ± the standard error over ground truths; shares have intervals of 95 %, those of the blind check of 90 %.
+[Cell errors](../reference/conventions.md) are means over pushes ± the standard error over ground truths; shares have intervals of 95 %,
+those of the blind check of 90 %.
 """
 _PUSHES: Final = """
 ## Pushes that are predicted
