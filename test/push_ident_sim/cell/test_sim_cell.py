@@ -306,6 +306,9 @@ def test_trajectory_passes_its_points_and_starts_from_where_the_arm_is() -> None
     np.testing.assert_allclose(cubic.sample(2.7)[1], slope, atol=1e-6)
     straight = JointTrajectory(np.array([1.0]), np.array([[2.0]])).from_state(10.0, np.array([0.0]), np.array([0.0]))
     assert straight.sample(10.5)[0] == pytest.approx(1.0) and straight.sample(11.0)[0] == pytest.approx(2.0)
+    # Two commands within one tick of the clock: the second goes on from the velocity of the first.
+    moving = cubic.from_state(2.0, *cubic.sample(2.0), start=0.0)
+    np.testing.assert_array_equal(moving.sample(2.0), cubic.sample(2.0))
     with pytest.raises(InputError, match="increase strictly"):
         JointTrajectory(np.array([1.0, 1.0]), np.zeros((2, 7)))
 

@@ -56,8 +56,8 @@ class JointTrajectory:
 
     def sample(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Position [rad] and velocity [rad/s] at `time` [s], each shape (n_joints,)."""
-        if time <= self.time[0] or time >= self.time[-1]:
-            at = 0 if time <= self.time[0] else -1
+        if time < self.time[0] or time >= self.time[-1]:
+            at = 0 if time < self.time[0] else -1
             return self.position[at].copy(), np.zeros(self.position.shape[1])
         i = int(np.searchsorted(self.time, time, side="right")) - 1
         span = self.time[i + 1] - self.time[i]
