@@ -98,8 +98,8 @@ STUDY = Experiment(
     title="Does the demo convince, whatever the object and the seed?",
     question=(
         "Each run is `push-ident demo` as a user starts it, live: four pushes of an unknown object, then four that are the test. "
-        "Each push from the second on is predicted before it is made. Errors are cell errors between the predicted pose and that "
-        "which the camera measures afterwards."
+        "Each push from the second on is predicted before it is made. Errors are cell errors against the pose that the camera "
+        "measures."
     ),
     variants=("plain",),
     run=_run,
