@@ -11,6 +11,7 @@ from system.faults.hold import ARM
 from system.faults.process import TRACEBACK
 
 from helpers.corrupted_states import shares_of_commands
+from push_ident.nodes.convert.messages import stamp_from_msg
 from push_ident.pushing.motion import MotionSettings, joint_limits
 from push_ident.types import Float64Array
 from push_ident_sim.cell.robot import HOME
@@ -52,9 +53,11 @@ def violations(cell: Cell, learned_before: int, stood_at: Float64Array | None) -
 
 def _commands(cell: Cell, stood_at: Float64Array | None) -> list[str]:
     """No command of the executor makes an arm that follows it exceed a limit."""
-    if stood_at is None:
+    commands = [msg for _, msg in cell.monitor.commands]
+    # Without stamps (`stamp_commands`) an arm begins each command on receipt, a time that others do not know to a millisecond.
+    if stood_at is None or not any(stamp_from_msg(msg.header.stamp) for msg in commands):
         return []
-    velocity, acceleration, _ = shares_of_commands([msg for _, msg in cell.monitor.commands], stood_at, LIMITS)
+    velocity, acceleration, _ = shares_of_commands(commands, stood_at, LIMITS)
     kept = max(velocity, acceleration) <= 1.0 + ROUNDING
     return [] if kept else [f"commands reach {velocity:.0%} of a limit of velocity and {acceleration:.0%} of one of acceleration"]
 

@@ -90,7 +90,9 @@ def test_messages_in_disorder(trial: Trial) -> None:
         result = cell.push()
         time.sleep(0.5)
         assert not cell.is_moving(), "the arm still moves"
-        trial.expect_code(result, PushCode.NONE, PushCode.ARM_SILENT, PushCode.TRACKING, PushCode.FORCE, PushCode.OBJECT_LOST)
+        # A push with poses that lag may graze the object only.
+        ended = (PushCode.ARM_SILENT, PushCode.TRACKING, PushCode.FORCE, PushCode.OBJECT_LOST, PushCode.NO_CONTACT)
+        trial.expect_code(result, PushCode.NONE, *ended)
         cell.recover()
 
 
