@@ -191,3 +191,5 @@ class DemoPushes:
         self._refusals += 1
         if self._refusals > _MAX_REFUSALS:
             raise PushIdentError(f"{self._refusals} pushes could not be executed; the last error: {result.error_text}")
+        # The arm may have hidden the object: there is no next push before it is seen anew.
+        self._client.pose_at_rest(self._object_id, after=self._client.poses(self._object_id)[-1][0])
