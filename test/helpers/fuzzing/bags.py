@@ -120,11 +120,11 @@ def with_changed_content(draw: st.DrawFn, messages: Messages) -> Messages:
         data = draw(bytes_like(chosen.data))
     else:
         *namespaces, name = chosen.msgtype.split("/")
-        changed = draw(messages_like(deserialize_message(chosen.data, message_class(namespaces, name))))
         try:
-            data = serialize_message(changed)
+            message = deserialize_message(chosen.data, message_class(namespaces, name))
+            data = serialize_message(draw(messages_like(message)))
         except RuntimeError:
-            return messages  # nobody can write it
+            return messages  # changed before into what nobody can read, or now into what nobody can write
     everywhere = draw(st.booleans())
     return [replace(m, data=data) if m is chosen or (everywhere and m.topic == chosen.topic) else m for m in messages]
 
