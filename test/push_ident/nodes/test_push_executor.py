@@ -127,8 +127,9 @@ def assert_commands_are_those_of_ros2_control(cell: Cell) -> None:
         times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in command.points])
         position, velocity = (np.array([list(getattr(p, name)) for p in command.points]) for name in ("positions", "velocities"))
         assert tuple(command.joint_names) == limits.joint_names and stamp_from_msg(command.header.stamp) == 0.0
-        # A point every 10 ms: 0.1 s of motion at most, then braking.
-        assert 2 <= len(times) <= 40 and times[0] > 0.0 and np.all(np.diff(times) > 0)
+        # A point every 10 ms: 0.1 s of motion at most, then braking from 2 rad/s at 10 rad/s^2; and two ends.
+        assert 2 <= len(times) <= 2 + (0.1 + 2.0 / 10.0) / 0.01
+        assert times[0] > 0.0 and np.all(np.diff(times) > 0)
         assert np.all(velocity[-1] == 0.0)  # the controller refuses to end in motion
         assert np.all((position >= limits.position_lower) & (position <= limits.position_upper))
         assert np.all(np.abs(velocity) <= 2.0 + 1e-3)
