@@ -1,4 +1,7 @@
-"""The only way to command the arm: each command continues the one before within the limits of the joints, or is not sent."""
+"""The only way to move the arm: each command continues the one before within the limits of the joints, or is not sent.
+
+Before a motion, `take_over.py` commands the arm to stand, so slowly that it keeps to the limits from wherever it may be.
+"""
 
 from __future__ import annotations
 
