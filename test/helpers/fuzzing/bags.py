@@ -167,32 +167,33 @@ def with_other_records(data: bytes, rng: random.Random) -> bytes:
     return data[:8] + b"".join(records) + data[:8]
 
 
-def damage(folder: Path, how: str, rng: random.Random) -> None:
-    """Change the files of a bag; what does not apply to its format changes nothing."""
-    storage, metadata = max(folder.iterdir(), key=lambda path: path.stat().st_size), folder / "metadata.yaml"
-    if how == "bytes" or (how == "records" and storage.suffix == ".mcap"):
-        change = with_other_bytes if how == "bytes" else with_other_records
-        storage.write_bytes(change(storage.read_bytes(), rng))
-    elif how == "tables" and storage.suffix == ".db3":
-        with closing(sqlite3.connect(storage)) as database, suppress(sqlite3.Error):
+def damage_storage(file: Path, how: str, rng: random.Random) -> None:
+    """Change the file that holds the messages; what does not apply to its format changes nothing."""
+    if how == "bytes":
+        file.write_bytes(with_other_bytes(file.read_bytes(), rng))
+    elif how == "records" and file.suffix == ".mcap":
+        file.write_bytes(with_other_records(file.read_bytes(), rng))
+    elif how == "tables" and file.suffix == ".db3":
+        with closing(sqlite3.connect(file)) as database, suppress(sqlite3.Error):
             database.executescript(rng.choice(STATEMENTS))
             database.commit()
-    elif how == "metadata" and metadata.exists() and rng.random() < 0.3:
-        metadata.write_text(rng.choice(METADATA))
-    elif how == "metadata" and metadata.exists():
-        content = yaml.safe_load(metadata.read_text())
-        inner = content["rosbag2_bagfile_information"]
-        owner, key = rng.choice(
-            [(inner, key) for key in inner] + [(inner["relative_file_paths"], 0), (content, "rosbag2_bagfile_information")]
-        )
-        owner[key] = rng.choice(VALUES)
-        metadata.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def damage_metadata(file: Path, rng: random.Random) -> None:
+    if rng.random() < 0.3:
+        file.write_text(rng.choice(METADATA))
+        return
+    content = yaml.safe_load(file.read_text())
+    inner = content["rosbag2_bagfile_information"]
+    owner, key = rng.choice([(inner, key) for key in inner] + [(inner["relative_file_paths"], 0), (content, "rosbag2_bagfile_information")])
+    owner[key] = rng.choice(VALUES)
+    file.write_text(yaml.safe_dump(content, sort_keys=False))
 
 
 # ---- bags
 
 OF_MESSAGES = (shifted, without_topic, repeated, reordered, renamed, retyped, of_many_objects)
-OF_FILES = ("bytes", "records", "tables", "metadata")
+OF_STORAGE = ("bytes", "records", "tables")
 
 
 @st.composite
@@ -201,12 +202,16 @@ def bags(draw: st.DrawFn, messages: Messages) -> Callable[[Path], None]:
     rng = draw(st.randoms(use_true_random=False))
     for change in draw(st.lists(st.sampled_from([None, None, *OF_MESSAGES]), max_size=2)):
         messages = draw(with_changed_content(messages)) if change is None else change(messages, rng)
-    is_mcap, damages = draw(st.booleans()), draw(st.lists(st.sampled_from(OF_FILES), max_size=2))
+    is_mcap, other_metadata = draw(st.booleans()), draw(st.booleans())
+    other_storage = draw(st.sampled_from([None, *OF_STORAGE]))
 
     def write(folder: Path) -> None:
         (write_mcap if is_mcap else write_sqlite)(folder, messages)
-        for how in damages:
-            damage(folder, how, rng)
+        if other_storage is not None:
+            (file,) = folder.glob("*.mcap" if is_mcap else "*.db3")
+            damage_storage(file, other_storage, rng)
+        if other_metadata:
+            damage_metadata(folder / "metadata.yaml", rng)
 
     return write
 

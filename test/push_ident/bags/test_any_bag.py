@@ -51,7 +51,7 @@ def with_more_topics_than_can_be_read(folder: Path) -> None:
 
 
 @pytest.mark.fuzz
-@fuzzed(40)
+@fuzzed(40, shrink=False)
 @example(with_a_name_that_is_no_text)
 @example(with_more_topics_than_can_be_read)
 @given(st.deferred(lambda: bags(SOUND)))

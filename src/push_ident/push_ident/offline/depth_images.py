@@ -146,7 +146,7 @@ def read_camera_info(path: Path) -> CameraIntrinsics:
             if any(_numbers(get("distortion_coefficients") or get("d") or get("D"))):
                 raise ValueError("it has distortion and no projection_matrix; rectify the images")
             fx, cx, fy, cy = matrix[0], matrix[2], matrix[4], matrix[5]
-    except (OSError, ValueError, TypeError, AttributeError, IndexError, yaml.YAMLError) as error:
+    except (OSError, ValueError, TypeError, AttributeError, IndexError, RecursionError, yaml.YAMLError) as error:
         raise InputError(
             f"{path} gives no intrinsics ({plain_text(' '.join(str(error).split()))}); expected image_width, image_height and "
             "camera_matrix or projection_matrix, as camera_calibration writes them."
