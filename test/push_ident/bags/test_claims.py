@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from push_ident.bags.records import write_records
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
-from push_ident.types import ObjectShape
+from push_ident.types import Float64Array, ObjectShape
 
 RECURSIVE_VIEW = """
 ALTER TABLE messages RENAME TO m;
@@ -41,11 +42,7 @@ def twice(information: dict[str, Any]) -> None:
 
 
 def elsewhere(information: dict[str, Any]) -> None:
-    information["relative_file_paths"] = ["../../other/bag.mcap"]
-
-
-def absolute(information: dict[str, Any]) -> None:
-    information["relative_file_paths"] = ["/etc/passwd"]
+    information["relative_file_paths"] = ["../../etc/passwd"]
 
 
 CLAIMS: dict[str, tuple[Callable[[Path], Path], str]] = {
@@ -60,12 +57,11 @@ CLAIMS: dict[str, tuple[Callable[[Path], Path], str]] = {
     "array without content": (lambda path: claims.with_schema(path, NOTHING_INSIDE), "array of"),
     "long definition": (lambda path: claims.with_schema(path, b"#" * 5_000_000), "message definition"),
     "grid of a million cells": (lambda path: claims.with_grid(path, 1000), "number of cells of one object"),
-    "two thousand objects": (lambda path: claims.with_objects(path, 1900), "number of objects"),
+    "more objects than a cell has": (lambda path: claims.with_objects(path, 60), "number of objects"),
     "nested metadata": (lambda path: claims.with_metadata(path, "[" * 1_000_000), "nested deeper"),
     "metadata that laugh": (lambda path: claims.with_metadata(path, "a: &a [1]\nb: [*a, *a]\n"), "aliases"),
     "long metadata": (lambda path: claims.with_metadata(path, "#" * 30_000_000), "larger than"),
     "file above the folder": (lambda path: claims.with_metadata(path, elsewhere), "not in the folder"),
-    "file anywhere": (lambda path: claims.with_metadata(path, absolute), "not in the folder"),
     "file listed twice": (lambda path: claims.with_metadata(path, twice), "twice"),
     "view without end": (lambda path: claims.with_statements(path, RECURSIVE_VIEW), "expected a plain table"),
     "computed column": (lambda path: claims.with_statements(path, COMPUTED), "expected a plain table"),
@@ -145,22 +141,18 @@ def test_a_file_in_zstd_is_read_and_a_bomb_of_one_refused(tmp_path: Path) -> Non
     assert "content uncompressed" in bag_error(bag)
 
 
-@pytest.mark.parametrize("scale", [10.0, 0.1])
-def test_an_outline_that_is_not_that_of_the_cells_is_refused(tmp_path: Path, scale: float) -> None:
+@pytest.mark.parametrize(
+    ("outline", "reason"),
+    [(10.0 * L_SHAPE.outline, "cell"), (0.1 * L_SHAPE.outline, "cell"), (L_SHAPE.outline[[0, 2, 1, 3, 4, 5]], "crosses itself")],
+    ids=["larger", "smaller", "crossed"],
+)
+def test_an_outline_that_is_not_that_of_the_cells_is_refused(tmp_path: Path, outline: Float64Array, reason: str) -> None:
     with BagWriter(tmp_path / "bag") as writer:
-        writer.write_shape("7", ObjectShape(L_SHAPE.cells, scale * L_SHAPE.outline), 1.0)
+        writer.write_shape("7", ObjectShape(L_SHAPE.cells, outline), 1.0)
         write_push(writer, 2.0)
     contents = read_bag(tmp_path / "bag")
     assert contents.objects["7"].shape is None
-    assert any("outline" in note for note in contents.notes)
-
-
-def test_an_outline_that_crosses_itself_is_refused(tmp_path: Path) -> None:
-    crossed = L_SHAPE.outline[[0, 2, 1, 3, 4, 5]]
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.write_shape("7", ObjectShape(L_SHAPE.cells, crossed), 1.0)
-        write_push(writer, 2.0)
-    assert any("crosses itself" in note for note in read_bag(tmp_path / "bag").notes)
+    assert any("outline" in note and reason in note for note in contents.notes)
 
 
 def test_a_pose_of_the_next_century_is_not_waited_for(tmp_path: Path) -> None:
@@ -203,11 +195,8 @@ def test_poses_and_forces_beyond_any_cell_are_dropped(tmp_path: Path) -> None:
 
 def test_many_pushes_with_many_samples_are_cut_in_linear_time(tmp_path: Path) -> None:
     """Each push took a copy of all samples: 500 pushes of 40 samples copied ten million numbers."""
-    import time
-
-    records = [make_record(5.0 * k) for k in range(500)]
-    write_records(tmp_path / "bag", records)
+    write_records(tmp_path / "bag", [make_record(5.0 * k) for k in range(200)])
     contents = read_bag(tmp_path / "bag")
     began = time.process_time()
-    assert len(split_pushes(contents, "7")) == 500
-    assert time.process_time() - began < 3.0
+    assert len(split_pushes(contents, "7")) == 200
+    assert time.process_time() - began < 1.2

@@ -12,12 +12,7 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from helpers.bags import (
-    L_SHAPE,
-    bag_error,
-    write_push,
-    write_pusher_logged,
-)
+from helpers.bags import L_SHAPE, bag_error, write_push, write_pusher_logged
 from push_ident.bags.contract import Role
 from push_ident.bags.reader import read_bag
 from push_ident.bags.salvage import salvage
@@ -35,23 +30,20 @@ def test_paths_that_hold_no_bag_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["x.mcap", "x.db3", "x.bag", "metadata.yaml"])
-@pytest.mark.parametrize("size", [0, 1, 4096])
-def test_random_bytes_are_refused_in_one_line(tmp_path: Path, name: str, size: int) -> None:
-    (tmp_path / name).write_bytes(random.Random(size).randbytes(size))
-    assert "cannot be read" in bag_error(tmp_path / name)
+def test_random_bytes_are_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    for size in (0, 1, 4096):
+        (tmp_path / name).write_bytes(random.Random(size).randbytes(size))
+        assert "cannot be read" in bag_error(tmp_path / name)
 
 
-def test_a_bag_without_pusher_poses_lists_what_is_missing_and_present(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as writer:
+def test_a_bag_without_pusher_poses_or_with_neither_poses_nor_depth_lists_what_is_missing_and_present(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "poses") as writer:
         write_push(writer, 2.0, pusher=False)
-    assert "`pusher/pose` (geometry_msgs/msg/PoseStamped)" in (text := bag_error(tmp_path / "bag"))
+    assert "`pusher/pose` (geometry_msgs/msg/PoseStamped)" in (text := bag_error(tmp_path / "poses"))
     assert "/objects/7/pose (31)" in text
-
-
-def test_a_bag_with_neither_poses_nor_depth_is_refused(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as writer:
+    with BagWriter(tmp_path / "pusher") as writer:
         write_push(writer, 2.0, poses=False)
-    assert "`objects/<id>/pose`" in bag_error(tmp_path / "bag")
+    assert "`objects/<id>/pose`" in bag_error(tmp_path / "pusher")
 
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
@@ -62,17 +54,11 @@ def test_a_bag_of_zero_messages_is_refused(tmp_path: Path, plugin: StoragePlugin
 
 
 def test_a_bag_whose_index_lists_more_messages_than_can_be_read_is_refused(tmp_path: Path) -> None:
-    store = jazzy_typestore()
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as sqlite:
-        connection = sqlite.add_connection("/pusher/pose", Role.PUSHER.msgtype, typestore=store)
-        header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](1, 0), "table")
-        pose = store.types["geometry_msgs/msg/Pose"](
-            store.types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), store.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-        )
-        sqlite.write(connection, 1, store.serialize_cdr(store.types[Role.PUSHER.msgtype](header, pose), Role.PUSHER.msgtype))
+    with BagWriter(tmp_path / "bag") as writer:
+        write_push(writer, 2.0)
     metadata = tmp_path / "bag" / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace("message_count: 1", "message_count: 9"))
-    assert "lists 9 messages" in bag_error(tmp_path / "bag")
+    metadata.write_text(metadata.read_text().replace("message_count: 31", "message_count: 39"))
+    assert "lists 78 messages" in bag_error(tmp_path / "bag")
 
 
 def test_two_cells_in_one_bag_are_not_mixed(tmp_path: Path) -> None:
@@ -90,7 +76,7 @@ def test_a_clock_that_was_set_back_is_refused(tmp_path: Path) -> None:
     assert "jumps back by 24 s" in bag_error(tmp_path / "bag")
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
+@pytest.mark.parametrize("share", [0.1, 0.99])
 def test_a_bag_cut_short_names_what_can_be_recovered_and_salvage_recovers_it(tmp_path: Path, share: float) -> None:
     with BagWriter(tmp_path / "bag", chunk_size=2000) as writer:
         writer.write_shape("7", L_SHAPE, 1.0)
@@ -109,17 +95,14 @@ def test_a_bag_cut_short_names_what_can_be_recovered_and_salvage_recovers_it(tmp
     assert contents.topics == report.messages
 
 
-def test_salvage_leaves_a_chunk_with_a_flipped_byte_out(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag.mcap", chunk_size=2000) as writer:
+def test_salvage_leaves_out_a_chunk_with_a_flipped_byte_and_messages_that_do_not_decode(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "whole.mcap", chunk_size=2000) as writer:
         write_push(writer, 2.0, n=200)
-    data = bytearray((tmp_path / "bag.mcap").read_bytes())
+    data = bytearray((tmp_path / "whole.mcap").read_bytes())
     data[len(data) // 2] ^= 0x10
     (tmp_path / "flipped.mcap").write_bytes(data)
-    report = salvage(tmp_path / "flipped.mcap", tmp_path / "new")
+    report = salvage(tmp_path / "flipped.mcap", tmp_path / "some")
     assert report.damaged_chunks <= 1 and 380 <= report.total <= 400
-
-
-def test_salvage_leaves_messages_out_that_do_not_decode(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         write_push(writer, 2.0)
         writer.write_raw("/pusher/pose", Role.PUSHER.msgtype, 2 * 10**9, b"\x00\x01\x00\x00" + bytes(5))

@@ -7,11 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.bags import (
-    COVARIANCE,
-    L_SHAPE,
-    write_push,
-)
+from helpers.bags import COVARIANCE, L_SHAPE, write_push
 from push_ident.bags.contract import Role
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
@@ -64,19 +60,13 @@ def test_push_records_cut_the_bag_and_failed_pushes_are_left_out(tmp_path: Path)
     assert len(contents.notes) == n_notes
 
 
-def test_bag_of_a_cell_whose_executor_ended_in_its_only_push_has_no_push(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.declare("/push_record", Role.PUSH_RECORD.msgtype)
-        writer.write_shape("7", L_SHAPE, 1.0)
-        write_push(writer, 2.0)
+def test_one_push_beside_an_executor_that_left_no_record_was_broken_off_and_two_are_those_of_another_program(tmp_path: Path) -> None:
+    for name, starts in (("one", (2.0,)), ("two", (2.0, 6.0))):
+        with BagWriter(tmp_path / name) as writer:
+            writer.declare("/push_record", Role.PUSH_RECORD.msgtype)
+            writer.write_shape("7", L_SHAPE, 1.0)
+            for start in starts:
+                write_push(writer, start)
     with pytest.raises(BagError, match="the executor ended in the middle"):
-        split_pushes(read_bag(tmp_path / "bag"), "7")
-
-
-def test_pushes_of_another_program_beside_an_idle_executor_are_used(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.declare("/push_record", Role.PUSH_RECORD.msgtype)
-        writer.write_shape("7", L_SHAPE, 1.0)
-        write_push(writer, 2.0)
-        write_push(writer, 6.0)
-    assert len(split_pushes(read_bag(tmp_path / "bag"), "7")) == 2
+        split_pushes(read_bag(tmp_path / "one"), "7")
+    assert len(split_pushes(read_bag(tmp_path / "two"), "7")) == 2

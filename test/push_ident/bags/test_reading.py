@@ -8,16 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from helpers.bags import (
-    COVARIANCE,
-    L_OUTLINE,
-    L_SHAPE,
-    assert_same_record,
-    make_record,
-    write_push,
-    write_pusher_logged,
-    write_raw,
-)
+from helpers.bags import COVARIANCE, L_OUTLINE, L_SHAPE, assert_same_record, make_record, write_push, write_pusher_logged, write_raw
 from helpers.paths import recording
 from push_ident.bags.contract import Role, TopicRole, role_of
 from push_ident.bags.decode import DEFAULT_COVARIANCE
@@ -32,15 +23,14 @@ from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, ObjectShape, PushRecord
 
 
-@pytest.mark.parametrize("prefix", ["", "/", "/cell1/", "/lab/cell_2/"])
-def test_topics_are_recognised_under_any_namespace(prefix: str) -> None:
-    assert role_of(prefix + "objects/7/pose") == TopicRole(Role.POSE, "7")
-    assert role_of(prefix + "pusher/pose") == TopicRole(Role.PUSHER)
-    assert role_of(prefix + "objects/7/prediction") is None
-    assert role_of(prefix + "my_pusher/pose") is None
+def test_topics_are_recognised_under_any_namespace() -> None:
+    for prefix in ("", "/", "/lab/cell_2/"):
+        assert role_of(prefix + "objects/7/pose") == TopicRole(Role.POSE, "7")
+        assert role_of(prefix + "pusher/pose") == TopicRole(Role.PUSHER)
+        assert role_of(prefix + "objects/7/prediction") is None and role_of(prefix + "my_pusher/pose") is None
 
 
-@pytest.mark.parametrize("name", ["bag", "bag.mcap", "day.bag"])
+@pytest.mark.parametrize("name", ["bag", "bag.mcap"])
 def test_records_read_back_equal(tmp_path: Path, name: str) -> None:
     # The second starts before the first ends, the third knows its end poses only.
     records = [make_record(0.0), make_record(0.5), make_record(9.0, n_poses=2)]
@@ -51,6 +41,10 @@ def test_records_read_back_equal(tmp_path: Path, name: str) -> None:
     assert [record.source for record in got] == [f"{name} push {n}" for n in (1, 2, 3)]
     for one, other in zip(got, records, strict=True):
         assert_same_record(one, other)
+    before = sorted(path.stat().st_mtime_ns for path in tmp_path.rglob("*"))
+    with pytest.raises(BagError, match="not overwritten"):
+        write_records(tmp_path / name, [make_record(2.0)])
+    assert sorted(path.stat().st_mtime_ns for path in tmp_path.rglob("*")) == before
 
 
 def test_one_push_of_two_objects_is_a_record_of_each(tmp_path: Path) -> None:
@@ -67,14 +61,6 @@ def test_records_that_cannot_share_a_bag_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="one shape"):
         write_records(tmp_path / "bag", [other, PushRecord("7", smaller, other.poses, other.pusher)])
     assert not (tmp_path / "bag").exists()
-
-
-def test_an_existing_bag_is_never_overwritten(tmp_path: Path) -> None:
-    write_records(tmp_path / "bag.mcap", [make_record(1.0)])
-    before = (tmp_path / "bag.mcap").read_bytes()
-    with pytest.raises(BagError, match="not overwritten"):
-        write_records(tmp_path / "bag.mcap", [make_record(2.0)])
-    assert (tmp_path / "bag.mcap").read_bytes() == before
 
 
 def test_times_of_a_date_keep_their_nanoseconds(tmp_path: Path) -> None:
@@ -150,19 +136,16 @@ def test_depth_frames_come_one_by_one_in_metres(tmp_path: Path) -> None:
     assert any("1 of 3 images are not usable" in note for note in contents.notes)
 
 
-@pytest.mark.parametrize(("bigendian", "pad"), [(0, 0), (1, 0), (0, 6), (1, 6)])
+@pytest.mark.parametrize(("bigendian", "pad"), [(0, 6), (1, 0)])
 def test_depth_honours_step_and_byte_order(tmp_path: Path, bigendian: int, pad: int) -> None:
     values = np.array([[300, 1000], [2, 65535]], dtype=">u2" if bigendian else "<u2")
     rows = np.hstack([values.view(np.uint8).reshape(2, 4), np.full((2, pad), 7, dtype=np.uint8)])
     self_described(tmp_path / "bag", "16UC1", bigendian, rows)
     (frame,) = read_bag(tmp_path / "bag").depth_frames()
     np.testing.assert_allclose(frame.depth, [[0.3, 1.0], [0.002, 65.535]], rtol=1e-6)
-
-
-def test_depth_of_another_encoding_is_refused_by_name(tmp_path: Path) -> None:
-    self_described(tmp_path / "bag", "mono16", 0, np.zeros((2, 4), dtype=np.uint8))
+    self_described(tmp_path / "other", "mono16", 0, np.zeros((2, 4), dtype=np.uint8))
     with pytest.raises(FrameError, match="'mono16'.*16UC1"):
-        list(read_bag(tmp_path / "bag").depth_frames())
+        list(read_bag(tmp_path / "other").depth_frames())
 
 
 def self_described(path: Path, encoding: str, bigendian: int, rows: np.ndarray) -> None:
@@ -187,24 +170,17 @@ def test_contract_sample_of_another_maker_is_read() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(pushes[0].poses.covariance[0])), [1e-3, 1e-3, np.radians(0.5)])
 
 
-def test_accuracy_of_the_camera_is_that_of_every_push(tmp_path: Path) -> None:
-    accuracy = CameraAccuracy(position=2e-3, heading=5e-3)
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.write_shape("7", L_SHAPE, 1.0)
-        writer.write_camera_accuracy(1.0, accuracy)
-        write_push(writer, 2.0)
-    contents = read_bag(tmp_path / "bag")
-    assert contents.camera_accuracy is not None
-    assert (contents.camera_accuracy.position, contents.camera_accuracy.heading) == pytest.approx((2e-3, 5e-3))
-    (record,) = split_pushes(contents, "7")
-    assert record.poses.camera == contents.camera_accuracy
-
-
-def test_a_camera_accuracy_that_is_none_is_noted_and_left_out(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.write_shape("7", L_SHAPE, 1.0)
-        writer.write_camera_accuracy(1.0, SimpleNamespace(position=1e6, heading=0.0))
-        write_push(writer, 2.0)
-    contents = read_bag(tmp_path / "bag")
-    assert contents.camera_accuracy is None
-    assert any("depth/camera_accuracy" in note for note in contents.notes)
+def test_accuracy_of_the_camera_is_that_of_every_push_and_one_that_is_none_is_noted(tmp_path: Path) -> None:
+    read = []
+    for name, accuracy in (("right", CameraAccuracy(position=2e-3, heading=5e-3)), ("none", SimpleNamespace(position=1e6, heading=0.0))):
+        with BagWriter(tmp_path / name) as writer:
+            writer.write_shape("7", L_SHAPE, 1.0)
+            writer.write_camera_accuracy(1.0, accuracy)  # type: ignore[arg-type]
+            write_push(writer, 2.0)
+        read.append(read_bag(tmp_path / name))
+    right, wrong = read
+    assert right.camera_accuracy is not None
+    assert (right.camera_accuracy.position, right.camera_accuracy.heading) == pytest.approx((2e-3, 5e-3))
+    (record,) = split_pushes(right, "7")
+    assert record.poses.camera == right.camera_accuracy
+    assert wrong.camera_accuracy is None and any("depth/camera_accuracy" in note for note in wrong.notes)

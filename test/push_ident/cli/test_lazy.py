@@ -23,8 +23,6 @@ def test_list_of_commands_imports_none_of_them() -> None:
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert said.endswith("imported []\n")
-    for name in LazyGroup.lazy_subcommands:
-        assert f"\n  {name} " in said
 
 
 def test_identify_of_poses_imports_nothing_slow_for_images_arms_pages_or_quantiles() -> None:
@@ -44,11 +42,8 @@ def test_every_command_has_a_summary_and_help() -> None:
         assert line.split(maxsplit=1)[1] == command.summary, "the whole summary stands in one line"
         asked = runner.invoke(app, [name, "--help"])
         assert asked.exit_code == 0 and f"push-ident {name}" in asked.output.replace("root", "push-ident")
-
-
-def test_misspelt_command_is_answered_with_the_right_one() -> None:
-    asked = CliRunner().invoke(app, ["identfy"])
-    assert asked.exit_code == 2 and "identify" in asked.output
+    misspelt = runner.invoke(app, ["identfy"])
+    assert misspelt.exit_code == 2 and "identify" in misspelt.output
 
 
 @pytest.mark.parametrize("then", ["raise", "sys.exit(130)"])

@@ -10,10 +10,10 @@ from shutil import rmtree
 import numpy as np
 import pytest
 
-from helpers.objects import hammer, random_records
-from helpers.recordings import icra16_file, mit_content, mit_file, table_file, tracked_rows
+from helpers.recordings import icra16_file, mit_content, mit_file
 from push_ident.bags.importers import MitOptions, TrackedPoses, import_cmu_icra16, import_mit, import_tracked_poses
 from push_ident.errors import PushIdentError
+from push_ident.types import PushRecord
 
 N_MUTANTS = 60
 TOKENS = [b"nan", b"inf", b"-1", b"1e300", b"0", b"999999999999999999999", b"x", b",", b"\n", b'"', b"[", b"{", b"\x00", b"\xff", b"-0.0"]
@@ -38,32 +38,14 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-@pytest.fixture(scope="module")
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrackedPoses]:
-    folder = tmp_path_factory.mktemp("recordings")
-    records = random_records(hammer(3), 2, 3, noise=0.2)
-    poses, pusher = tracked_rows(records)
-    icra16_file(folder / "patch" / "pushes.txt")
-    mit_file(folder / "mit", mit_content(records[0]))
-    tables = TrackedPoses(
-        poses=table_file(folder / "poses.csv", "time,x,y,yaw", poses),
-        pusher=table_file(folder / "pusher.csv", "time,x,y,push", pusher),
-        outline=table_file(folder / "outline.csv", "x,y", records[0].shape.outline),
-        radius=0.008,
-        cell_size=0.011,
-    )
-    return folder, tables
-
-
 @pytest.mark.parametrize("damaged", ["icra16", "mit", "poses", "pusher", "outline"])
-def test_damaged_file_gives_a_bag_or_one_line(damaged: str, recordings: tuple[Path, TrackedPoses], tmp_path: Path) -> None:
-    folder, tables = recordings
+def test_damaged_file_gives_a_bag_or_one_line(damaged: str, tables: TrackedPoses, pushed: list[PushRecord], tmp_path: Path) -> None:
     bag = tmp_path / "bag"
-    own = MitOptions(outline=np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]))
-    icra16, mit = folder / "patch" / "pushes.txt", next((folder / "mit").iterdir())
+    square = MitOptions(outline=np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]))
+    icra16, mit = icra16_file(tmp_path / "patch" / "pushes.txt"), mit_file(tmp_path / "mit", mit_content(pushed[0]))
     cases: dict[str, tuple[Path, Callable[[], object]]] = {
         "icra16": (icra16, lambda: import_cmu_icra16(icra16, bag)),
-        "mit": (mit, lambda: import_mit([mit], bag, options=own)),
+        "mit": (mit, lambda: import_mit([mit], bag, options=square)),
         "poses": (tables.poses, lambda: import_tracked_poses(tables, bag)),
         "pusher": (tables.pusher, lambda: import_tracked_poses(tables, bag)),
         "outline": (tables.outline, lambda: import_tracked_poses(tables, bag)),
@@ -72,16 +54,13 @@ def test_damaged_file_gives_a_bag_or_one_line(damaged: str, recordings: tuple[Pa
     whole = file.read_bytes()
     convert()
     rmtree(bag)
-    try:
-        for seed in range(N_MUTANTS):
-            file.write_bytes(mutated(whole, np.random.default_rng(seed)))
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")
-                try:
-                    convert()
-                    rmtree(bag)
-                except PushIdentError as error:
-                    assert "\n" not in str(error), seed
-                    assert not bag.exists(), seed
-    finally:
-        file.write_bytes(whole)
+    for seed in range(N_MUTANTS):
+        file.write_bytes(mutated(whole, np.random.default_rng(seed)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            try:
+                convert()
+                rmtree(bag)
+            except PushIdentError as error:
+                assert "\n" not in str(error), seed
+                assert not bag.exists(), seed

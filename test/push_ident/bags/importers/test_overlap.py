@@ -1,7 +1,8 @@
-"""Wrong units, axes, radius, clock or frame of an imported recording are found from the contact of pusher and object."""
+"""Wrong units, axes, clock or frame of an imported recording are found from the contact of pusher and object."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,9 +18,18 @@ from push_ident.bags.importers.recording import OverlapError
 from push_ident.errors import BagError, InputError
 from push_ident.types import Float64Array, PushRecord
 
+Rows = tuple[Float64Array, Float64Array]
+WithPusher = Callable[[Float64Array], TrackedPoses]
 
-def with_pusher(tables: TrackedPoses, rows: Float64Array, folder: Path) -> TrackedPoses:
-    return replace(tables, pusher=table_file(folder / "changed.csv", "time,x,y,push", rows))
+
+@pytest.fixture
+def with_pusher(tmp_path: Path, tables: TrackedPoses) -> WithPusher:
+    """The tables with other rows of the pusher."""
+    return lambda rows: replace(tables, pusher=table_file(tmp_path / "changed.csv", "time,x,y,push", rows))
+
+
+def fits(report: ImportReport) -> bool:
+    return report.overlap is not None and report.overlap.fits and report.overlap.causes == () and report.warnings == ()
 
 
 def explained(report: ImportReport) -> str:
@@ -29,53 +39,43 @@ def explained(report: ImportReport) -> str:
 
 def test_pusher_and_object_of_a_right_import_meet(tmp_path: Path, tables: TrackedPoses) -> None:
     report = import_tracked_poses(tables, tmp_path / "bag")
-    assert report.overlap is not None and report.overlap.fits and report.overlap.causes == () and report.warnings == ()
+    assert fits(report) and report.overlap is not None
     assert abs(report.overlap.miss) < 1e-3 and len(np.unique(report.overlap.push)) == 6
 
 
-def test_a_wrong_radius_is_named_with_the_right_one(tmp_path: Path, tables: TrackedPoses) -> None:
-    report = import_tracked_poses(replace(tables, radius=0.018), tmp_path / "bag")
-    assert report.overlap is not None and report.overlap.miss == pytest.approx(-0.010, abs=1e-3)
-    found = [cause.text for cause in report.overlap.causes if cause.text.startswith("the radius of the pusher is")]
-    assert found and abs(float(found[0].split()[6]) - 8.0) < 1.0
-    assert "mm inside the outline" in report.warnings[-1] and found[0] in report.warnings[-1]
-
-
-def test_clocks_that_differ_are_named_with_the_offset(tmp_path: Path, tables: TrackedPoses, pushed: list[PushRecord]) -> None:
-    _, pusher = tracked_rows(pushed)
-    late = with_pusher(tables, pusher + np.array([0.3, 0.0, 0.0, 0.0]), tmp_path)
+def test_clocks_that_differ_are_named_with_the_offset(tmp_path: Path, rows: Rows, with_pusher: WithPusher) -> None:
+    late = with_pusher(rows[1] + np.array([0.3, 0.0, 0.0, 0.0]))
     report = import_tracked_poses(late, tmp_path / "bag")
     found = [cause.text for cause in report.overlap.causes if "clock" in cause.text] if report.overlap else []
     assert found and abs(float(found[0].split("add ")[1].split()[0]) + 0.3) < 0.05
-    mended = import_tracked_poses(replace(late, time_offset=-0.3), tmp_path / "mended")
-    assert mended.overlap is not None and mended.overlap.fits and mended.warnings == ()
+    assert fits(import_tracked_poses(replace(late, time_offset=-0.3), tmp_path / "mended"))
+    late.pusher.write_text("time,x,y,push\n" + "\n".join(f"{t + 1.6e9:.4f},{x:.6f},{y:.6f},{n:.0f}" for t, x, y, n in rows[1]) + "\n")
+    with pytest.raises(BagError, match="one clock.*--time-offset -1600000000"):
+        import_tracked_poses(late, tmp_path / "no")
 
 
-def test_exchanged_axes_are_named_with_the_option_that_mends_them(tmp_path: Path, tables: TrackedPoses, pushed: list[PushRecord]) -> None:
-    _, pusher = tracked_rows(pushed)
-    turned = pusher.copy()
-    turned[:, 1:3] = np.column_stack([-pusher[:, 2], pusher[:, 1]])
-    wrong = with_pusher(tables, turned, tmp_path)
-    text = explained(import_tracked_poses(wrong, tmp_path / "bag"))
-    assert "--pusher-axes y,-x,z" in text
-    mended = import_tracked_poses(replace(wrong, pusher_axes=parse_axes("y,-x,z", "")), tmp_path / "mended")
-    assert mended.warnings == ()
-
-
-def test_lengths_of_another_unit_are_named(tmp_path: Path, tables: TrackedPoses, pushed: list[PushRecord]) -> None:
-    _, pusher = tracked_rows(pushed)
-    text = explained(import_tracked_poses(with_pusher(tables, pusher * [1, 1e2, 1e2, 1], tmp_path), tmp_path / "bag"))
-    assert "the lengths of the pusher are in cm" in text and "--pusher-length-unit" in text
-
-
-def test_a_pusher_in_the_frame_of_the_robot_is_brought_to_that_of_the_poses(
-    tmp_path: Path, tables: TrackedPoses, pushed: list[PushRecord]
+@pytest.mark.parametrize(("axes", "turn"), [("y,-x,z", [[0, 1], [-1, 0]]), ("x,-y,-z", [[1, 0], [0, -1]])])
+def test_exchanged_or_mirrored_axes_are_named_with_the_option_that_mends_them(
+    tmp_path: Path, rows: Rows, with_pusher: WithPusher, axes: str, turn: list[list[int]]
 ) -> None:
-    _, pusher = tracked_rows(pushed)
+    turned = rows[1].copy()
+    turned[:, 1:3] = rows[1][:, 1:3] @ np.array(turn)
+    wrong = with_pusher(turned)
+    assert f"--pusher-axes {axes}" in explained(import_tracked_poses(wrong, tmp_path / "bag"))
+    if axes == "y,-x,z":  # the other one also needs heights
+        assert fits(import_tracked_poses(replace(wrong, pusher_axes=parse_axes(axes, "")), tmp_path / "mended"))
+
+
+def test_lengths_of_another_unit_are_named(tmp_path: Path, rows: Rows, with_pusher: WithPusher) -> None:
+    text = explained(import_tracked_poses(with_pusher(rows[1] * [1, 1e2, 1e2, 1]), tmp_path / "bag"))
+    assert "are in cm" in text and "--pusher-length-unit" in text
+
+
+def test_a_pusher_in_the_frame_of_the_robot_is_brought_to_that_of_the_poses(tmp_path: Path, rows: Rows, with_pusher: WithPusher) -> None:
     cosine, sine = np.cos(0.4), np.sin(0.4)
-    robot = pusher.copy()
-    robot[:, 1:3] = (pusher[:, 1:3] - [0.5, -0.2]) @ np.array([[cosine, -sine], [sine, cosine]])
-    wrong = with_pusher(tables, robot, tmp_path)
+    robot = rows[1].copy()
+    robot[:, 1:3] = (robot[:, 1:3] - [0.5, -0.2]) @ np.array([[cosine, -sine], [sine, cosine]])
+    wrong = with_pusher(robot)
     text = explained(import_tracked_poses(wrong, tmp_path / "bag"))
     frame = np.array([float(part) for part in text.split("--pusher-frame ")[1].split()[0].split(",")])
     np.testing.assert_allclose(frame, [0.5, -0.2, 0.4], atol=0.02)
@@ -91,33 +91,29 @@ def test_an_outline_about_another_origin_is_named(tmp_path: Path, tables: Tracke
     np.testing.assert_allclose(shift, [-0.03, -0.02], atol=3e-3)
 
 
-def test_a_pusher_far_from_the_object_ends_in_an_error_and_a_page(tmp_path: Path, tables: TrackedPoses, pushed: list[PushRecord]) -> None:
-    _, pusher = tracked_rows(pushed)
-    far = pusher[:, :3] * [1, 1e2, 1e2]
-    still = table_file(tmp_path / "still.csv", "time,x,y,yaw", tracked_rows(pushed)[0] * [1, 0, 0, 0] + [0, 50.0, 50.0, 0])
-    given = ("--pusher", table_file(tmp_path / "far.csv", "time,x,y", far), "--outline", tables.outline, "--radius", 0.008)
-    noise = ("--position-std", 2e-4, "--yaw-std", 2e-3)
-    done = run_here("import", "csv", still, *given, *noise, "--out", tmp_path / "bag")
+def test_a_pusher_far_from_the_object_ends_in_an_error_and_a_page(tmp_path: Path, tables: TrackedPoses, rows: Rows) -> None:
+    still = table_file(tmp_path / "still.csv", "time,x,y,yaw", rows[0] * [1, 0, 0, 0] + [0, 50.0, 50.0, 0])
+    far = table_file(tmp_path / "far.csv", "time,x,y", rows[1][:, :3] * [1, 1e2, 1e2])
+    given = ("--pusher", far, "--outline", tables.outline, "--radius", 0.008, "--position-std", 2e-4, "--yaw-std", 2e-3)
+    done = run_here("import", "csv", still, *given, "--out", tmp_path / "bag")
     assert done.returncode == 1 and "no push in it" in done.stderr and not (tmp_path / "bag").exists()
     assert "No bag was written" in (tmp_path / "bag_import.html").read_text()
     with pytest.raises(OverlapError):
-        import_tracked_poses(replace(tables, poses=still, pusher=given[1]), tmp_path / "bag")  # type: ignore[arg-type]
+        import_tracked_poses(replace(tables, poses=still, pusher=far), tmp_path / "bag")
 
 
-def test_units_in_the_names_of_columns_are_understood(tmp_path: Path, tables: TrackedPoses, pushed: list[PushRecord]) -> None:
-    poses, pusher = tracked_rows(pushed)
+def test_units_in_the_names_of_columns_are_understood(tmp_path: Path, tables: TrackedPoses, rows: Rows, pushed: list[PushRecord]) -> None:
     named = replace(
         tables,
-        poses=table_file(tmp_path / "p.csv", "Timestamp (ms),Pos_X_mm,Pos_Y_mm,theta [deg]", poses * [1e3, 1e3, 1e3, 180 / np.pi]),
-        pusher=table_file(tmp_path / "t.csv", "t_ms,x_cm,y_cm,push", pusher * [1e3, 1e2, 1e2, 1]),
+        poses=table_file(tmp_path / "p.csv", "Timestamp (ms),Pos_X_mm,Pos_Y_mm,theta [deg]", rows[0] * [1e3, 1e3, 1e3, 180 / np.pi]),
+        pusher=table_file(tmp_path / "t.csv", "t_ms,x_cm,y_cm,push", rows[1] * [1e3, 1e2, 1e2, 1]),
         outline=table_file(tmp_path / "o.csv", "x [mm],y [mm]", 1e3 * pushed[0].shape.outline),
     )
-    report = import_tracked_poses(named, tmp_path / "bag")
-    assert report.warnings == () and abs(report.overlap.miss if report.overlap else 1.0) < 1e-3
+    assert fits(import_tracked_poses(named, tmp_path / "bag"))
 
 
-def test_motion_capture_with_y_up_becomes_the_table_frame(tmp_path: Path, tables: TrackedPoses, pushed: list[PushRecord]) -> None:
-    poses, pusher = tracked_rows(pushed)
+def test_motion_capture_with_y_up_becomes_the_table_frame(tmp_path: Path, tables: TrackedPoses, rows: Rows) -> None:
+    poses, pusher = rows
     zeros, half = np.zeros(len(poses)), 0.5 * poses[:, 3]
     # Table x is x, table y is -z, up is y.
     up = np.column_stack([poses[:, 0], poses[:, 1], zeros + 0.03, -poses[:, 2], zeros, np.sin(half), zeros, np.cos(half)])
@@ -130,25 +126,19 @@ def test_motion_capture_with_y_up_becomes_the_table_frame(tmp_path: Path, tables
         pusher_axes=parse_axes("x,-z,y", "--pusher-axes"),
     )
     report = import_tracked_poses(mocap, tmp_path / "bag")
-    assert report.warnings == () and report.n_pushes == 6
+    assert fits(report) and report.n_pushes == 6
     with pytest.raises(BagError, match="no column `z`"):
         import_tracked_poses(replace(tables, axes=mocap.axes), tmp_path / "no")
+    for quaternion, reason in (([np.sqrt(0.5), 0, 0, np.sqrt(0.5)], "tilted by 90 degrees"), ([0, 0, 0, 3.0], "length other than 1")):
+        wrong = table_file(mocap.poses, "time,x,y,z,qx,qy,qz,qw", np.column_stack([up[:, :4], np.tile(quaternion, (len(up), 1))]))
+        with pytest.raises(BagError, match=reason):
+            import_tracked_poses(replace(tables, poses=wrong), tmp_path / "no")
 
 
-@pytest.mark.parametrize(
-    ("text", "reason"), [("x,y", "in the order"), ("x,x,z", "in the order"), ("y,x,z", "mirror"), ("", "in the order")]
-)
+@pytest.mark.parametrize(("text", "reason"), [("x,y", "in the order"), ("x,x,z", "in the order"), ("y,x,z", "mirror")])
 def test_axes_that_are_none_are_refused(text: str, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
         parse_axes(text, "--axes")
-
-
-def test_two_clocks_that_have_no_time_in_common_name_the_offset(tmp_path: Path, tables: TrackedPoses, pushed: list[PushRecord]) -> None:
-    _, pusher = tracked_rows(pushed)
-    unix = with_pusher(tables, pusher, tmp_path)
-    unix.pusher.write_text("time,x,y,push\n" + "\n".join(f"{t + 1.6e9:.4f},{x:.6f},{y:.6f},{n:.0f}" for t, x, y, n in pusher) + "\n")
-    with pytest.raises(BagError, match="one clock.*--time-offset -1600000000"):
-        import_tracked_poses(unix, tmp_path / "bag")
 
 
 def test_noise_of_a_camera_is_no_motion_before_the_pusher_comes(tmp_path: Path, tables: TrackedPoses) -> None:
