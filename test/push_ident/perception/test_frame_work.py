@@ -30,7 +30,7 @@ class Watched:
         self.calls: dict[int, Counter[str]] = defaultdict(Counter)
         self.rng = np.random.default_rng(3)
         functions = ((search, "cover_hollows"), (search, "find_segments"), (tracker, "compare_upper_side"), (occupancy, "top_down"))
-        for owner, name in (*functions, (table.TableCamera, "step")):
+        for owner, name in (*functions, (table.TableCamera, "check_plane")):
             monkeypatch.setattr(owner, name, self._counted(name, getattr(owner, name)))
 
     def _counted(self, name, function):
@@ -58,11 +58,11 @@ def test_no_frame_of_a_usual_camera_does_two_slow_things(monkeypatch):
     first = watched.n
     for _ in range(45):
         watched.see()
-    slow = ("cover_hollows", "find_segments", "top_down", "step")
+    slow = ("cover_hollows", "find_segments", "top_down", "check_plane")
     assert max(sum(calls[name] for name in slow) for calls in watched.calls.values()) == 1
     assert max(calls["compare_upper_side"] for calls in watched.calls.values()) == 1
     total = sum(watched.calls.values(), Counter())
-    assert total["cover_hollows"] >= 4 and total["find_segments"] >= 4 and total["top_down"] >= 1 and total["step"] >= 1
+    assert total["cover_hollows"] >= 4 and total["find_segments"] >= 4 and total["top_down"] >= 1 and total["check_plane"] >= 1
     # Two objects, each checked about four times a second.
     checked = [n - first for n, calls in watched.calls.items() if calls["compare_upper_side"]]
     assert len(checked) >= 2 * 4 and max(np.diff(checked)) * 1000 / 30 <= 2 * 250

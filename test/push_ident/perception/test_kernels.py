@@ -9,8 +9,8 @@ from helpers.depth_scene import CAMERA, INTRINSICS
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.rod import Rod
 from push_ident.perception.frame.occupancy import top_down
-from push_ident.perception.frame.robot import Cylinder, in_robot
-from push_ident.perception.frame.view import OBJECT, ROBOT, TABLE, UNKNOWN, FrameView, median_frame
+from push_ident.perception.frame.robot import Cylinder
+from push_ident.perception.frame.view import OBJECT, ROBOT, TABLE, UNKNOWN, FrameView, in_robot, median_frame
 from push_ident.perception.kernels import (
     Grid,
     compare_lines,

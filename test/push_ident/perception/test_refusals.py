@@ -15,7 +15,7 @@ from push_ident.perception.frame.table import fit_table
 from push_ident.perception.frame.view import points_in_table
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.refusals import Reason
-from push_ident.perception.search import registration
+from push_ident.perception.search import search
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import DepthFrame
 
@@ -92,7 +92,7 @@ def test_a_narrow_halo_does_not_matter_and_a_wide_unmeasured_area_is_named():
 
 def test_a_segment_without_a_shape_leaves_the_others_and_is_tried_less_and_less_often(monkeypatch):
     tried = []
-    original = registration.trace_object
+    original = search.trace_object
 
     def fails_for_the_box(views, **settings):
         if views[0].segment.centre[0] < -0.05:
@@ -100,7 +100,7 @@ def test_a_segment_without_a_shape_leaves_the_others_and_is_tried_less_and_less_
             raise InputError("two corners are the same")
         return original(views, **settings)
 
-    monkeypatch.setattr(registration, "trace_object", fails_for_the_box)
+    monkeypatch.setattr(search, "trace_object", fails_for_the_box)
     settings = replace(SETTINGS, search_period=0.0)
     perception = Perception(CAMERA, settings)
     observation, shapes = observe([*hammer(), BOX], perception=perception)
@@ -115,14 +115,14 @@ def test_a_segment_without_a_shape_leaves_the_others_and_is_tried_less_and_less_
 
 
 def test_an_outline_that_does_not_cover_its_own_segment_is_refused(monkeypatch):
-    original = registration.trace_object
+    original = search.trace_object
 
     def half(views, **settings):
         traced = original(views, **settings)
         return replace(traced, pose=np.add(traced.pose, (0.06, 0.0, 0.0)))
 
-    monkeypatch.setattr(registration, "trace_object", half)
-    monkeypatch.setattr(registration, "fuse_views", lambda traced, views, **settings: traced)
+    monkeypatch.setattr(search, "trace_object", half)
+    monkeypatch.setattr(search, "fuse_views", lambda traced, views, **settings: traced)
     observation, shapes = observe([BOX])
     assert not shapes
     assert "covers" in of(Reason.NO_SHAPE, observation)[0].why

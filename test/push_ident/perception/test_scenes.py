@@ -14,8 +14,8 @@ from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points
-from push_ident.perception.frame.robot import Cylinder, in_robot
-from push_ident.perception.frame.view import OBJECT, ROBOT, FrameView, height_inside, median_frame, points_in_table
+from push_ident.perception.frame.robot import Cylinder
+from push_ident.perception.frame.view import OBJECT, ROBOT, FrameView, height_inside, in_robot, median_frame, points_in_table
 from push_ident.perception.known_object import SegmentedView, TrackStatus
 from push_ident.perception.outline.edges import fuse_views
 from push_ident.perception.outline.tracing import trace_object

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.perception.outline.straighten import straighten
+from push_ident.perception.outline.tracing import straighten
 
 
 def traced(polygon: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,69 +16,89 @@ from push_ident.perception.frame.table import TableCamera, TablePlane
 from push_ident.perception.frame.view import FrameView
 from push_ident.perception.known_object import KnownObject, PoseFit, TrackStatus
 from push_ident.perception.observation import Observation, ObservedObject
-from push_ident.perception.outline.rests import Rests
+from push_ident.perception.outline.rests import RestingObject, Rests
 from push_ident.perception.refusals import Reason
-from push_ident.perception.search.search import N_PARTS, Search
+from push_ident.perception.search.search import N_PARTS, Search, SearchResult
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking.pose_fit import fit_pose
-from push_ident.perception.tracking.separation import Separation
 from push_ident.perception.tracking.tracker import KnownObjects, Tracker
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["BackgroundWork", "Job", "Perception"]
+__all__ = ["BackgroundWork", "Perception"]
 
 _TURNS: Final = 30.0
 """Turns of the background work for each second between two frames [1/s]: one for each frame of a usual camera. A turn is a part of a search
 or of a better outline, an occupancy grid or a check of the plane, each 3 to 15 ms."""
 _MOST_TURNS: Final = 10
 """Largest number of turns in one frame, as of a camera of a few frames a second."""
-_WHOLE_SEARCH: Final = N_PARTS + 2
-"""Turns in which a search begins and ends, though an occupancy grid and a check of the plane are due."""
-
-
-class Job(Protocol):
-    """Work that poses do not wait for, done a part at a time. What it gives is taken from it after the frame."""
-
-    @property
-    def is_under_way(self) -> bool:
-        """Whether it is to go on before another job begins."""
-
-    def due(self, view: FrameView) -> bool:
-        """Whether it is to be done in this frame."""
-
-    def step(self, view: FrameView) -> int:
-        """Do the next part with this frame; the turns that took."""
 
 
 class BackgroundWork:
-    """Shares the turns that a frame has among the jobs. Which work a frame does follows from stamps and counts alone."""
+    """Work that poses do not wait for, a part at a time: searches, occupancy grids, checks of the plane, better outlines.
+
+    Which work a frame does follows from stamps and counts alone.
+    """
 
     def __init__(self, table: TableCamera, objects: KnownObjects, search: Search, occupancy: OccupancyMap, rests: Rests) -> None:
-        self._table, self._objects, self._search, self._occupancy = table, objects, search, occupancy
-        self._jobs: tuple[Job, ...] = (occupancy, table, search, rests)
-        """In the order of their precedence; the last one is always due."""
+        self._table, self._objects, self._search, self._occupancy, self._rests = table, objects, search, occupancy, rests
+        self._at_rest: tuple[RestingObject, ...] = ()
+        """When the search under way began."""
+        self._search_ended = False
+        """Since the last turn of a better outline."""
 
-    def run(self, view: FrameView, elapsed: float, *, n_taken: int) -> None:
-        """Work on the frame, `elapsed` seconds after the one before, of whose turns `n_taken` are gone.
+    def run(self, view: FrameView, elapsed: float, *, n_taken: int) -> SearchResult | None:
+        """Work on the frame, `elapsed` seconds after the one before, of whose turns `n_taken` are gone; what a search found that ended.
 
         As long as no object is known, each frame is searched at once.
         """
+        found: SearchResult | None = None
+        self._occupancy.grid = None
         if not self._objects:
-            while self._search.step(view):
-                pass
-            if self._occupancy.due(view):
+            while found is None:
+                found = self._search_step(view)
+            if view.is_due(self._occupancy.last, view.settings.occupancy_period):
                 self._occupancy.step(view)
-            self._table.step(view)
-            return
+            self._table.check_plane(view)
+            return found
         n_turns = int(np.clip(np.rint(min(elapsed, 1.0) * _TURNS), 1, _MOST_TURNS)) - n_taken
         if not self._objects.tracked():
-            n_turns = max(n_turns, _WHOLE_SEARCH)  # no pose is late
+            n_turns = max(n_turns, N_PARTS + 2)  # No pose is late: a search begins and ends, though grid and plane are due.
         while n_turns > 0:
             view = self._table.current(view)
-            n_turns -= self._next_job(view).step(view)
+            ended = self._do_next(view)
+            found = ended or found
+            n_turns -= ended is None  # What the segments of a search are is soon known: that takes no turn.
+        return found
 
-    def _next_job(self, view: FrameView) -> Job:
-        return next((job for job in self._jobs if job.is_under_way), None) or next(job for job in self._jobs if job.due(view))
+    def _do_next(self, view: FrameView) -> SearchResult | None:
+        """Do the next part of what is most urgent. After a search, a better outline that is under way has a turn before another search."""
+        settings, waits = view.settings, self._search_ended and self._rests.is_refining
+        if self._search.is_under_way:
+            return self._search_step(view)
+        if view.is_due(self._occupancy.last, settings.occupancy_period):
+            self._occupancy.step(view)
+        elif view.is_due(self._table.last_check, settings.occupancy_period):
+            self._table.check_plane(view)
+        elif view.is_due(self._search.last, settings.search_period) and not waits:
+            return self._search_step(view)
+        else:
+            self._search_ended = False
+            self._rests.step()
+        return None
+
+    def _search_step(self, view: FrameView) -> SearchResult | None:
+        """Do the next part of a search. At its end, objects that it shows whole in a new rest get a better outline."""
+        if not self._search.is_under_way:
+            self._at_rest = self._rests.resting(self._objects)
+        found = self._search.step(view)
+        if found is not None:
+            self._search_ended = True
+            self._rests.begin_refinements(self._at_rest, found.segments, found.covered.view, self._table.settings.min_object_height)
+            for name, thing in found.new.items():
+                self._rests.begin(name, thing.views, thing.traced.pose)
+            for removal in found.removed:
+                self._rests.forget(removal.object_id)
+        return found
 
 
 class Perception:
@@ -109,9 +129,8 @@ class Perception:
         self._table = TableCamera(self._extrinsics, settings)
         self._objects = KnownObjects()
         self._rests = Rests()
-        separation = Separation()
-        self._tracker = Tracker(self._objects, separation)
-        self._search = Search(self._table, self._objects, self._tracker, separation, self._rests)
+        self._tracker = Tracker(self._objects)
+        self._search = Search(self._objects, self._tracker)
         self._occupancy = OccupancyMap(makes_grid=self._makes_occupancy)
         self._background = BackgroundWork(self._table, self._objects, self._search, self._occupancy, self._rests)
         self._last_stamp = -np.inf
@@ -200,33 +219,33 @@ class Perception:
             FrameError: The frame repeats a stamp, its size differs from its camera info, or that is of no camera.
             PerceptionError: The frame has no valid pixel, or no table is found.
         """
-        frame = usable_frame(frame)
-        elapsed = frame.stamp - self._last_stamp
-        restarted, n_valid = self._check(frame)
+        frame, elapsed, restarted, n_valid = self._accepted(frame)
         view = self._table.view(frame, robot)
         self._last_stamp = frame.stamp
-        fits = self._tracker.track(view, elapsed, is_searching=self._search.is_under_way)
         ready, not_refined = self._rests.take_refined()
+        fits = self._tracker.track(view, elapsed, is_searching=self._search.is_under_way)
         refined, not_adopted = self._tracker.adopt(ready, view, fits)
-        self._rests.note(frame, fits, self.settings.rest_frames)
+        self._rests.note(frame, fits, view.settings.rest_frames)
         if on_poses is not None and fits:
             on_poses(_observed(fits))
-        self._background.run(view, elapsed, n_taken=bool(refined))
-        search = self._search.take_result()
-        objects = _observed({name: fit for name, fit in (fits | search.fits).items() if name in self._objects})
+        found = self._background.run(view, elapsed, n_taken=bool(refined))
+        new = found.new if found else {}
+        if found:
+            fits |= found.fits
+        objects = _observed({name: fit for name, fit in fits.items() if name in self._objects})
         return Observation(
             frame.stamp,
             objects,
-            search.new_shapes,
+            (found.announced if found else {}) | {name: thing.traced.shape for name, thing in new.items()},
             self._counts(frame, n_valid, objects),
             self._search.refused,
-            self._occupancy.take_grid(),
-            search.further_views,
+            self._occupancy.grid,
+            found.further_views if found else {},
             restarted,
             refined,
             not_refined | not_adopted,
-            search.doubts,
-            search.removed,
+            {name: thing.doubt for name, thing in new.items() if thing.doubt},
+            found.removed if found else (),
         )
 
     def finish(self) -> dict[str, ObjectShape]:
@@ -237,17 +256,18 @@ class Perception:
             self._objects[name].adopt(better, template)
         return {name: better.traced.shape for name, (better, _) in ready.items()}
 
-    def _check(self, frame: DepthFrame) -> tuple[bool, int]:
-        """Whether time went back, and the number of valid pixels of a frame that can be used."""
-        if frame.stamp == self._last_stamp:
+    def _accepted(self, frame: DepthFrame) -> tuple[DepthFrame, float, bool, int]:
+        """A frame that can be used, the time since the one before [s], whether time went back, and its number of valid pixels."""
+        frame = usable_frame(frame)
+        elapsed = frame.stamp - self._last_stamp
+        if elapsed == 0.0:
             raise FrameError(f"Depth frame repeats the stamp {frame.stamp:.6f} s; the camera driver or the bag repeats frames.")
-        restarted = frame.stamp < self._last_stamp
-        if restarted:
+        if elapsed < 0.0:
             self.reset()
         n_valid = int(np.count_nonzero(np.isfinite(frame.depth)))
         if n_valid == 0:
             raise PerceptionError(f"Depth image has 0 valid of {frame.depth.size} pixels; check the camera and its range.")
-        return restarted, n_valid
+        return frame, elapsed, elapsed < 0.0, n_valid
 
     def _counts(self, frame: DepthFrame, n_valid: int, objects: Sequence[ObservedObject]) -> dict[str, int]:
         n_tracked = sum(known.status is TrackStatus.TRACKED for known in objects)

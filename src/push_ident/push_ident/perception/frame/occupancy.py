@@ -56,31 +56,20 @@ def _closed(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 class OccupancyMap:
-    """A job that makes the occupancy grid once in an occupancy period.
+    """Makes the occupancy grid, in turns of the background work.
 
     Args:
         makes_grid: Without it the turns pass all the same: which work a frame does stays as it is in a live cell.
     """
 
-    is_under_way: Final = False
-
     def __init__(self, *, makes_grid: bool) -> None:
         self._makes_grid = makes_grid
-        self._last = -np.inf
-        self._grid: TopDownGrid | None = None
+        self.last = -np.inf
+        """Stamp of the frame of the last turn [s]."""
+        self.grid: TopDownGrid | None = None
 
-    def due(self, view: FrameView) -> bool:
-        """Once in an occupancy period."""
-        return view.is_due(self._last, view.settings.occupancy_period)
-
-    def step(self, view: FrameView) -> int:
-        """Make the grid; the turns that took."""
-        self._last = view.frame.stamp
+    def step(self, view: FrameView) -> None:
+        """Make the grid."""
+        self.last = view.frame.stamp
         if self._makes_grid:
-            self._grid = top_down(view)
-        return 1
-
-    def take_grid(self) -> TopDownGrid | None:
-        """The grid that was made since the last call; None where there was none."""
-        grid, self._grid = self._grid, None
-        return grid
+            self.grid = top_down(view)

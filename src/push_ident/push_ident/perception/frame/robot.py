@@ -1,23 +1,20 @@
-"""The robot in a depth image: which points belong to it, and where its parts were when the image was taken."""
+"""Where tool and arm were when an image was taken."""
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from push_ident.errors import InputError
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.geometry.rod import Rod
-from push_ident.perception.kernels import points_in_rods
-from push_ident.types import BoolArray, Float64Array
+from push_ident.types import Float64Array
 
-__all__ = ["Cylinder", "RobotHistory", "RobotPart", "in_robot"]
+__all__ = ["Cylinder", "RobotHistory", "RobotPart"]
 
 _TOOL_POSES: Final = 200
 """Tool poses kept: 3 s at 60 Hz."""
@@ -38,24 +35,6 @@ class Cylinder:
 
 RobotPart = Cylinder | Rod
 """Tool and hand, placed by the pose of the tool, or links of the arm, placed by its joint states."""
-
-
-def in_robot(points: NDArray[np.float32], robot: Sequence[RobotPart], margin: float) -> BoolArray:
-    """Which of `points`, shape (..., 3), lie in a part of the robot grown by `margin` [m]."""
-    if not robot:
-        return np.zeros(points.shape[:-1], dtype=bool)
-    flat = np.ascontiguousarray(points, dtype=np.float32).reshape(-1, 3)
-    inside = points_in_rods(flat, np.array([_as_row(part) for part in robot]), margin)
-    return np.asarray(inside.reshape(points.shape[:-1]))
-
-
-def _as_row(part: RobotPart) -> tuple[float, ...]:
-    """Start, unit direction, length and radius of a part."""
-    if isinstance(part, Cylinder):
-        return part.x, part.y, part.z_min, 0.0, 0.0, 1.0, math.inf, part.radius
-    axis = part.end - part.start
-    length = float(np.linalg.norm(axis))
-    return *part.start, *(axis / length), length, part.radius
 
 
 class RobotHistory:

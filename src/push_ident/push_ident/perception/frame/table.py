@@ -143,14 +143,12 @@ def _best_random_plane(points: Float64Array, max_tilt: float) -> Float64Array:
 
 
 class TableCamera:
-    """The camera over the table: its extrinsics, corrected by the plane of the table in its frames; a job that checks that plane.
+    """The camera over the table: its extrinsics, corrected by the plane of the table in its frames.
 
     Args:
         extrinsics: Optical frame in the table frame, homogeneous, shape (4, 4).
         settings: May be replaced between frames.
     """
-
-    is_under_way: Final = False
 
     def __init__(self, extrinsics: Float64Array, settings: PerceptionSettings) -> None:
         self._extrinsics = extrinsics
@@ -161,7 +159,8 @@ class TableCamera:
         """Optical frame in the table frame, shape (4, 4); another array after each change."""
         self.n_hidden = 0
         """Checks in which too little of the table was visible."""
-        self._last = -np.inf
+        self.last_check = -np.inf
+        """Stamp of the frame of the last check [s]."""
 
     def view(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> FrameView:
         """The frame seen by this camera; the first frame gives the plane.
@@ -170,7 +169,7 @@ class TableCamera:
             PerceptionError: No table is found in the first frame.
         """
         if self.plane is None:
-            self._use(fit_table(points_in_table(frame, self._extrinsics), self.settings))
+            self._use(fit_table(FrameView(frame, self._extrinsics, settings=self.settings).points, self.settings))
         assert self.plane is not None
         # An object is higher than the noise of the table.
         limits = replace(self.settings, min_object_height=max(self.settings.min_object_height, self.plane.least_height))
@@ -180,27 +179,21 @@ class TableCamera:
         """The view, with the plane as it is now."""
         return view if view.camera_in_table is self.camera_in_table else self.view(view.frame, view.robot)
 
-    def due(self, view: FrameView) -> bool:
-        """Once in an occupancy period."""
-        return view.is_due(self._last, view.settings.occupancy_period)
-
-    def step(self, view: FrameView) -> int:
-        """Use another plane from now on if the table or the camera was moved; the turns that took. Smaller differences are noise and would
-        make the poses jump.
+    def check_plane(self, view: FrameView) -> None:
+        """Use another plane from now on if the table or the camera was moved. Smaller differences are noise and would make the poses jump.
 
         A plane that was fitted to a noisy image, such as the first one of a camera that starts, gets the noise of a better one: otherwise
         the low parts of objects would count as table. One that was fitted to an image in which the table was elsewhere is fitted again.
         """
-        self._last = view.frame.stamp
+        self.last_check = view.frame.stamp
         assert self.plane is not None
         try:
             plane = self._plane_in(view, self.plane)
         except PerceptionError:
             self.n_hidden += 1  # The robot may cover the table for a while; the plane in use remains valid.
-            return 1
+            return
         if plane is not self.plane:
             self._use(plane)
-        return 1
 
     def _plane_in(self, view: FrameView, plane: TablePlane) -> TablePlane:
         """The plane to use from this frame on, `plane` as a rule. Raises PerceptionError: the table is hidden."""

@@ -6,6 +6,7 @@ so a point is the camera centre plus its depth times that direction.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -18,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.errors import FrameError
 from push_ident.geometry.outline import points_in_polygon
 from push_ident.perception.frame.depth_image import check_intrinsics, check_size
-from push_ident.perception.frame.robot import RobotPart, in_robot
-from push_ident.perception.kernels import label_heights, place_points, sort_columns
+from push_ident.perception.frame.robot import Cylinder, RobotPart
+from push_ident.perception.kernels import label_heights, place_points, points_in_rods, sort_columns
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame, Float64Array
 
@@ -30,6 +31,7 @@ __all__ = [
     "UNKNOWN",
     "FrameView",
     "height_inside",
+    "in_robot",
     "median_frame",
     "points_in_table",
     "unmeasured_areas",
@@ -158,6 +160,24 @@ def points_in_table(frame: DepthFrame, camera_in_table: ArrayLike) -> NDArray[np
         FrameError: The size of the image differs from its camera info.
     """
     return FrameView(frame, np.asarray(camera_in_table, dtype=np.float64)).points
+
+
+def in_robot(points: NDArray[np.float32], robot: Sequence[RobotPart], margin: float) -> BoolArray:
+    """Which of `points`, shape (..., 3), lie in a part of the robot grown by `margin` [m]."""
+    if not robot:
+        return np.zeros(points.shape[:-1], dtype=bool)
+    flat = np.ascontiguousarray(points, dtype=np.float32).reshape(-1, 3)
+    inside = points_in_rods(flat, np.array([_as_row(part) for part in robot]), margin)
+    return np.asarray(inside.reshape(points.shape[:-1]))
+
+
+def _as_row(part: RobotPart) -> tuple[float, ...]:
+    """Start, unit direction, length and radius of a part."""
+    if isinstance(part, Cylinder):
+        return part.x, part.y, part.z_min, 0.0, 0.0, 1.0, math.inf, part.radius
+    axis = part.end - part.start
+    length = float(np.linalg.norm(axis))
+    return *part.start, *(axis / length), length, part.radius
 
 
 def median_frame(frames: Sequence[DepthFrame]) -> DepthFrame:

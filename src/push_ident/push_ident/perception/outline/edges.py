@@ -32,7 +32,7 @@ from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.perception.frame.view import FrameView
 from push_ident.perception.kernels import edges_nearest
 from push_ident.perception.known_object import Template, TracedObject, TrackStatus
-from push_ident.perception.outline.straighten import straighten
+from push_ident.perception.outline.tracing import straighten
 from push_ident.perception.tracking.pose_fit import fit_pose, lines_of_sight
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 

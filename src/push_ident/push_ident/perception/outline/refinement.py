@@ -30,8 +30,7 @@ from push_ident.perception.outline.edges import (
     with_edges_moved,
     without_reversed,
 )
-from push_ident.perception.outline.straighten import straighten
-from push_ident.perception.outline.tracing import InParts, trace_in_parts
+from push_ident.perception.outline.tracing import InParts, straighten, trace_in_parts
 from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["DISPLACED", "RestView", "refine"]

@@ -146,10 +146,7 @@ class _RestHistory:
 
 
 class Rests:
-    """The rests of all known objects, and the work on better outlines: a job that is always due."""
-
-    is_under_way: Final = False
-    """Between two parts anything else may be done."""
+    """The rests of all known objects, and the work on better outlines."""
 
     def __init__(self) -> None:
         self._frames: deque[DepthFrame] = deque()
@@ -157,7 +154,6 @@ class Rests:
         self._work: dict[str, InParts[tuple[Refined, Template] | None]] = {}
         self._refined: dict[str, tuple[Refined, Template]] = {}
         self._failed: dict[str, str] = {}
-        self._waits = False
 
     def begin(self, object_id: str, views: Sequence[SegmentedView] = (), pose: Float64Array | None = None) -> None:
         """Follow an object, with the views that it was traced from at `pose`; without any for one of an earlier run."""
@@ -197,57 +193,35 @@ class Rests:
                 resting.append(RestingObject(name, known.traced, known.template, pose, frames))
         return tuple(resting)
 
-    def begin_refinement(self, resting: RestingObject, segments: Sequence[Segment], view: FrameView, min_height: float) -> None:
-        """Take a rest for a refinement, which `step` then does.
+    def begin_refinements(self, at_rest: Sequence[RestingObject], segments: Sequence[Segment], view: FrameView, min_height: float) -> None:
+        """Take rests for refinements, which `step` then does, of the objects that a search shows as a whole.
 
         Args:
             segments: Those of the search.
             view: In which it found them.
             min_height: Anything lower is table [m].
         """
-        segment = next((one for one in segments if _is_all_of(one, view.points, resting)), None)
-        if segment is None:
-            return
-        rest = [FrameView(frame, view.camera_in_table, view.robot, noise=view.noise) for frame in resting.frames]
-        history = self._objects[resting.object_id]
-        history.n_rests += 1
-        self._work[resting.object_id] = history.refinement(
-            resting, [SegmentedView(frame, segment) for frame in rest], segment.points_in(view.points), min_height
-        )
+        for resting in at_rest:
+            segment = next((one for one in segments if _is_all_of(one, view.points, resting)), None)
+            if segment is None:
+                continue
+            rest = [FrameView(frame, view.camera_in_table, view.robot, noise=view.noise) for frame in resting.frames]
+            history = self._objects[resting.object_id]
+            history.n_rests += 1
+            self._work[resting.object_id] = history.refinement(
+                resting, [SegmentedView(frame, segment) for frame in rest], segment.points_in(view.points), min_height
+            )
 
     @property
     def is_refining(self) -> bool:
         """Whether parts of a refinement are left to do."""
         return bool(self._work)
 
-    @property
-    def waits(self) -> bool:
-        """Whether a search ended since the last turn, so that the next turn is due to a refinement before another search."""
-        return self._waits and self.is_refining
-
-    def note_search(self) -> None:
-        """A search ended."""
-        self._waits = True
-
-    def due(self, view: FrameView) -> bool:
-        """Always."""
-        return True
-
-    def step(self, view: FrameView) -> int:
-        """Do one part of the refinements under way, in the order in which they began; the turns that took.
+    def step(self) -> None:
+        """Do one part of the refinements under way, in the order in which they began.
 
         An error of any kind stays with its object, which remains usable as it is known: the frame whose turn it was has poses to give.
         """
-        self._waits = False
-        self._do_part()
-        return 1
-
-    def finish(self) -> None:
-        """Do all parts that are left."""
-        while self._work:
-            self._do_part()
-
-    def _do_part(self) -> None:
         if not self._work:
             return
         name, work = next(iter(self._work.items()))
@@ -260,6 +234,11 @@ class Rests:
         except Exception as error:
             del self._work[name]
             self._failed[name] = str(error) if isinstance(error, PushIdentError) else f"{type(error).__name__}: {error}"
+
+    def finish(self) -> None:
+        """Do all parts that are left."""
+        while self._work:
+            self.step()
 
     def take_refined(self) -> tuple[dict[str, tuple[Refined, Template]], dict[str, str]]:
         """The better outlines since the last call, and why others came to nothing; both by object."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from push_ident.perception.frame.view import OBJECT, ROBOT, FrameView
 from push_ident.perception.kernels import highest_in_cells
-from push_ident.perception.known_object import Segment, TracedObject
+from push_ident.perception.known_object import TracedObject
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray, Float64Array
 
@@ -50,13 +50,6 @@ class Covered:
     """The labels of lids are OBJECT."""
     lid: BoolArray | None
     """Which pixels are lids, shape (height, width); None where there is none."""
-
-    def lid_of(self, segment: Segment) -> Float64Array:
-        """Points of the lid of a segment [m], shape (n, 2), table frame; none where it has no lid."""
-        if self.lid is None:
-            return np.empty((0, 2))
-        box = (segment.rows, segment.columns)
-        return self.view.points[box][self.lid[box] & segment.mask][:, :2].astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
 """The search for new and lost objects, done in parts over the frames that follow its own.
 
 A search looks at the whole image, which takes longer than a fit of poses. It is of one frame and of what was known then; only its end, in
-which lost objects are fitted again, is of the frame in which it ends.
+which lost objects are fitted again, is of the frame in which it ends. A segment that no known object explains becomes an object when it was
+at rest for some frames: it is traced, and the shape compared with what was measured.
 """
 
 from __future__ import annotations
@@ -12,21 +13,35 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from push_ident.geometry.se2 import rotation
-from push_ident.perception.frame.table import TableCamera
-from push_ident.perception.frame.view import ROBOT, TABLE, FrameView
-from push_ident.perception.known_object import ON_OBJECT, THIN, NewObject, Placed, PoseFit, Segment, area_from_above
-from push_ident.perception.outline.rests import RestingObject, Rests
-from push_ident.perception.outline.tracing import InParts
+from push_ident.errors import FrameError, InputError, PerceptionError
+from push_ident.geometry.outline import polygon_area, signed_distance
+from push_ident.geometry.se2 import rotation, transform_points
+from push_ident.geometry.shape_check import check_shape
+from push_ident.perception.frame.robot import RobotPart
+from push_ident.perception.frame.view import ROBOT, TABLE, FrameView, median_frame
+from push_ident.perception.kernels import outline_distances
+from push_ident.perception.known_object import (
+    ON_OBJECT,
+    THIN,
+    NewObject,
+    Placed,
+    PoseFit,
+    Segment,
+    SegmentedView,
+    TracedObject,
+    area_from_above,
+)
+from push_ident.perception.outline.edges import dense, fuse_views
+from push_ident.perception.outline.tracing import trace_object
 from push_ident.perception.refusals import Reason, Refusal, Removal
-from push_ident.perception.search.hollows import Covered, cover_hollows
-from push_ident.perception.search.registration import Registration
+from push_ident.perception.search.further_camera import FurtherCamera
+from push_ident.perception.search.hollows import Covered, cover_hollows, with_hollow
 from push_ident.perception.search.segments import find_segments
-from push_ident.perception.tracking.separation import Separation
+from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking.tracker import KnownObjects, Tracker
-from push_ident.types import BoolArray, ObjectShape
+from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["N_PARTS", "Search", "SearchResult"]
 
@@ -34,135 +49,113 @@ N_PARTS: Final = 3
 """Parts of a search: labels and hollows, segments, and what they are."""
 _EXPLAINED: Final = 0.1
 """A segment of which less lies on known objects is a thing of its own: things that stand close may overlap at their walls [-]."""
+_COVERED_BESIDE: Final = 0.01
+"""Points up to this distance outside the outline count as covered [m]: a wall's points scatter to both sides of it."""
+_CHECKED: Final = 2000
+"""About so many of the points are compared with the outline; more do not change the fraction."""
+_LONGEST_WAIT: Final = 16
+"""A segment without a shape is traced anew after twice as many frames each time, up to so many times `rest_frames`."""
+_EDGE_STEP: Final = 0.002
+"""Distance of the points of the edge that are looked at [m]: a cell of the heights."""
+_INSIDE_EDGE: Final = 0.003
+"""So far inside the outline the height of an edge is looked up [m]: nearer to it, heights are those of a wall or of the table."""
+_SIDE: Final = 0.008
+"""A point so near to the outline in the view from above is on the side below the edge [m]."""
+_LOW_EDGE: Final = 0.05
+"""Fraction of the edge from which it is reported that the tool passes over it [-]: less may be noise of the heights."""
+_VISIBLE_SIDE: Final = 0.1
+"""Least fraction of a high edge below which the side is visible [-]: a camera sees the sides that face it, at least a quarter of them."""
+_HOLLOW: Final = "the object is hollow, and only the main camera sees where its hollow is"
 
 
 @dataclass(frozen=True, slots=True)
 class SearchResult:
-    """What one search found, as in `Observation`."""
-
-    fits: dict[str, PoseFit] = field(default_factory=dict)
-    """Of objects that were found again."""
-    new_shapes: dict[str, ObjectShape] = field(default_factory=dict)
-    further_views: dict[str, str] = field(default_factory=dict)
-    doubts: dict[str, str] = field(default_factory=dict)
-    removed: tuple[Removal, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class _Segmented:
-    """What stands on the table in one frame."""
+    """What one search found."""
 
     covered: Covered
+    """Its frame."""
     segments: list[Segment]
-    counts: dict[str, int]
-    """Of pixels `table`, `robot`, `object_pixels`, and of `segments`."""
+    """All of them."""
+    fits: dict[str, PoseFit]
+    """Of objects that were found again, by id."""
+    announced: dict[str, ObjectShape]
+    """Shapes of remembered objects that were found, by id."""
+    new: dict[str, NewObject]
+    """New objects, by id."""
+    further_views: dict[str, str]
+    """As in `Observation`."""
+    removed: tuple[Removal, ...]
+    """Objects that came apart."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Started:
     """A search under way, with what was known in its frame."""
 
-    work: InParts[_Segmented]
+    covered: Covered
     stamp: float
     """Of its frame [s]."""
     tracked: dict[str, Placed]
     """The objects that had a pose, by id."""
-    at_rest: tuple[RestingObject, ...]
+    segments: list[Segment] | None = None
+    counts: dict[str, int] = field(default_factory=dict)
+    """Of pixels `table`, `robot`, `object_pixels`, and of `segments`."""
 
 
 class Search:
-    """A job that takes in new objects, finds lost ones again, and begins better outlines of those at rest."""
+    """Takes in new objects and finds lost ones again, in turns of the background work."""
 
-    def __init__(self, table: TableCamera, objects: KnownObjects, tracker: Tracker, separation: Separation, rests: Rests) -> None:
-        self._table, self._objects, self._tracker, self._separation, self._rests = table, objects, tracker, separation, rests
+    def __init__(self, objects: KnownObjects, tracker: Tracker) -> None:
+        self._objects, self._tracker = objects, tracker
         self.registration: Final = Registration()
         self.refused: tuple[Refusal, ...] = ()
         """By the last search."""
         self.counts = dict.fromkeys(("table", "robot", "object_pixels", "segments"), 0)
         """Of the last search."""
-        self._last = -np.inf
-        self._started: _Started | None = None
-        self._result = SearchResult()
-
-    @property
-    def is_under_way(self) -> bool:
+        self.last = -np.inf
+        """Stamp of the frame of the last search [s]."""
+        self.is_under_way = False
         """Whether parts of it are left to do."""
-        return self._started is not None
+        self._started: _Started | None = None
 
-    def due(self, view: FrameView) -> bool:
-        """Once in a search period, unless a better outline has waited for a turn since the last search."""
-        return view.is_due(self._last, view.settings.search_period) and not self._rests.waits
+    def step(self, view: FrameView) -> SearchResult | None:
+        """Do the next part; the result after the last one. An error ends the search."""
+        started, self._started, self.is_under_way = self._started, None, False
+        if started is None:
+            self.last = view.frame.stamp
+            tracked = {name: known.placed for name, known in self._objects.tracked().items()}
+            started = _Started(cover_hollows(view), view.frame.stamp, tracked)
+        elif started.segments is None:
+            started.segments, counts = find_segments(started.covered.view)
+            labels = started.covered.view.labels
+            table, robot = (int(np.count_nonzero(labels == label)) for label in (TABLE, ROBOT))
+            started.counts = {"table": table, "robot": robot, **counts}
+        else:
+            return self._explain(started, started.segments, view)
+        self._started, self.is_under_way = started, True
+        return None
 
-    def step(self, view: FrameView) -> int:
-        """Do the next part; the turns that took. What the segments are is soon known: that takes none."""
-        started = self._started or self._begin(view)
-        self._started = None  # an error ends it
-        try:
-            next(started.work)
-        except StopIteration as end:
-            self._rests.note_search()
-            self._result = self._explain(started, end.value, view)
-            return 0
-        self._started = started
-        return 1
-
-    def take_result(self) -> SearchResult:
-        """What a search that ended since the last call found."""
-        result, self._result = self._result, SearchResult()
-        return result
-
-    def _begin(self, view: FrameView) -> _Started:
-        self._last = view.frame.stamp
-        tracked = {name: known.placed for name, known in self._objects.tracked().items()}
-        return _Started(_segmented(view), view.frame.stamp, tracked, self._rests.resting(self._objects))
-
-    def _explain(self, started: _Started, segmented: _Segmented, view: FrameView) -> SearchResult:
+    def _explain(self, started: _Started, segments: list[Segment], view: FrameView) -> SearchResult:
         """What the segments of a search are: known objects, lost ones, which are fitted to the frame of `view`, and new ones."""
-        covered, settings = segmented.covered, self._table.settings
-        points = covered.view.points
-        for resting in started.at_rest:
-            self._rests.begin_refinement(resting, segmented.segments, covered.view, settings.min_object_height)
+        covered, separation = started.covered, self._tracker.separation
+        points, least_area, rest_frames = covered.view.points, view.settings.min_object_area, view.settings.rest_frames
         tracked = {name: known.placed for name, known in self._objects.tracked().items()} | started.tracked
-        unexplained = _unexplained(segmented.segments, points, list(tracked.values()), settings.min_object_area)
+        unexplained = _unexplained(segments, points, list(tracked.values()), least_area)
         fits = {}
         for name, known in self._objects.items():
             fit = None if known.is_tracked else self._tracker.find_again(view, name, unexplained)
             if fit is not None:
                 fits[name] = fit
-                unexplained = _unexplained(unexplained, points, [known.placed], settings.min_object_area)
-        unexplained, touching, removed = self._separation.refuse_parts(unexplained, points, settings.rest_frames)
-        new, waiting = self._registration_of([segment for segment in unexplained if segment.whole], covered, started.stamp)
+                unexplained = _unexplained(unexplained, points, [known.placed], least_area)
+        unexplained, touching, removed = separation.refuse_parts(unexplained, points, rest_frames)
+        traced, waiting = self.registration.update([segment for segment in unexplained if segment.whole], covered)
+        new = {self._objects.add(thing, started.stamp): thing for thing in traced}
         cut = [segment.refusal(points, segment.fault) for segment in unexplained if segment.fault is not None]
-        self.refused, self.counts = (*cut, *touching, *waiting), segmented.counts
-        removed += self._separation.replace_by(new)
+        self.refused, self.counts = (*cut, *touching, *waiting), started.counts
+        removed += separation.replace_by(new)
         for removal in removed:
             del self._objects[removal.object_id]
-            self._rests.forget(removal.object_id)
-        return SearchResult(
-            fits,
-            self._objects.announce() | {name: thing.traced.shape for name, thing in new.items()},
-            self.registration.further_views,
-            {name: thing.doubt for name, thing in new.items() if thing.doubt},
-            tuple(removed),
-        )
-
-    def _registration_of(self, segments: Sequence[Segment], covered: Covered, stamp: float) -> tuple[dict[str, NewObject], list[Refusal]]:
-        """The segments that become objects, by id, and why the others do not."""
-        traced, waiting = self.registration.update(segments, covered)
-        new = {self._objects.add(thing, stamp): thing for thing in traced}
-        for name, thing in new.items():
-            self._rests.begin(name, thing.views, thing.traced.pose)
-        return new, waiting
-
-
-def _segmented(view: FrameView) -> InParts[_Segmented]:
-    """The segments of a frame."""
-    covered = cover_hollows(view)
-    yield
-    segments, counts = find_segments(covered.view)
-    table, robot = (int(np.count_nonzero(covered.view.labels == label)) for label in (TABLE, ROBOT))
-    yield
-    return _Segmented(covered, segments, {"table": table, "robot": robot, **counts})
+        return SearchResult(covered, segments, fits, self._objects.announce(), new, self.registration.further_views, tuple(removed))
 
 
 def _unexplained(segments: Sequence[Segment], points: NDArray[np.float32], known: Sequence[Placed], least_area: float) -> list[Segment]:
@@ -199,3 +192,212 @@ def _on_known(points: NDArray[np.float32], mask: BoolArray, known: Sequence[Plac
     result = np.zeros(mask.shape, dtype=bool)
     result[mask] = on_one
     return result
+
+
+@dataclass(slots=True)
+class _Candidate:
+    """A segment that may become an object, and the frames in which it was at rest."""
+
+    segment: Segment
+    frames: list[DepthFrame]
+    """Those since the last try, at most `rest_frames`."""
+    centres: list[Float64Array]
+    """Middle of the segment in each of them [m], shape (2,)."""
+    waited: int = 1
+    """Frames since the last try."""
+    wait: int = 1
+    """Frames until the next try, in units of `rest_frames`."""
+    failure: str = ""
+    """Why the last try gave no shape."""
+
+    def is_continued_by(self, segment: Segment, view: FrameView) -> bool:
+        """Whether the segment has the position and the size of this candidate; noise moves the middle of a segment by up to a pixel.
+
+        Frames of another size or with other intrinsics, as after a driver has changed its mode, begin anew.
+        """
+        frame, settings = view.frame, view.settings
+        if frame.intrinsics != self.frames[-1].intrinsics:
+            return False
+        pixel = float(np.nanmedian(frame.depth[segment.rows, segment.columns][segment.mask])) / frame.intrinsics.fx
+        moved = float(np.linalg.norm(segment.centre - np.mean(self.centres, axis=0)))
+        same_area = abs(segment.area - self.segment.area) < settings.segments.same_area * segment.area
+        return moved < max(settings.rest_distance, pixel) and same_area
+
+
+@dataclass(slots=True)
+class Registration:
+    """Candidates for objects, and the further cameras that help to trace them."""
+
+    further_views: dict[str, str] = field(default_factory=dict)
+    """Of the frame at hand, when something was traced: per further camera why its view was left out; empty where it was used."""
+    _candidates: list[_Candidate] = field(default_factory=list)
+    _further: dict[str, FurtherCamera] = field(default_factory=dict)
+
+    def add_further_view(self, name: str, frame: DepthFrame, camera_in_table: ArrayLike, robot: Sequence[RobotPart]) -> None:
+        """Keep a frame of the further camera `name`; its optical frame in the table frame, shape (4, 4); the robot at that time."""
+        self._further.setdefault(name, FurtherCamera()).add(frame, camera_in_table, robot)
+
+    def update(self, segments: Sequence[Segment], covered: Covered) -> tuple[list[NewObject], list[Refusal]]:
+        """Take the whole segments of a frame that no object explains.
+
+        Args:
+            covered: The frame in which they were found.
+
+        Returns:
+            The objects that were at rest for `rest_frames` frames with this one, and why the others are none. What goes wrong with one
+            segment stays with it.
+        """
+        self.further_views = {}
+        view = covered.view
+        self._candidates = [self._continued(segment, view) for segment in segments]
+        new, refused, left = [], [], []
+        for candidate in self._candidates:
+            segment = candidate.segment
+            if candidate.waited >= candidate.wait * view.settings.rest_frames:
+                try:
+                    traced, views = self._shape_of(candidate, _lid_of(segment, covered), view)
+                    _check_covered(traced, segment, view)
+                    measured = segment.measured_in(view.points).astype(np.float64)
+                    new.append(NewObject(traced, segment.area, tuple(views), _contact_doubt(traced, measured, view.settings.tool_reach)))
+                    continue
+                except (FrameError, InputError, PerceptionError) as error:
+                    candidate.failure = str(error)
+                    candidate.waited, candidate.wait = 0, min(2 * candidate.wait, _LONGEST_WAIT)
+            left.append(candidate)
+            reason, why = Reason.NOT_AT_REST, Reason.NOT_AT_REST.value
+            if candidate.failure:
+                reason, why = Reason.NO_SHAPE, f"{Reason.NO_SHAPE.value}: {candidate.failure}"
+            refused.append(segment.refusal(view.points, reason, why))
+        self._candidates = left
+        return new, refused
+
+    def _continued(self, segment: Segment, view: FrameView) -> _Candidate:
+        """The candidate at the position of the segment with this frame added, or a new one."""
+        frame, settings = view.frame, view.settings
+        for candidate in self._candidates:
+            if candidate.is_continued_by(segment, view):
+                frames = [*candidate.frames, frame][-settings.rest_frames :]
+                centres = [*candidate.centres, segment.centre][-settings.rest_frames :]
+                return _Candidate(segment, frames, centres, candidate.waited + 1, candidate.wait, candidate.failure)
+        return _Candidate(segment, [frame], [segment.centre])
+
+    def _shape_of(self, candidate: _Candidate, lid: Float64Array, view: FrameView) -> tuple[TracedObject, list[SegmentedView]]:
+        """Its shape, and the views it was traced from; `lid` has the points of its lid [m], shape (n, 2), `view` is the latest frame.
+
+        Raises FrameError, InputError or PerceptionError: there is no shape that agrees with what was measured.
+        """
+        frames, segment, settings = candidate.frames, candidate.segment, view.settings
+        median = FrameView(median_frame(frames), view.camera_in_table, noise=view.noise / np.sqrt(len(frames)))
+        is_hollow = len(lid) * segment.area > settings.min_object_area * int(np.count_nonzero(segment.mask))
+        main = SegmentedView(median, segment)
+        traced, views = self._trace_with_all(main, frames[0].stamp, frames[-1].stamp, settings, main_only=is_hollow)
+        fused = fuse_views(traced, [(segmented.view, traced.pose) for segmented in views], pose_known=True)
+        # What the nodes after this one refuse is no object here either.
+        check_shape(fused.shape, remedy="It may be several things; move them apart.")
+        return with_hollow(fused, lid) if is_hollow else fused, views
+
+    def _trace_with_all(
+        self, main: SegmentedView, began: float, ended: float, settings: PerceptionSettings, *, main_only: bool
+    ) -> tuple[TracedObject, list[SegmentedView]]:
+        """The object traced from the main camera's view and those of further cameras that agree with it, and all these views.
+
+        `main_only`: from the main camera only, since the lid of a hollow object is in its view only.
+        """
+
+        def trace(views: Sequence[SegmentedView]) -> TracedObject:
+            return trace_object(views, min_height=settings.min_object_height, cell_count=settings.cell_count)
+
+        traced, views = trace([main]), [main]
+        for name, camera in self._further.items():
+            if main_only:
+                self.further_views[name] = _HOLLOW
+                continue
+            try:
+                more = [*views, camera.view_of(traced, began, ended, settings)]
+                traced, views = trace(more), more
+                self.further_views.setdefault(name, "")
+            except (FrameError, PerceptionError) as error:
+                self.further_views[name] = str(error)
+        return traced, views
+
+
+def _lid_of(segment: Segment, covered: Covered) -> Float64Array:
+    """Points of the lid of a segment [m], shape (n, 2), table frame; none where it has no lid."""
+    if covered.lid is None:
+        return np.empty((0, 2))
+    box = (segment.rows, segment.columns)
+    return covered.view.points[box][covered.lid[box] & segment.mask][:, :2].astype(np.float64)
+
+
+def _check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> None:
+    """Raises PerceptionError unless the outline covers the points of its segment."""
+    points = segment.measured_in(view.points)[:, :2].astype(np.float64)
+    points = points[:: 1 + len(points) // _CHECKED]
+    covered = float(np.mean(signed_distance(points, transform_points(traced.pose, traced.shape.outline)) < _COVERED_BESIDE))
+    least = view.settings.segments.min_covered
+    if covered < least:
+        raise PerceptionError(
+            f"the traced outline covers {covered:.0%} of what was seen of it, expected at least {least:.0%}; "
+            "it may be hollow, leaning or several things"
+        )
+
+
+def _contact_doubt(traced: TracedObject, points: Float64Array, tool_reach: tuple[float, float]) -> str:
+    """Why contact may not be where the outline is, for people; empty where nothing speaks against it.
+
+    A tool that stands upright touches the widest part of an object between its tip and its upper end, and that is what the outline shows.
+    Two things it misses: parts lower than its tip, over which it passes, and parts above its upper end, below which the object may be
+    narrower.
+
+    Args:
+        points: What was measured of the object [m], shape (n, 3), table frame.
+        tool_reach: Heights of the tip and of the upper end of the tool above the table while it pushes [m].
+    """
+    low, high = tool_reach
+    edge = dense(traced.shape.outline, _EDGE_STEP)
+    height = _height_of_edge(traced, edge)
+    if float(traced.top.max()) < low:
+        return (
+            f"it is {1e3 * float(traced.top.max()):.0f} mm high, and the tip of the tool {1e3 * low:.0f} mm above the table: "
+            "pushes go over it; lower the tool"
+        )
+    share = float(np.mean(height < low))
+    if share > _LOW_EDGE:
+        return (
+            f"{share:.0%} of its edge is lower than the tip of the tool, {1e3 * low:.0f} mm above the table: there the tool touches it "
+            "further inside than its outline; lower the tool"
+        )
+    above = edge[height > high]
+    if len(above) == 0:
+        return ""
+    side = points[(points[:, 2] > low) & (points[:, 2] < high)]
+    visible = _is_near(transform_points(traced.pose, above), side[:, :2])
+    if float(np.mean(visible)) < _VISIBLE_SIDE:
+        return (
+            f"its edge is up to {1e3 * float(height.max()):.0f} mm high, above the upper end of the tool at {1e3 * high:.0f} mm, and no "
+            "side below it is seen: it may be narrower where the tool touches it"
+        )
+    return ""
+
+
+def _height_of_edge(traced: TracedObject, edge: Float64Array) -> Float64Array:
+    """Height of the upper side just inside each point of the edge [m], shape (n,)."""
+    rows, columns = np.indices(traced.top.shape)
+    cells = traced.top_origin + traced.top_resolution * np.stack([columns.ravel(), rows.ravel()], axis=1)
+    outline = np.ascontiguousarray(traced.shape.outline)
+    # A thin object has no cell that deep inside; half of its width, at the least the middle, will do.
+    depth = min(_INSIDE_EDGE, 0.25 * abs(polygon_area(outline)) / max(float(np.ptp(outline, axis=0).max()), 1e-6))
+    inside = outline_distances(np.ascontiguousarray(cells), outline) < -depth
+    if not inside.any():
+        return np.full(len(edge), float(traced.top.max()))
+    cells, heights = cells[inside], traced.top.ravel()[inside]
+    nearest = np.array([np.argmin(np.sum(np.square(cells - point), axis=1)) for point in edge])
+    return np.asarray(heights[nearest], dtype=np.float64)
+
+
+def _is_near(positions: Float64Array, points: Float64Array) -> BoolArray:
+    """Which positions (n, 2) have one of the points nearby, shape (n,)."""
+    if len(points) == 0:
+        return np.zeros(len(positions), dtype=bool)
+    some = points[:: 1 + len(points) // 2000]
+    return np.array([np.min(np.sum(np.square(some - position), axis=1)) < _SIDE**2 for position in positions])

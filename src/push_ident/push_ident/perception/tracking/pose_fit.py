@@ -50,7 +50,18 @@ from push_ident.perception.kernels import (
 from push_ident.perception.known_object import FIELD_MARGIN, Placed, PoseFit, Template, TrackStatus
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["LinesOfSight", "displaced_by_camera", "fit_pose", "frame_step", "in_table", "lines_of_sight", "relocate"]
+__all__ = [
+    "MISSING",
+    "LinesOfSight",
+    "UpperSide",
+    "compare_upper_side",
+    "displaced_by_camera",
+    "fit_pose",
+    "frame_step",
+    "in_table",
+    "lines_of_sight",
+    "relocate",
+]
 
 _LEVELS: Final = ((0.006, 0.02, 3, 8, 3e-4), (0.0015, 0.006, 1, 8, 2e-5))
 """Width s [m], half width of the band of pixels used [m], stride over pixels, most iterations, and the step that ends them [m]: wide, then
@@ -73,6 +84,25 @@ _SQUARE: Final = 0.02
 """Edge of the squares of the object within which residuals may be correlated [m]: the window of a matcher is 7 to 9 px, 10 to 20 mm."""
 _SHADOW_MARGIN: Final = 0.005
 """Lines of sight nearer to an unmeasured area are left out [m]: as far as the narrow width of the fit reaches."""
+_INSIDE_OUTLINE: Final = 0.005
+"""Only lines of sight that pass the top so far inside the outline count [m]: pixels at an edge may show either side of it."""
+_BORDER_STRIP: Final = (0.0045, 0.0015)
+"""Middle and half width of the strips on both sides of the outline [m]: pixels nearer to the edge cannot contradict a pose."""
+_BELOW_UPPER_SIDE: Final = 0.005
+"""What is so far below the upper side is not the upper side [m], as in pose fits, and ..."""
+_DEVIATIONS: Final = 4.0
+"""... so many deviations of a height, as the least height of an object is [-]."""
+_VOTE_CELL: Final = 0.004
+"""Edge of the cells in which missing area is counted [m]."""
+_VOTE_WINDOW: Final = (3, 3)
+"""Cells around each in which lines of sight vote: 12 mm, more than the distance of the lines of a camera of 360 px at 1.5 m."""
+_TIE: Final = 1e-6
+"""Where as many lines pass as are stopped nothing is missing; the mean of votes is exact to this."""
+_UPPER_SIDE_STRIDE: Final = 3
+"""Of the pixels that are looked at."""
+MISSING: Final = 4e-4
+"""Least area that shows that a part is missing [m^2]: below `min_object_area`. Whole objects lack at most 2e-4 along the edges of their
+steps (decision 15)."""
 _DAMPING: Final = np.array([1.0, 1.0, 1e-4])
 """Added to the diagonal of the normal matrix of a pose (x, y, yaw) [1/m^2, 1/m^2, 1]."""
 
@@ -233,6 +263,57 @@ def _in_others(points: NDArray[np.float32], others: Sequence[Placed]) -> BoolArr
         in_other = np.nan_to_num((points[:, :2] - pose[:2]) @ rotation(pose[2]), nan=1e3)
         inside |= (other.nearest_distance(in_other) < 0.003) & (points[:, 2] > 0.5 * other.top_range[0])
     return inside
+
+
+@dataclass(frozen=True, slots=True)
+class UpperSide:
+    """What is there, and not there, of the upper side of an object at a pose."""
+
+    missing: float
+    """Area of the upper side that is not there [m^2]."""
+    height: float
+    """Median height of what is measured there instead [m]; NaN where nothing is missing."""
+    open_border: float
+    """Fraction of the lines of sight just inside the outline that pass [-]."""
+    crowded_border: float
+    """Fraction of those just outside that are stopped, as by another thing that touches the object [-]."""
+
+    @property
+    def is_part_missing(self) -> bool:
+        """Whether so much of an object is not where it should be that it is not one rigid thing, or not at this pose."""
+        return self.missing > MISSING
+
+
+def compare_upper_side(template: Template, view: FrameView, pose: Float64Array, others: Sequence[Placed] = ()) -> UpperSide:
+    """Compare the upper side of an object with the lines of sight at a pose (x, y, yaw) [m, m, rad], table frame.
+
+    Hidden spots, and those where something higher is measured, count neither as there nor as missing.
+
+    Args:
+        others: Other known objects; their pixels are left out.
+    """
+    lines = lines_of_sight(template, view, pose, template.radius, _UPPER_SIDE_STRIDE, others)
+    if lines is None:
+        return UpperSide(0.0, np.nan, 0.0, 0.0)
+    positions, passed = lines.innermost_points(template, pose), lines.stopped < 0.5
+    distance = template.nearest_distance(positions)
+    at_border = np.abs(np.abs(distance) - _BORDER_STRIP[0]) < _BORDER_STRIP[1]
+    is_open, is_crowded = _share(passed[at_border & (distance < 0)]), _share(~passed[at_border & (distance > 0)])
+    inside = distance < -_INSIDE_OUTLINE
+    positions, height = positions[inside], lines.height[inside]
+    passed = height < template.least_top(positions) - max(_BELOW_UPPER_SIDE, _DEVIATIONS * view.noise)
+    n = int(np.ceil(2.0 * template.radius / _VOTE_CELL)) + 1
+    cell = np.floor((positions + template.radius) / _VOTE_CELL).astype(np.int64) @ np.array([1, n])
+    votes = np.bincount(cell, weights=np.where(passed, 1.0, -1.0), minlength=n * n).reshape(n, n)
+    missing = cv2.blur(votes, _VOTE_WINDOW, borderType=cv2.BORDER_CONSTANT) > _TIE
+    below = height[missing.ravel()[cell] & passed]
+    return UpperSide(
+        float(np.count_nonzero(missing)) * _VOTE_CELL**2, float(np.median(below)) if len(below) else np.nan, is_open, is_crowded
+    )
+
+
+def _share(values: BoolArray) -> float:
+    return float(np.mean(values)) if len(values) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
