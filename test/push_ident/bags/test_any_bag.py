@@ -14,6 +14,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from helpers.bags import make_record
+from helpers.commands import run_here
 from helpers.fuzzing import fuzzed
 from helpers.fuzzing.bags import bags, limit_memory, read_both_ways, write_mcap
 from push_ident.bags.raw import RawMessage, raw_messages
@@ -51,7 +52,7 @@ def with_more_topics_than_can_be_read(folder: Path) -> None:
 
 
 @pytest.mark.fuzz
-@fuzzed(40, shrink=False)
+@fuzzed(30, shrink=False)
 @example(with_a_name_that_is_no_text)
 @example(with_more_topics_than_can_be_read)
 @given(st.deferred(lambda: bags(SOUND)))
@@ -63,5 +64,30 @@ def test_any_bag_is_read_or_refused(
         write(folder / "bag")
         refused = reader.submit(read_both_ways, folder / "bag", folder / "salvaged").result(LONGEST)
         assert all("\n" not in text and len(text) < 2000 for text in refused), refused
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture(scope="module")
+def model(reader: ProcessPoolExecutor, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of the object of the sound bag."""
+    folder = tmp_path_factory.mktemp("model")
+    write_mcap(folder / "bag", SOUND)
+    reader.submit(run_here, "identify", folder / "bag", "--out", folder).result(LONGEST)
+    return folder / "model.json"
+
+
+@pytest.mark.fuzz
+@fuzzed(10, shrink=False)
+@given(st.deferred(lambda: bags(SOUND)), st.sampled_from(["identify", "diagnose", "predict"]))
+def test_any_bag_is_answered_or_refused_in_one_line(
+    reader: ProcessPoolExecutor, model: Path, tmp_path_factory: pytest.TempPathFactory, write: Callable[[Path], None], command: str
+) -> None:
+    folder = tmp_path_factory.mktemp("any_bag")
+    try:
+        write(folder / "bag")
+        done = reader.submit(run_here, command, *([model] if command == "predict" else []), folder / "bag").result(LONGEST)
+        refused = [line for line in done.stderr.splitlines() if line.startswith("push-ident: ")]
+        assert done.returncode in (0, 1) and len(refused) == done.returncode and "Traceback" not in done.stderr, done.stderr
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -121,80 +120,49 @@ def test_a_known_size_that_no_object_has_is_an_error_after_everything_is_written
     assert content["objects"] and (tmp_path / "out" / "look.html").exists()
 
 
-def changed_info(info: object) -> Callable[[Path], Path]:
-    """The folder with another camera info; a text stays as it is, None is none."""
-
-    def make(folder: Path) -> Path:
-        file = folder / "camera_info.yaml"
-        file.unlink()
-        if info is not None:
-            file.write_text(info if isinstance(info, str) else yaml.safe_dump(info))
-        return folder
-
-    return make
-
-
-def image(name: str, pixels: np.ndarray) -> Callable[[Path], Path]:
-    """An image of those pixels."""
-
-    def make(folder: Path) -> Path:
-        if name.endswith(".npy"):
-            np.save(folder / name, pixels, allow_pickle=True)
-        else:
-            cv2.imwrite(str(folder / name), pixels)
-        return folder / name
-
-    return make
-
-
-def file(name: str, content: bytes) -> Callable[[Path], Path]:
-    def make(folder: Path) -> Path:
-        (folder / name).write_bytes(content)
-        return folder / name
-
-    return make
-
-
-def empty(folder: Path) -> Path:
-    (folder / "none").mkdir()
-    return folder / "none"
-
-
-def damaged(folder: Path) -> Path:
-    (folder / "2.png").write_bytes((folder / "2.png").read_bytes()[:60])
-    return folder / "2.png"
-
-
 DISTORTED = {**INFO, "projection_matrix": None, "distortion_coefficients": {"data": [0.1, 0, 0, 0, 0]}}
+UNORGANISED = b"VERSION 0.7\nWIDTH 320\nHEIGHT 1\nPOINTS 320\nDATA ascii\n"
 
 
 @pytest.mark.parametrize(
-    ("make", "options", "expected"),
+    ("name", "content", "options", "expected"),
     [
-        (lambda folder: folder / "nothing", (), "does not exist; give a bag, a folder"),
-        (empty, (), "has no depth image"),
-        (changed_info(None), (), "no camera_info.yaml beside it"),
-        (changed_info("image_width: 320\n"), (), "gives no intrinsics"),
-        (changed_info(DISTORTED), (), "distortion and no projection_matrix"),
-        (changed_info("a: [\n"), (), "gives no intrinsics"),
-        (changed_info(INFO | {"image_width": 640}), (), "belong to different cameras"),
-        (image("8.png", np.full((240, 320), 9, np.uint8)), (), "8 bits hold no depth"),
-        (damaged, (), "damaged"),
-        (image("p.npy", np.array([{}], dtype=object)), (), "cannot be read as an image"),
-        (image("0.png", np.zeros((240, 320), np.uint16)), (), "0 valid of 76800 pixels"),
-        (file("c.pcd", b"VERSION 0.7\nWIDTH 320\nHEIGHT 1\nPOINTS 320\nDATA ascii\n"), (), "not organised"),
-        (file("b.mcap", b"nothing of the kind"), (), "b.mcap"),
-        (lambda folder: folder, ("--intrinsics", "1,2"), "expected four numbers"),
-        (lambda folder: folder, ("--intrinsics", "-300,300,1,1"), "focal lengths > 0"),
-        (lambda folder: folder, ("--known", "a box"), "expected width x depth x height"),
-        (lambda folder: folder, ("--known", "200x120"), "give metres"),
-        (lambda folder: folder, ("--depth-unit", "2000"), "expected metres per unit"),
-        (lambda folder: folder, ("--depth-unit", "1"), "give the metres per unit"),
-        (lambda folder: EXAMPLE_BAG, ("--intrinsics", NUMBERS), "is a bag"),
+        ("nothing", None, (), "does not exist; give a bag, a folder"),
+        ("none/", None, (), "has no depth image"),
+        ("camera_info.yaml", None, (), "no camera_info.yaml beside it"),
+        ("camera_info.yaml", b"image_width: 320\n", (), "gives no intrinsics"),
+        ("camera_info.yaml", b"a: [\n", (), "gives no intrinsics"),
+        ("camera_info.yaml", DISTORTED, (), "distortion and no projection_matrix"),
+        ("camera_info.yaml", INFO | {"image_width": 640}, (), "belong to different cameras"),
+        ("8.png", np.full((240, 320), 9, np.uint8), (), "8 bits hold no depth"),
+        ("0.png", np.zeros((240, 320), np.uint16), (), "0 valid of 76800 pixels"),
+        ("p.npy", np.array([{}], dtype=object), (), "cannot be read as an image"),
+        ("2.png", b"\x89PNG\r\n", (), "damaged"),
+        ("c.pcd", UNORGANISED, (), "not organised"),
+        ("b.mcap", b"nothing of the kind", (), "b.mcap"),
+        (".", None, ("--intrinsics", "1,2"), "expected four numbers"),
+        (".", None, ("--intrinsics", "-300,300,1,1"), "focal lengths > 0"),
+        (".", None, ("--known", "a box"), "expected width x depth x height"),
+        (".", None, ("--known", "200x120"), "give metres"),
+        (".", None, ("--depth-unit", "2000"), "expected metres per unit"),
+        (".", None, ("--depth-unit", "1"), "give the metres per unit"),
+        (str(EXAMPLE_BAG), None, ("--intrinsics", NUMBERS), "is a bag"),
     ],
 )
-def test_each_bad_input_ends_in_one_line(folder: Path, tmp_path: Path, make, options: tuple[str, ...], expected: str) -> None:
-    done = run_here("look", make(folder), *options, "--out", tmp_path / "out")
+def test_each_bad_input_ends_in_one_line(
+    folder: Path, tmp_path: Path, name: str, content: object, options: tuple[str, ...], expected: str
+) -> None:
+    """`name` in the folder gets a content: bytes, an image or the content of a camera info; a folder is made, and None is no file."""
+    file = folder / name
+    if name.endswith("/"):
+        file.mkdir()
+    elif name == "camera_info.yaml" and not isinstance(content, bytes):
+        file.unlink() if content is None else file.write_text(yaml.safe_dump(content))
+    elif isinstance(content, np.ndarray):
+        np.save(file, content, allow_pickle=True) if name.endswith(".npy") else cv2.imwrite(str(file), content)
+    elif isinstance(content, bytes):
+        file.write_bytes(content)
+    done = run_here("look", folder if name == "camera_info.yaml" else file, *options, "--out", tmp_path / "out")
     assert done.returncode == 1
     assert len(done.stderr.strip().splitlines()) == 1 and expected in done.stderr, done.stderr
 

@@ -67,30 +67,16 @@ def test_a_push_at_a_point_names_its_frame() -> None:
         contact_goal(np.array([np.inf, 0.0]), 0.0)
 
 
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
+def test_options_that_make_no_push_are_refused_at_once() -> None:
+    for options, reason in (
         ((), "--random N"),
         (("--random", 2, "--at", "0,0", "--direction", 0), "--random N"),
         (("--at", "0,0"), "belong together"),
-        (("--direction", 1), "belong together"),
-        (("--at", "0", "--direction", 1), "X,Y in metres"),
         (("--at", "a,b", "--direction", 1), "X,Y in metres"),
         (("--at", "0,0", "--direction", 1, "--in-object"), "--object ID"),
         (("--random", 1, "--distance", 0.1), "draw their own"),
         (("--random", 1, "--object", "a b"), "Object id"),
-    ],
-)
-def test_options_that_make_no_push_are_refused_at_once(options: tuple[object, ...], reason: str) -> None:
-    done = run_here("push", *options)
-    assert done.returncode == 1 and reason in done.stderr and done.stderr.count("\n") == 1
-
-
-def test_numbers_out_of_range_are_refused_at_once() -> None:
-    for options in (
-        ("--random", 0),
-        ("--random", 1, "--seed", -1),
-        ("--at", "0,0", "--direction", 0, "--speed", -1),
-        ("--at", "0,0", "--direction", "nan"),
     ):
-        assert run_here("push", *options).returncode == 2
+        done = run_here("push", *options)
+        assert done.returncode == 1 and reason in done.stderr and done.stderr.count("\n") == 1
+    assert run_here("push", "--at", "0,0", "--direction", 0, "--speed", -1).returncode == 2

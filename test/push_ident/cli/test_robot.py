@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
@@ -82,16 +80,11 @@ def test_right_file_ends_well_says_that_no_cell_runs_and_leaves_picture_and_file
     assert [finding["about"] for finding in unchecked] == ["arm", "camera"] and "nothing publishes on" in unchecked[0]["what"]
     assert "along x: 100 %" in (tmp_path / "out" / "reach.html").read_text(encoding="utf-8")
     parameters = tmp_path / "out" / "parameters.yaml"
-    overrides_of([parameters], (), node_names("arm"))  # `up --params` takes it ...
-    program = """
-import sys, json, rclpy
-rclpy.init(args=sys.argv)
-node = rclpy.create_node("push_executor_node", automatically_declare_parameters_from_overrides=True)
-print(json.dumps([list(node.get_parameter("home_posture").value), node.get_parameter("robot_description_file").value]))
-"""
-    call = [sys.executable, "-c", program, "--ros-args", "--params-file", str(parameters)]  # ... and so does a node
-    ran = subprocess.run(call, capture_output=True, text=True, timeout=60, check=True, env={**os.environ, "HOME": str(tmp_path)})
-    assert json.loads(ran.stdout) == [[1.3, -1.58, 1.754, -1.745, -1.5708, 0.0], str(tmp_path / "out" / "robot.urdf")]
+    overrides_of([parameters], (), node_names("arm"))  # `up --params` takes it
+    (executor,) = (node for name, node in yaml.safe_load(parameters.read_text()).items() if name.endswith("push_executor_node"))
+    values = executor["ros__parameters"]
+    assert values["home_posture"] == [1.3, -1.58, 1.754, -1.745, -1.5708, 0.0]
+    assert values["robot_description_file"] == str(tmp_path / "out" / "robot.urdf")
 
 
 def test_wrong_file_ends_with_status_1_and_all_that_is_wrong(on_domain: int, tmp_path: Path) -> None:
@@ -107,25 +100,19 @@ def test_wrong_file_ends_with_status_1_and_all_that_is_wrong(on_domain: int, tmp
     assert any(finding["about"] == "reach" and finding["level"] == "not checked" for finding in findings)
 
 
-@pytest.mark.parametrize(
-    ("command", "reason"),
-    [
+def test_command_that_cannot_be_meant_is_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for command, reason in (
         (("doctor", "--robot", "nothing.yaml"), "cannot be read"),
         (("doctor", "--out", "out"), "give --robot FILE"),
         (("up", "replay", "bag", "--robot", robot_path("ur5e")), "a replay has none"),
-    ],
-)
-def test_command_that_cannot_be_meant_is_told_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[object, ...], reason: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    done = run_here(*command)
-    assert done.returncode == 1 and reason in done.stderr and done.stderr.count("\n") == 1
-
-
-def test_parameters_of_a_node_that_there_is_not_are_told(tmp_path: Path) -> None:
-    done = run_here("up", "arm", "--robot", changed(tmp_path, lambda c: c["parameters"].update(push_executer_node={})))
-    assert done.returncode == 1 and "has the node push_executer_node" in done.stderr
+        (
+            ("up", "arm", "--robot", changed(tmp_path, lambda c: c["parameters"].update(push_executer_node={}))),
+            "the node push_executer_node",
+        ),
+    ):
+        done = run_here(*command)
+        assert done.returncode == 1 and reason in done.stderr and done.stderr.count("\n") == 1
 
 
 def test_values_that_the_nodes_would_refuse_are_found(tmp_path: Path) -> None:
@@ -141,12 +128,6 @@ def test_values_that_the_nodes_would_refuse_are_found(tmp_path: Path) -> None:
     assert any("free_speed is 1" in text and "expected float, write 1.0" in text for text in texts)
 
 
-def test_hand_of_the_real_cell_is_not_asked_for_in_the_simulated_one(tmp_path: Path) -> None:
-    path = changed(tmp_path, lambda c: c["tool"].update(hand="robotiq_3f"))
-    hands = {kind: robot_for(kind, path).parameters(tmp_path, ())["push_executor_node"]["hand"] for kind in ("arm", "sim")}
-    assert hands == {"arm": "robotiq_3f", "sim": "none"}
-
-
 def test_nodes_of_a_real_cell_get_description_postures_and_topics_and_the_simulated_one_the_file(tmp_path: Path) -> None:
     real, simulated = robot_for("arm", robot_path("ur5e")), robot_for("sim", robot_path("ur5e"))
     assert "depth/image_rect:=/camera/camera/depth/image_rect_raw" in real.remaps and simulated.remaps == ()
@@ -157,6 +138,10 @@ def test_nodes_of_a_real_cell_get_description_postures_and_topics_and_the_simula
     assert f'robot:="{robot_path("ur5e")}"' in commands["sim_cell_node"]
     assert "home_posture:=[1.3, -1.58, 1.754, -1.745, -1.5708, 0.0]" in commands["push_executor_node"]
     assert not any("robot_description_file" in word for word in commands["push_executor_node"])
+    # The hand of the real cell is not asked for in the simulated one, whose hand is rigid.
+    path = changed(tmp_path, lambda c: c["tool"].update(hand="robotiq_3f"))
+    hands = {kind: robot_for(kind, path).parameters(tmp_path, ())["push_executor_node"]["hand"] for kind in ("arm", "sim")}
+    assert hands == {"arm": "robotiq_3f", "sim": "none"}
 
 
 def await_findings(robot: Robot, is_expected: Callable[[list[Finding]], bool]) -> None:

@@ -148,18 +148,13 @@ def test_killed_node_is_started_again_without_what_it_had_started(tmp_path: Path
     assert [str(death.how) for death in supervisor.deaths] == ["one was ended by SIGKILL"]
 
 
-def test_node_that_dies_early_again_and_again_ends_the_cell_with_its_last_lines(tmp_path: Path) -> None:
-    dying = "import pathlib, sys; print('no camera'); sys.exit(3)"
-    supervisor = Supervisor([NodeCommand("camera", (sys.executable, "-c", dying))], log_dir=tmp_path, restart=QUICK)
-    assert supervisor.run() == 1
-    assert len(supervisor.deaths) == QUICK.attempts
-    assert (tmp_path / "camera.log").read_text().count("no camera") == QUICK.attempts + 1
-
-
-def test_node_that_could_not_start_is_not_started_again(tmp_path: Path) -> None:
-    supervisor = Supervisor([NodeCommand("camera", (sys.executable, "-c", "import sys; sys.exit(1)"))], log_dir=tmp_path, restart=QUICK)
-    assert supervisor.run() == 1
-    assert supervisor.deaths == []
+def test_node_that_dies_early_again_and_again_ends_the_cell_and_one_that_could_not_start_is_not_started_again(tmp_path: Path) -> None:
+    for code, deaths in ((3, QUICK.attempts), (1, 0)):
+        dying = NodeCommand("camera", (sys.executable, "-c", f"import sys; print('no camera'); sys.exit({code})"))
+        supervisor = Supervisor([dying], log_dir=tmp_path / str(code), restart=QUICK)
+        assert supervisor.run() == 1
+        assert len(supervisor.deaths) == deaths
+        assert (tmp_path / str(code) / "camera.log").read_text().count("no camera") == deaths + 1
 
 
 def interrupted(argv: tuple[str, ...], delay: float, output: Path) -> tuple[int, float, str]:
@@ -232,11 +227,7 @@ def test_ctrl_c_at_any_moment_of_a_command_is_quiet(tmp_path: Path, command: str
     assert took < 3.0 + 6.0 * stalls.worst
 
 
-def test_pause_doubles_with_each_early_death_up_to_its_limit_and_then_there_is_none() -> None:
+def test_pause_doubles_with_each_early_death_up_to_its_limits_and_a_long_life_begins_the_count_anew() -> None:
     backoff = Backoff(RestartPolicy(first=1.0, longest=30.0, settled=60.0, attempts=7))
     assert [backoff.pause(0.5) for _ in range(8)] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0, None]
-
-
-def test_a_long_life_begins_the_count_anew() -> None:
-    backoff = Backoff(RestartPolicy(first=1.0, longest=30.0, settled=60.0, attempts=2))
-    assert [backoff.pause(lived) for lived in (0.5, 59.0, 60.0, 0.5, 0.5)] == [1.0, 2.0, 1.0, 2.0, None]
+    assert [backoff.pause(lived) for lived in (60.0, 59.0, 60.0, 0.5)] == [1.0, 2.0, 1.0, 2.0]

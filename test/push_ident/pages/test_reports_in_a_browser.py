@@ -194,8 +194,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
         yield opened
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("width", [380, 820, 1600])
+@pytest.mark.parametrize(("width", "dark"), [(380, False), (820, True), (1600, False)])
 @pytest.mark.parametrize("name", NAMES)
 def test_page_is_readable(pages: dict[str, Path], browser: Tab, name: str, width: int, dark: bool) -> None:
     browser.show(pages[name], width, dark=dark)
