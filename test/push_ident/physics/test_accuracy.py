@@ -82,7 +82,7 @@ class _Push:
 
 @pytest.mark.parametrize("noise", NOISE)
 @pytest.mark.parametrize("ramp", [0.0, 0.05])
-@pytest.mark.parametrize("speed", [0.02, 0.05, 0.1, 0.2, 0.5])
+@pytest.mark.parametrize("speed", [0.05, 0.2, 0.5])
 def test_halving_the_chosen_steps_moves_the_end_by_less_than_a_tenth_of_the_noise(speed: float, ramp: float, noise: str) -> None:
     effects, errors = [], []
     for seed in range(8):
@@ -100,29 +100,6 @@ def test_halving_the_chosen_steps_moves_the_end_by_less_than_a_tenth_of_the_nois
     # The error itself is twice the effect of halving at first order.
     assert np.median(errors) < 2 * SHARE
     assert np.quantile(errors, 0.8) < 0.3, errors
-
-
-def test_impact_does_not_depend_on_its_time_within_a_step() -> None:
-    push = _Push(1, 0.5, friction=0.5)
-
-    def end_positions(settings: SimulationSettings) -> Float64Array:
-        ends = []
-        for delay in np.linspace(0.0, 0.9, 10) * settings.longest_step:
-            times = np.r_[0.0, push.pusher.time[1:] + delay]
-            pusher = PusherPath(times, push.pusher.position, RADIUS)
-            scenario = PushScenario(pusher, np.zeros(3), times[-1:])
-            ends.append(simulate_body(push.shape, push.body, push.mu, scenario, settings=settings).pose[-1])
-        return np.array(ends)
-
-    spread = {name: np.ptp(end_positions(how), axis=0)[:2].max() for name, how in _SCHEMES.items()}
-    assert spread["resolved"] < 5e-5
-    assert spread["equal steps"] > 4 * spread["resolved"]
-
-
-_SCHEMES = {
-    "equal steps": SimulationSettings(step=1 / 3840),
-    "resolved": SimulationSettings(step=1 / 3840, resolve_events=True),
-}
 
 
 def test_released_object_coasts_as_far_as_friction_allows() -> None:

@@ -69,30 +69,15 @@ def assert_solves(problem: Lcp, solution: LcpSolution) -> None:
     assert torch.all(s * gamma <= 1e-10 * terms.clamp(min=1.0) * gamma.amax(dim=(1, 2), keepdim=True).clamp(min=1.0))
 
 
-def test_sliding_mass_follows_the_closed_form_and_f_in_place_of_its_transpose_would_not() -> None:
+def test_sliding_mass_and_its_derivative_follow_the_closed_form() -> None:
     # v+ = v + dt/m (pull - mu press): d/d(press, pull) = (-mu, 1) dt/m, d/dmu = -press dt/m, d/dm = -dt/m^2 (pull - mu press).
     dt, speed = 0.8, 1.7
     mass, pressing, pulling, mu = leaves = [torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (1.6, 2.3, 1.4, 0.3)]
-    problem = sliding_mass(mass, pressing, pulling, mu, speed, dt)
-    solution = solve_lcp(problem)
-    after = -solution.alpha[0, 1]
+    after = -solve_lcp(sliding_mass(mass, pressing, pulling, mu, speed, dt)).alpha[0, 1]
     gradient = torch.stack(torch.autograd.grad(after, leaves))
     exact = torch.tensor([-dt / 1.6**2 * (1.4 - 0.3 * 2.3), -0.3 * dt / 1.6, dt / 1.6, -2.3 * dt / 1.6], dtype=torch.float64)
     assert after.item() == pytest.approx(speed + dt / 1.6 * (1.4 - 0.3 * 2.3), abs=1e-12)
     assert torch.allclose(gradient, exact, rtol=0, atol=1e-9)
-
-    def adjoint(F: Tensor) -> tuple[float, float]:
-        """d after / d(press, mu) from the dense adjoint system with the given F."""
-        ratio = torch.diag((solution.s / solution.gamma)[0].detach())
-        M, G = torch.diag(problem.M[0].detach()), problem.G[0]
-        u, w = torch.linalg.solve(torch.cat([torch.cat([M, G.mT], 1), torch.cat([G, F - ratio], 1)]), -torch.eye(6).double()[1]).split(
-            [2, 4]
-        )
-        return (dt * u[0]).item(), (w[3] * solution.gamma[0, 0]).item()
-
-    F = problem.F[0, 0].detach()
-    assert adjoint(F.mT) == pytest.approx((-0.3 * dt / 1.6, -2.3 * dt / 1.6), abs=1e-6)
-    assert adjoint(F) == pytest.approx((0.0, 2.3 * dt / 1.6), abs=1e-6)  # friction forgotten, and the wrong sign
 
 
 @settings(max_examples=40, deadline=None)
@@ -116,11 +101,6 @@ def test_random_problems_meet_the_conditions(seed: int, n_blocks: int, size: int
         else:  # not every solution of a problem that is merely copositive is found
             assert not monotone
             assert torch.all(torch.isnan(one.gamma))
-
-
-def test_nearly_all_copositive_problems_are_solved() -> None:
-    solution = solve_lcp(random_lcp(0, batch=400, monotone=False))
-    assert sum(status is not LcpStatus.CONVERGED for status in solution.status) <= 2
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -175,22 +155,14 @@ def test_failures_are_reported_and_do_not_change_the_rest_of_the_batch() -> None
     assert torch.allclose(gradient[3], expected[0], rtol=1e-9, atol=1e-12)
 
 
-def test_too_few_iterations_are_reported() -> None:
-    solution = solve_lcp(random_lcp(1), max_iterations=2)
-    assert set(solution.status) == {LcpStatus.MAX_ITERATIONS}
-    assert solution.iterations == (8, 8, 8)  # two from each starting point
-    assert torch.all(torch.isnan(solution.alpha))
-
-
 def test_input_that_does_not_fit_is_refused() -> None:
     problem = random_lcp(0)
-    with pytest.raises(InputError, match=r"Lcp\.q has shape \(3, 7\), expected \(3, 8\)"):
-        replace(problem, q=problem.q[:, :7])
-    with pytest.raises(InputError, match="4 blocks of 3 rows, expected 11"):
-        replace(problem, G=problem.G[:, :11], m=problem.m[:, :11])
-    with pytest.raises(InputError, match="A has 9 rows, expected at most 8"):
-        replace(problem, A=torch.ones(3, 9, 8).double())
-    with pytest.raises(InputError, match="torch.float64"):
-        replace(problem, m=problem.m.float())
-    with pytest.raises(InputError, match="1 entries that are not > 0"):
-        replace(problem, M=problem.M.index_put((torch.tensor([1]), torch.tensor([2])), torch.tensor(0.0).double()))
+    for changed, text in (
+        ({"q": problem.q[:, :7]}, r"Lcp\.q has shape \(3, 7\), expected \(3, 8\)"),
+        ({"G": problem.G[:, :11], "m": problem.m[:, :11]}, "4 blocks of 3 rows, expected 11"),
+        ({"A": torch.ones(3, 9, 8).double()}, "A has 9 rows, expected at most 8"),
+        ({"m": problem.m.float()}, "torch.float64"),
+        ({"M": problem.M * torch.tensor([1, 1, 1, 1, 1, 1, 1, 0])}, "entries that are not > 0"),
+    ):
+        with pytest.raises(InputError, match=text):
+            replace(problem, **changed)

@@ -63,23 +63,6 @@ def test_falls_exactly_where_no_pressure_on_the_table_is_in_equilibrium() -> Non
     assert 5 < sum(found) < len(found) - 5
 
 
-def check_push_along_the_edge(models: list[BatchModel]) -> None:
-    """Far from the edge it ends as on an endless table, to the last bit; at the edge elsewhere."""
-    reach = float(np.min(MODEL.shape.outline[:, 0]))
-    path = PusherPath(np.array([0.0, 1.0]), np.array([[reach - 0.03, 0.015], [reach + 0.06, 0.015]]), 0.008)
-    push = [BatchPush(path, np.zeros(3), np.array([1.0]))]
-    without = rollouts(MODEL.shape, models, push, step=1 / 240)
-    far = rollouts(MODEL.shape, models, push, step=1 / 240, edge=TableEdge(np.array([1.0, 0.0]), 1.0))
-    near = rollouts(MODEL.shape, models, push, step=1 / 240, edge=TableEdge(np.array([0.0, 1.0]), float(CENTRE[1]) + 0.005))
-    np.testing.assert_array_equal(far, without)
-    assert np.max(np.abs(near - without)) > 1e-3
-
-
-def test_a_push_far_from_the_edge_is_the_same_to_the_last_bit_and_at_the_edge_it_is_another() -> None:
-    check_push_along_the_edge(Belief.certain(MODEL).models(0, np.random.default_rng(0)))
-
-
-OF_TABLE = [name for name, effect in EFFECTS.items() if isinstance(effect.acts, OnTable)]
 MOVING = np.array([0.05, -0.03, 0.0])
 """Of the object [m/s, m/s, rad/s]."""
 
@@ -91,20 +74,24 @@ def coasted(model: BatchModel, pose: Float64Array, time: float, edge: TableEdge 
     return rollouts(MODEL.shape, [model], [push], step=time, edge=edge)[0, 0, 0]
 
 
-def changed_model(model: BatchModel, **changes: Any) -> BatchModel:
-    return BatchModel(**{name: getattr(model, name) for name in BatchModel.__annotations__} | changes)
+def model_of(model: ObjectModel = MODEL, **changes: Any) -> BatchModel:
+    """For a batch, with some fields changed."""
+    (certain,) = Belief.certain(model).models(0, np.random.default_rng(0))
+    return BatchModel(**{name: getattr(certain, name) for name in BatchModel.__annotations__} | changes)
 
 
-@pytest.mark.parametrize("name", OF_TABLE)
-def test_effects_far_from_the_edge_act_as_on_an_endless_table(name: str) -> None:
-    effects = effect_values({name: [p.typical + p.nominal for p in EFFECTS[name].parameters]})
-    models = [changed_model(model, effects=effects) for model in Belief.certain(MODEL).models(0, np.random.default_rng(0))]
-    check_push_along_the_edge(models)
-
-
-def factor_by_place(place: Float64Array, borne: Float64Array) -> Float64Array:
-    """Friction that grows by 2 a metre along x of the table."""
-    return 1.0 + 2.0 * place[:, 0]
+@pytest.mark.parametrize("name", [None, *(name for name, effect in EFFECTS.items() if isinstance(effect.acts, OnTable))])
+def test_a_push_far_from_the_edge_ends_as_on_an_endless_table_to_the_last_bit_and_at_the_edge_elsewhere(name: str | None) -> None:
+    effects = effect_values(name and {name: [p.typical + p.nominal for p in EFFECTS[name].parameters]})
+    reach = float(np.min(MODEL.shape.outline[:, 0]))
+    path = PusherPath(np.array([0.0, 1.0]), np.array([[reach - 0.03, 0.015], [reach + 0.06, 0.015]]), 0.008)
+    edges = (None, TableEdge(np.array([1.0, 0.0]), 1.0), TableEdge(np.array([0.0, 1.0]), float(CENTRE[1]) + 0.005))
+    without, far, near = (
+        rollouts(MODEL.shape, [model_of(effects=effects)], [BatchPush(path, np.zeros(3), np.array([1.0]))], step=1 / 240, edge=edge)
+        for edge in edges
+    )
+    np.testing.assert_array_equal(far, without)
+    assert np.max(np.abs(near - without)) > 1e-3
 
 
 def factor_of_leading_cells(place: Float64Array, borne: Float64Array) -> Float64Array:
@@ -117,20 +104,23 @@ def factor_of_leading_cells(place: Float64Array, borne: Float64Array) -> Float64
 
 @pytest.mark.parametrize(
     ("effects", "factor"),
-    [({"position_dependent_friction": [2.0, 0.0]}, factor_by_place), ({"push_height": [0.004]}, factor_of_leading_cells)],
+    [
+        ({"position_dependent_friction": [2.0, 0.0]}, lambda place, _: 1.0 + 2.0 * place[:, 0]),
+        ({"push_height": [0.004]}, factor_of_leading_cells),
+    ],
 )
 @pytest.mark.parametrize("inside", [0.01, 0.03])
 def test_effects_at_the_edge_change_the_friction_of_the_cells_by_what_they_bear(
     effects: dict[str, list[float]], factor: Callable[[Float64Array, Float64Array], Float64Array], inside: float
 ) -> None:
-    (model,), pose = Belief.certain(MODEL).models(0, np.random.default_rng(0)), at_edge(inside, 0.7)
+    model, pose = model_of(), at_edge(inside, 0.7)
     load = overhung_loads(EDGE, CELLS, MASS, pose)
     assert load is not None
     place = transform_points(pose, CELLS)
     share = factor(place, load * MODEL.friction)
     assert np.all(share[load > 0.0] > 0.0), "each cell still bears a load"
-    changed = changed_model(model, body=replace(model.body, limit=model.body.limit * np.maximum(share, 0.0)))
-    found = coasted(changed_model(model, effects=effect_values(effects)), pose, 0.01)
+    changed = model_of(body=replace(model.body, limit=model.body.limit * np.maximum(share, 0.0)))
+    found = coasted(model_of(effects=effect_values(effects)), pose, 0.01)
     np.testing.assert_allclose(found, coasted(changed, pose, 0.01), rtol=0, atol=1e-8)
     assert np.max(np.abs(found - coasted(model, pose, 0.01))) > 1e-6
 
@@ -138,23 +128,20 @@ def test_effects_at_the_edge_change_the_friction_of_the_cells_by_what_they_bear(
 def test_tilt_slows_an_object_at_the_edge_by_its_weight_whatever_overhangs() -> None:
     """Friction is mu m g wherever the loads are, and they stay at the centre of mass: m a = -mu m g + tilt m g along the motion."""
     even = ObjectModel(MODEL.shape, MODEL.mass, np.full(len(MASS), 0.3), 0.2)
-    (model,), direction = Belief.certain(even).models(0, np.random.default_rng(0)), MOVING[:2] / np.linalg.norm(MOVING[:2])
-    time = 0.01
+    direction, time = MOVING[:2] / np.linalg.norm(MOVING[:2]), 0.01
     for inside in (0.01, 0.03, 0.5):
         pose = at_edge(inside, 0.7)
         for tilt in (-0.05, 0.05):
-            found = coasted(changed_model(model, effects=effect_values({"table_tilt": list(tilt * direction)})), pose, time)
+            found = coasted(model_of(even, effects=effect_values({"table_tilt": list(tilt * direction)})), pose, time)
             expected = np.linalg.norm(MOVING[:2]) * time - 0.5 * 9.81 * (0.3 - tilt) * time**2
             assert (found - pose)[:2] @ direction == pytest.approx(expected, rel=3e-3)
             assert abs((found - pose)[2]) < 1e-6
 
 
 def test_an_edge_needs_a_direction_and_models_with_weights() -> None:
-    with pytest.raises(InputError, match="outward direction"):
-        TableEdge(np.zeros(2), 0.0)
-    with pytest.raises(InputError, match="outward direction"):
-        TableEdge(np.array([1.0, 0.0]), np.nan)
-    body = Belief.certain(MODEL).mean.body
+    for outward, offset in ((np.zeros(2), 0.0), (np.array([1.0, 0.0]), np.nan)):
+        with pytest.raises(InputError, match="outward direction"):
+            TableEdge(outward, offset)
     path = PusherPath(np.array([0.0, 0.1]), np.array([[-0.2, 0.0], [-0.19, 0.0]]), 0.008)
     with pytest.raises(InputError, match="weights"):
-        rollouts(MODEL.shape, [BatchModel(body, 0.3)], [BatchPush(path, np.zeros(3), np.array([0.1]))], step=0.01, edge=EDGE)
+        rollouts(MODEL.shape, [BatchModel(model_of().body, 0.3)], [BatchPush(path, np.zeros(3), np.array([0.1]))], step=0.01, edge=EDGE)

@@ -1,18 +1,59 @@
-"""The derivative of a push: every column against differences of known accuracy, and the adjoint against the Jacobian."""
+"""Derivatives of poses and impulses: every column against differences of known accuracy, and the adjoint against the Jacobian."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 import pytest
 from hypothesis import given, target
 
-from helpers.differences import ridders
 from helpers.random_pushes import CLASSES, ENGINES, Case, Step, cases, examples, fixed_seeds, random_case, steps_of
+from push_ident.physics.effect import OnTable
+from push_ident.physics.effect_values import EffectValues, effect_values
+from push_ident.physics.effects import CAUSES, EFFECTS
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import BodyParameters, simulate_body, simulate_body_with_pullback
+from push_ident.physics.simulation import BodyParameters, Motion, simulate_body, simulate_body_with_pullback
 from push_ident.types import Float64Array, SolveStatus
+
+ORDER = 3.0
+NONE = effect_values(None)
+ADJOINT = {"circle": 1e-10, "quasi-static": 1e-10, "pyramid": 1e-8}
+"""Rounding of the adjoint. A cell of the pyramid that sticks costs more digits, with effects and without."""
+
+
+def ridders(f: Callable[[float], Float64Array], h: float, *, one_sided: bool) -> tuple[Float64Array, float]:
+    """Derivative of f at 0 from differences over h, h / 2, h / 4, ..., extrapolated to zero length, and how far it may be off.
+
+    Source: Ridders, Accurate computation of F'(x) and F'(x) F''(x), 1982.
+    """
+    base = 2.0 if one_sided else 4.0
+    before: list[Float64Array] = []
+    best, least = np.empty(0), np.inf
+    at_zero = f(0.0) if one_sided else None
+    for i in range(5):
+        step = h / 2**i
+        row = [(f(step) - at_zero) / step if at_zero is not None else (f(step) - f(-step)) / (2 * step)]
+        for j, old in enumerate(before):
+            row.append(row[j] + (row[j] - old) / (base ** (j + 1) - 1))
+            error = float(max(np.abs(row[-1] - row[-2]).max(), np.abs(row[-1] - old).max()))
+            if error < least:
+                best, least = row[-1], error
+        before = row
+    return best, least
+
+
+def some_values(names: tuple[str, ...], seed: int) -> EffectValues:
+    """Values of about the typical size, off their null values and within their ranges; a latency shorter than these short pushes."""
+    rng, values = np.random.default_rng(seed), []
+    for name in names:
+        for p in EFFECTS[name].parameters:
+            size = 0.2 * p.typical if name == "pose_latency" else p.typical
+            sign = 1.0 if p.low == 0.0 else rng.choice([-1.0, 1.0])
+            values.append(p.nominal + sign * size * rng.uniform(0.3, 0.7))
+    return effect_values(names).with_values(values)
 
 
 def some_cell_sticks(step: Step, limit: Float64Array) -> bool:
@@ -21,84 +62,125 @@ def some_cell_sticks(step: Step, limit: Float64Array) -> bool:
     return bool(step.twist.any() and np.abs(cells[limit > 0] @ [[1.0, 1.0], [1.0, -1.0]]).min() < 1e-8)
 
 
-def compare(case: Case, mode: str) -> tuple[set[str], Float64Array, Float64Array]:
-    """What the contact does; relative error of each column of the Jacobian; relative uncertainty of its differences (inf at a switch).
+class Compared:
+    """Columns whose differences are certain, by what the contact did; largest errors, relative to a hundredth of the motion at least."""
 
-    A column of the body is measured against a hundredth of the motion at least: of what does not matter, as the centre of mass in a
-    quasi-static push, only rounding is left.
-    """
-    motion = case.simulate(ENGINES[mode], jacobian=True)
-    assert motion.status is not SolveStatus.SIMULATION_FAILED
-    steps = steps_of(case, motion)
-    signature = [step.signature for step in steps]
-    body = case.body
-    kinds = {step.kind for step in steps} | {"turning" for step in steps if step.turning and step.force.any()}
-    kinds |= {"a cell sticks" for step in steps if some_cell_sticks(step, body.limit)}
-    way = float(np.abs(motion.pose - case.pose).max())
-    point = np.r_[case.pose, body.mass, body.centre, body.inertia, case.model.pusher_friction, body.limit]
-    scale = np.r_[0.05, 0.05, 1.0, body.mass, 0.05, 0.05, body.inertia, 0.5, np.full(len(body.limit), body.limit.mean())]
-    errors, doubts = np.zeros(len(point)), np.zeros(len(point))
-    for column in range(len(point)):
-        switched = False
-        first = 3e-5 if column < 7 else 1e-3
+    def __init__(self) -> None:
+        self.kinds: Counter[str] = Counter()
+        self.n = self.n_certain = 0
+        self.worst = {"pose": 0.0, "impulse": 0.0, "adjoint": 0.0}
 
-        def poses(h: float, column: int = column, first: float = first) -> Float64Array:
-            nonlocal switched
-            q = point.copy()
-            q[column] += h * scale[column]
-            body = BodyParameters(q[3], q[4:6], q[6], q[8:])
-            moved = simulate_body(case.model.shape, body, q[7], PushScenario(case.pusher, q[:3], case.pusher.time), settings=ENGINES[mode])
-            if column < 3 and abs(h) == first:
-                moved_case = Case(case.model, case.pusher, q[:3])
-                switched = switched or [step.signature for step in steps_of(moved_case, moved)] != signature
-            return moved.pose
+    def add(self, case: Case, mode: str, effects: EffectValues = NONE, *, between: bool = False, only_effects: bool = False) -> None:
+        """Compare all columns of a push, or those of the effects; `between` the steps' ends no latency has a kink."""
+        body, mu = case.body, case.model.pusher_friction
+        n, ends = 8 + len(body.limit), case.pusher.time
+        within = np.r_[ends[1:-1] + 0.4 * np.diff(ends[1:]), ends[-1]]
+        point = np.r_[case.pose, body.mass, body.centre, body.inertia, mu, body.limit, effects.values]
+        typical = [p.typical for p in effects.parameters]
+        scale = np.r_[0.05, 0.05, 1.0, body.mass, 0.05, 0.05, body.inertia, 0.5, np.full(len(body.limit), body.limit.mean()), typical]
+        # A small friction coefficient of the pusher leaves no room below it.
+        low = [
+            max(p.low, -mu) if label == "pusher_friction.excess" else p.low
+            for label, p in zip(effects.labels, effects.parameters, strict=True)
+        ]
+        low = np.r_[np.full(7, -np.inf), np.zeros(n - 7), low]
 
-        exact = motion.jacobian[:, :, column] * scale[column]
-        one_sided = column >= 7 and point[column] < first * scale[column]
-        estimate, uncertain = ridders(poses, first, one_sided=one_sided)
-        size = max(float(np.abs(exact).max()), 0.01 * way if column < 8 else 0.0, 1e-9)
-        errors[column] = np.abs(exact - estimate).max() / size
-        # Differences that vanish in the rounding of the poses agree with each other, and prove nothing.
-        doubts[column] = np.inf if switched else max(uncertain, np.spacing(np.abs(motion.pose).max()) / first) / size
-    return kinds, errors, doubts
+        def arguments(q: Float64Array):  # type: ignore[no-untyped-def]
+            scenario = PushScenario(case.pusher, q[:3], ends[:-1] + 0.4 * (ends[1] - ends[0]) if between else ends, ORDER, within)
+            return case.model.shape, BodyParameters(q[3], q[4:6], q[6], q[8:n]), q[7], scenario
+
+        def simulated(q: Float64Array, *, jacobian: bool = False) -> Motion:
+            return simulate_body(*arguments(q), settings=ENGINES[mode], effects=effects.with_values(q[n:]), jacobian=jacobian)
+
+        motion = simulated(point, jacobian=True)
+        assert motion.status is not SolveStatus.SIMULATION_FAILED
+        certain = 0
+        for column in range(n if only_effects else 0, len(point)):
+            first = 1e-4 if column in (3, 6) else 3e-5 if column < 7 else 1e-3
+            unit = scale[column] * np.eye(len(point))[column]
+            moved = lru_cache(lambda h, unit=unit: simulated(point + h * unit))  # type: ignore[misc]
+            one_sided = point[column] < low[column] + first * scale[column]
+            both = True
+            for name, limit, whole, exact in (
+                ("pose", 1e-7, np.abs(motion.pose - case.pose).max(), motion.jacobian),
+                ("impulse", 1e-6, np.abs(motion.impulse).max(), motion.impulse_jacobian),
+            ):
+                estimate, uncertain = ridders(lambda h, f=moved, name=name: getattr(f(h), name), first, one_sided=one_sided)  # type: ignore[misc]
+                exact = exact[..., column] * scale[column]
+                size = max(float(np.abs(exact).max()), 0.01 * float(whole), 1e-9)
+                # Differences that straddle a switch of the contact prove nothing, nor do those that vanish in rounding.
+                rounding = np.spacing(np.abs(getattr(motion, name)).max()) / first
+                if max(uncertain, rounding) < limit * size:
+                    self.worst[name] = max(self.worst[name], float(np.abs(exact - estimate).max()) / size)
+                else:
+                    both = False
+            certain += both
+        self.n, self.n_certain = self.n + len(point) - (n if only_effects else 0), self.n_certain + certain
+        if between:
+            return
+        steps = steps_of(case, motion)
+        kinds = {step.kind for step in steps} | {"turning" for step in steps if step.turning and step.force.any()}
+        kinds |= {"a cell sticks" for step in steps if some_cell_sticks(step, body.limit)}
+        self.kinds.update({kind: certain for kind in kinds})
+        _, pull_back = simulate_body_with_pullback(*arguments(point), settings=ENGINES[mode], effects=effects)
+        self.worst["adjoint"] = max(self.worst["adjoint"], adjoint_error(motion, pull_back))
+
+    def check(self, adjoint: float, doubtful: float) -> None:
+        print(f"{self.n_certain} of {self.n} columns, {self.worst}, {dict(self.kinds)}")
+        assert self.worst["pose"] <= 1e-6 and self.worst["impulse"] <= 1e-5 and self.worst["adjoint"] <= adjoint
+        assert self.n_certain >= (1.0 - doubtful) * self.n
+
+
+def adjoint_error(motion: Motion, pull_back) -> float:  # type: ignore[no-untyped-def]
+    by_pose = np.random.default_rng(1).normal(size=motion.pose.shape)
+    terms = np.abs(by_pose[:, :, None] * motion.jacobian).sum(axis=(0, 1))
+    by_all = np.einsum("fi,fip->p", by_pose, motion.jacobian)
+    return float((np.abs(pull_back(by_pose) - by_all) / (terms + 1e-6 * terms.max())).max())
 
 
 @pytest.mark.parametrize("mode", ENGINES)
-def test_every_column_of_the_jacobian_equals_differences_to_six_digits(mode: str) -> None:
-    # Differences that straddle a switch of the contact, or of a cell of the pyramid, prove nothing; they are few, and counted.
-    compared: Counter[str] = Counter()
-    doubtful = total = 0
-    # Apart from the others: cells of the pyramid that stick, whose stiffness is some 1e10 times the inertia.
-    worst = {False: 0.0, True: 0.0}
+def test_every_column_equals_differences_to_six_digits(mode: str) -> None:
+    compared = Compared()
     for seed in fixed_seeds(16):
-        case = random_case(seed, 9 + seed % 7, seed % 2 == 1, 5)
-        kinds, errors, doubts = compare(case, mode)
-        sure = doubts < 1e-7
-        doubtful, total = doubtful + int(np.sum(~sure)), total + len(sure)
-        sticks = mode == "pyramid" and "a cell sticks" in kinds
-        worst[sticks] = max(worst[sticks], float(errors[sure].max(initial=0.0)))
-        for kind in kinds:
-            compared[kind] += int(np.sum(sure))
-    print(
-        f"{mode}: {total - doubtful} of {total} columns, error {worst[False]:.1e}, where a cell sticks {worst[True]:.1e}, {dict(compared)}"
-    )
-    assert max(worst.values()) <= 1e-6
-    assert doubtful <= 0.15 * total
-    assert all(compared[kind] >= 20 for kind in CLASSES if (kind, mode) != ("separating", "quasi-static")), compared
-    assert mode != "pyramid" or compared["a cell sticks"] >= 100, compared
+        compared.add(random_case(seed, 9 + seed % 7, seed % 2 == 1, 5), mode)
+    compared.check(ADJOINT[mode], 0.2)
+    assert all(compared.kinds[kind] >= 20 for kind in CLASSES if (kind, mode) != ("separating", "quasi-static"))
+    assert mode != "pyramid" or compared.kinds["a cell sticks"] >= 100
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_all_columns_are_exact_while_an_effect_acts(name: str) -> None:
+    compared = Compared()
+    for seed in range(3):
+        compared.add(random_case(seed, 9 + seed, seed % 2 == 1, 5), "circle", some_values((name,), seed))
+    compared.check(ADJOINT["circle"], 0.2)
+    assert compared.kinds["sticking"] and compared.kinds["sliding"]
+
+
+@pytest.mark.parametrize("mode", ENGINES)
+def test_all_columns_are_exact_while_all_effects_act_at_once(mode: str) -> None:
+    left_out = {"circle": set(), "quasi-static": {"restitution"}, "pyramid": {n for n in CAUSES if isinstance(EFFECTS[n].acts, OnTable)}}
+    compared = Compared()
+    for seed in range(3):
+        compared.add(random_case(seed, 9 + seed, seed % 2 == 1, 5), mode, some_values(tuple(sorted({*CAUSES} - left_out[mode])), seed))
+    compared.check(ADJOINT[mode], 0.2)
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_columns_of_an_effect_are_exact_at_the_null_value_where_absence_is_tested(name: str) -> None:
+    compared = Compared()
+    for seed in range(4):
+        compared.add(random_case(seed, 9 + seed, seed % 2 == 1, 5), "circle", effect_values((name,)), between=True, only_effects=True)
+    compared.check(0.0, 0.25)
 
 
 @pytest.mark.parametrize("mode", ENGINES)
 @examples(30)
 @given(case=cases(48))
 def test_adjoint_is_the_transpose_of_the_jacobian(mode: str, case: Case) -> None:
-    body = case.body
     scenario = PushScenario(case.pusher, case.pose, case.pusher.time[::5])
-    arguments = (case.model.shape, body, case.model.pusher_friction, scenario)
-    jacobian = simulate_body(*arguments, settings=ENGINES[mode], jacobian=True).jacobian
-    motion, pull_back = simulate_body_with_pullback(*arguments, settings=ENGINES[mode])
-    by_pose = np.random.default_rng(len(body.limit)).normal(size=motion.pose.shape)
-    terms = np.abs(by_pose[:, :, None] * jacobian).sum(axis=(0, 1))
-    error = float((np.abs(pull_back(by_pose) - np.einsum("fi,fip->p", by_pose, jacobian)) / (terms + 1e-6 * terms.max())).max())
+    arguments = (case.model.shape, case.body, case.model.pusher_friction, scenario)
+    motion = simulate_body(*arguments, settings=ENGINES[mode], jacobian=True)
+    error = adjoint_error(motion, simulate_body_with_pullback(*arguments, settings=ENGINES[mode])[1])
     target(error, label="adjoint, relative")
     assert error <= 1e-8

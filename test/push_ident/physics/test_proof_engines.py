@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from helpers.random_pushes import CLASSES, ENGINES, Case, classes_of, fixed_seeds, random_case, steps_of
 from push_ident.physics import reference as reference_engine
@@ -27,9 +28,12 @@ def side_by_side(seed: int, n: int, n_steps: int) -> list[Case]:
     return [first] + [random_case(1000 * seed + k, n_cells, False, n_steps, shape=first.model.shape) for k in range(1, n)]
 
 
-def by_reference(batch: list[Case], model: ReferenceModel) -> ReferenceMotion:
+def first_poses(batch: list[Case]) -> Tensor:
+    return torch.tensor(np.array([case.pose for case in batch]))
+
+
+def by_reference(batch: list[Case], model: ReferenceModel, poses: Tensor) -> ReferenceMotion:
     pushers = [case.pusher for case in batch]
-    poses = torch.tensor(np.array([case.pose for case in batch]))
     return reference_rollout(batch[0].model.shape, model, pushers, poses, [p.time for p in pushers], settings=PYRAMID)
 
 
@@ -62,7 +66,7 @@ def test_every_step_of_random_pushes_equals_the_reference() -> None:
     for seed in fixed_seeds(3):
         batch = side_by_side(seed, 12, 24)
         with torch.no_grad():
-            reference = by_reference(batch, tensors_of(batch, derive=False))
+            reference = by_reference(batch, tensors_of(batch, derive=False), first_poses(batch))
         for k, case in enumerate(batch):
             motion = with_least_friction(case).simulate(PYRAMID)
             assert SolveStatus.SIMULATION_FAILED not in (motion.status, reference.status[k])
@@ -84,14 +88,15 @@ def test_every_step_of_random_pushes_equals_the_reference() -> None:
 
 
 def test_derivatives_of_random_pushes_equal_those_of_the_reference() -> None:
-    # By the mass and the friction of every cell and by the friction of the pusher; autograd through the LCP knows nothing of modes.
+    # By mass and friction of every cell, friction of the pusher and first pose; autograd through the LCP knows nothing of modes.
     # Where a cell of the compiled pyramid sticks, its stiffness beside the inertia costs ten of sixteen digits.
     errors: list[float] = []
     for seed in fixed_seeds(2):
         batch = side_by_side(100 + seed, 8, 8)
         model = tensors_of(batch, derive=True)
-        reference = by_reference(batch, model)
-        leaves = (model.mass, model.friction, model.pusher_friction)
+        poses = first_poses(batch).requires_grad_()
+        reference = by_reference(batch, model, poses)
+        leaves = (model.mass, model.friction, model.pusher_friction, poses)
         ends = [sum(poses[-1, row] for poses in reference.poses) for row in range(3)]
         gradients = [[g.numpy() for g in torch.autograd.grad(end, leaves, retain_graph=True)] for end in ends]
         for k, case in enumerate(batch):
@@ -99,7 +104,7 @@ def test_derivatives_of_random_pushes_equal_those_of_the_reference() -> None:
             end = case.simulate(PYRAMID, jacobian=True).jacobian[-1]
             by_mass, by_friction = cell_gradient(case.model.shape, case.model.mass, case.model.friction, end)
             rubs = case.model.friction > 1e-6  # a friction of 1e-7 is beyond the tolerance of the LCP
-            for i, (exact, use) in enumerate(((by_mass, ...), (by_friction, rubs), (end[:, 7:8], ...))):
+            for i, (exact, use) in enumerate(((by_mass, ...), (by_friction, rubs), (end[:, 7:8], ...), (end[:, :3], ...))):
                 other = np.array([np.atleast_1d(gradients[row][i][k]) for row in range(3)])[:, use]
                 if np.abs(other).max() > 1e-9:
                     errors.append(relative(exact[:, use], other))

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from push_ident.errors import InputError
 from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
-from push_ident.physics.simulation import SimulationSettings
 from push_ident.physics.step import new_step_scratch, step
 from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import support_friction
@@ -103,25 +101,3 @@ def test_step_meets_its_optimality_conditions(diamond: bool, n_contacts: int) ->
             friction = dt * force
         balance = inertia * (twist - old) + friction - contact_impulse(rows, n_contacts, impulse, code)
         assert np.abs(balance / [1, 1, 0.03]).max() <= 1e-10 * 0.6
-
-
-def test_cell_dissipates_by_its_faster_axis() -> None:
-    # Coasting along a table axis the pyramid brakes as the circle; along the diagonal with 1 / sqrt(2) of it.
-    arms, limit, inertia, rows = (
-        np.zeros((2, 1)),
-        np.array([2.0]),
-        np.array([0.5, 0.5, 1e-3]),
-        np.zeros((2 * MAX_CONTACTS, Row.WIDTH)),
-    )
-    for yaw in (0.0, 0.7):
-        for angle, brake in ((0.0, 1.0), (np.pi / 2, 1.0), (np.pi / 4, np.sqrt(0.5))):
-            twist = np.array([0.3 * np.cos(angle - yaw), 0.3 * np.sin(angle - yaw), 0.0])
-            geometry = StepGeometry(arms, limit, inertia, 0.03, np.zeros(2), np.array([np.cos(yaw), np.sin(yaw)]), 0.01)
-            contacts, impulse = StepContacts(rows, 0, 0.3), np.zeros(MAX_CONTACTS + 1)
-            pyramid_step(twist, geometry, contacts, 0, impulse, new_step_scratch(), new_pyramid_scratch(1))
-            assert np.linalg.norm(twist[:2]) == pytest.approx(0.3 - brake * 2.0 / 0.5 * 0.01, rel=1e-9)
-
-
-def test_quasi_static_pyramid_is_refused() -> None:
-    with pytest.raises(InputError, match="no unique motion"):
-        SimulationSettings(friction_cone="pyramid", quasi_static=True)

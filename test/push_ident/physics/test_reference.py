@@ -104,14 +104,6 @@ def cell_velocity(problem: StepProblem, twist: Tensor) -> Tensor:
     return twist[:, None, :2] + twist[:, None, 2:] * torch.stack([-arm[..., 1], arm[..., 0]], dim=2)
 
 
-def test_cells_move_as_one_body() -> None:
-    problem = random_contacts(0)
-    velocity = -solve_lcp(reference_lcp(problem)).alpha.view(len(problem.mass), -1, 3)
-    twist = reference_step(problem).twist
-    assert torch.allclose(velocity[..., 1:], cell_velocity(problem, twist), rtol=0, atol=1e-12)
-    assert torch.allclose(velocity[..., 0], twist[:, 2:].expand(-1, 9), rtol=0, atol=1e-11)
-
-
 def test_block_slows_down_by_its_friction_and_the_pyramid_points_along_the_larger_velocity() -> None:
     model = block()
     slowing = float(np.sum(model.mass * model.friction) / model.total_mass) * GRAVITY * DT
@@ -132,34 +124,6 @@ def test_applied_force_moves_the_block_once_it_exceeds_the_friction() -> None:
     arms = model.shape.cells.centres
     inertia = np.sum(model.mass * (np.sum(arms**2, axis=1) + 0.02**2 / 6))
     assert reference_step(smooth).twist[0].tolist() == pytest.approx([0.0, 0.0, 0.01 * DT / inertia], abs=1e-6)
-
-
-def test_no_other_motion_costs_less() -> None:
-    # Without friction of the pusher the step is a convex minimisation; whatever fits the contact must cost more.
-    problem = random_contacts(1)
-    problem = replace(problem, pusher_friction=torch.zeros(60).double(), active=problem.active & (torch.arange(60) < 40)[:, None])
-    result = reference_step(problem)
-    lcp = reference_lcp(problem)
-    old = (lcp.q / lcp.M).view(60, 9, 3)
-    old = torch.cat([(problem.mass[..., None] * old[..., 1:]).sum(dim=1) / problem.mass.sum(dim=1, keepdim=True), old[:, 0, :1]], dim=1)
-
-    def cost(twist: Tensor) -> Tensor:
-        velocity = cell_velocity(problem, twist)
-        change = torch.cat([velocity - cell_velocity(problem, old), (twist - old)[:, None, 2:].expand(-1, 9, 1)], dim=2)
-        weight = torch.stack([problem.mass, problem.mass, problem.inertia], dim=2)
-        return 0.5 * (weight * change**2).sum(dim=(1, 2)) + DT * (problem.limit * velocity.abs().amax(dim=2)).sum(dim=1)
-
-    def room(twist: Tensor) -> Tensor:
-        motion = torch.cat([twist[:, None, 2:].expand(-1, 9, 1), cell_velocity(problem, twist)], dim=2).flatten(1)
-        return (lcp.m + (lcp.G @ motion[..., None])[..., 0])[:, :2].amin(dim=1)
-
-    least = cost(result.twist)
-    assert torch.all(room(result.twist) > -1e-9)
-    generator = torch.Generator().manual_seed(0)
-    for size in (1e-1, 1e-2, 1e-3, 1e-4):
-        for _ in range(60):
-            other = result.twist + size * torch.randn(60, 3, generator=generator, dtype=torch.float64) * tensor([1.0, 1.0, 20.0])
-            assert torch.all((cost(other) >= least - 1e-13) | (room(other) < 0))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -187,22 +151,6 @@ def test_contact_and_friction_obey_their_laws(seed: int) -> None:
     assert torch.all(friction.abs().sum(dim=2) <= DT * problem.limit * (1 + 1e-6))
     dissipated = -(friction * velocity).sum(dim=2)
     assert torch.allclose(dissipated, DT * problem.limit * velocity.abs().amax(dim=2), rtol=1e-5, atol=1e-10)
-
-
-def test_energy_never_rises() -> None:
-    problem = free_step(uneven_block(), tensor([[0.3, -0.2, 4.0], [0.01, 0.0, -6.0], [0.0, 0.2, 0.0]]))
-
-    def energy(twist: Tensor) -> Tensor:
-        velocity = cell_velocity(problem, twist)
-        return 0.5 * (problem.mass * (velocity**2).sum(dim=2) + problem.inertia * twist[:, 2:] ** 2).sum(dim=1)
-
-    before = energy(problem.twist)
-    for _ in range(60):
-        problem = replace(problem, twist=reference_step(problem).twist)
-        after = energy(problem.twist)
-        assert torch.all(after <= before + 1e-14)
-        before = after
-    assert torch.all(before < 1e-12)  # all of them have come to rest
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.35, 1.0])
@@ -234,24 +182,22 @@ def test_derivative_of_a_step_equals_central_differences(name: str) -> None:
     problem = CONTACTS[name]()
     assert mode(problem, reference_step(problem)) == name
     inputs = ("mass", "inertia", "cells", "twist", "limit", "normal", "point", "gap", "pusher_velocity", "pusher_friction", "force")
-    leaves = [getattr(problem, field).clone().requires_grad_() for field in inputs]
+    leaves = [getattr(problem, field) for field in inputs]
 
     def outcome(*values: Tensor) -> Tensor:
         result = reference_step(replace(problem, **dict(zip(inputs, values, strict=True))))
         return torch.cat([result.twist, result.normal_impulse[:, :1], result.tangential_impulse[:, None]], dim=1)[0]
 
-    for row in range(5):
-        exact = torch.autograd.grad(outcome(*leaves)[row], leaves)
-        for i, field in enumerate(inputs):
-            value = leaves[i].detach()
-            direction = torch.randn(value.shape, generator=torch.Generator().manual_seed(i), dtype=torch.float64)
-            if field in ("mass", "inertia", "limit", "pusher_friction"):
-                direction = direction * value
-            step = 1e-6
-            plus, minus = ([x.detach() + (sign * direction if j == i else 0.0) for j, x in enumerate(leaves)] for sign in (step, -step))
-            with torch.no_grad():
-                difference = float((outcome(*plus) - outcome(*minus))[row] / (2 * step))
-            assert float((exact[i] * direction).sum()) == pytest.approx(difference, rel=1e-5, abs=2e-7), (row, field)
+    exact = torch.autograd.functional.jacobian(outcome, tuple(leaves))
+    for i, field in enumerate(inputs):
+        direction = torch.randn(leaves[i].shape, generator=torch.Generator().manual_seed(i), dtype=torch.float64)
+        if field in ("mass", "inertia", "limit", "pusher_friction"):
+            direction = direction * leaves[i]
+        step = 1e-6
+        plus, minus = ([x + (sign * direction if j == i else 0.0) for j, x in enumerate(leaves)] for sign in (step, -step))
+        differences = (outcome(*plus) - outcome(*minus)) / (2 * step)
+        along = (exact[i] * direction).flatten(1).sum(dim=1)
+        assert along.tolist() == pytest.approx(differences.tolist(), rel=1e-5, abs=2e-7), field
 
 
 def test_step_that_is_not_solved_has_a_status() -> None:
@@ -263,48 +209,14 @@ def test_step_that_is_not_solved_has_a_status() -> None:
 # Whole pushes
 
 
-@pytest.mark.parametrize("heading, start", [(0.5, (-0.0315, -0.014)), (-0.1, (-0.0321, -0.0225))], ids=["edge", "vertex"])
-def test_derivative_of_a_push_equals_central_differences(heading: float, start: tuple[float, float]) -> None:
-    model = uneven_block(2)
-    pusher = straight_push(start, heading, speed=0.2, travel=0.012, rest=0.0)
-    time = pusher.time[[-2, -1]]
-    names = ("mass", "friction", "pusher friction", "first pose", "force")
-    tensors = ReferenceModel.of(model)
-    values = [tensors.mass, tensors.friction, tensors.pusher_friction, tensor([[0.0, 0.001, 0.05]]), tensor([0.05, -0.03, 0.002])]
-    weights = torch.randn(2, 3, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-
-    def loss(*x: Tensor) -> Tensor:
-        motion = reference_rollout(model.shape, ReferenceModel(x[0], x[1], x[2]), [pusher], x[3], [time], force=x[4])
-        assert motion.status == (SolveStatus.CONVERGED,)
-        return (motion.poses[0] * weights).sum()
-
-    leaves = [x.clone().requires_grad_() for x in values]
-    exact = torch.autograd.grad(loss(*leaves), leaves)
-    for i, name in enumerate(names):
-        direction = torch.randn(values[i].shape, generator=torch.Generator().manual_seed(i), dtype=torch.float64)
-        if i < 3:
-            direction = direction * values[i]
-        step = 1e-5 if i < 3 else 1e-6
-        with torch.no_grad():
-            plus, minus = (loss(*[x + (sign * direction if j == i else 0.0) for j, x in enumerate(values)]) for sign in (step, -step))
-        difference = float(plus - minus) / (2 * step)
-        assert abs(difference) > 1e-6, name
-        assert float((exact[i] * direction).sum()) == pytest.approx(difference, rel=1e-3, abs=1e-7), name
-
-
 def test_pushes_of_unlike_length_and_model_equal_one_by_one() -> None:
-    shape, a, b = block(2).shape, uneven_block(2, seed=1), uneven_block(2, seed=2)
+    shape, models = block(2).shape, [ReferenceModel.of(uneven_block(2, seed=seed)) for seed in (1, 2)]
     pushers = [straight_push((-0.030, 0.006), 0.1, travel=0.01, rest=0.02), straight_push((0.005, -0.030), 1.6, travel=0.015, rest=0.02)]
     times = [p.time[[0, 3, -1]] for p in pushers]
     first = tensor([[0.0, 0.0, 0.0], [0.001, 0.0, -0.1]])
-    one, two = ReferenceModel.of(a), ReferenceModel.of(b)
-    both = ReferenceModel(
-        torch.stack([one.mass, two.mass]),
-        torch.stack([one.friction, two.friction]),
-        torch.stack([one.pusher_friction, two.pusher_friction]),
-    )
+    both = ReferenceModel(*(torch.stack([getattr(m, name) for m in models]) for name in ("mass", "friction", "pusher_friction")))
     together = reference_rollout(shape, both, pushers, first, times)
-    for i, model in enumerate((one, two)):
+    for i, model in enumerate(models):
         alone = reference_rollout(shape, model, pushers[i : i + 1], first[i : i + 1], times[i : i + 1])
         assert torch.allclose(together.poses[i], alone.poses[0], rtol=0, atol=1e-9)
         assert float((alone.poses[0][-1] - first[i]).norm()) > 5e-3
@@ -319,15 +231,18 @@ def test_failures_of_a_push_are_statuses_and_input_that_does_not_fit_is_refused(
     motion = reference_rollout(model.shape, reference, [pusher, away], first, [pusher.time] * 2, max_iterations=3)
     assert motion.status == (SolveStatus.SIMULATION_FAILED, SolveStatus.NO_CONTACT)
     assert torch.all(torch.isnan(motion.poses[0])) and torch.all(motion.poses[1] == 0)
-    with pytest.raises(InputError, match="`friction` has shape"):
-        reference_rollout(model.shape, replace(reference, friction=reference.friction[:3]), [pusher], first[:1], [pusher.time])
-    with pytest.raises(InputError, match=r"`mass` is of torch\.float32"):
-        reference_rollout(model.shape, replace(reference, mass=reference.mass.float()), [pusher], first[:1], [pusher.time])
-    with pytest.raises(InputError, match="negative or not finite"):
-        reference_rollout(model.shape, replace(reference, mass=-reference.mass), [pusher], first[:1], [pusher.time])
-    with pytest.raises(InputError, match="must be finite and ascend"):
-        reference_rollout(model.shape, reference, [pusher], first[:1], [pusher.time[::-1]])
-    with pytest.raises(InputError, match=r"first poses have shape \(2, 3\), expected \(1, 3\)"):
-        reference_rollout(model.shape, reference, [pusher], first, [pusher.time])
+    for changed, text in (
+        ({"friction": reference.friction[:3]}, "`friction` has shape"),
+        ({"mass": reference.mass.float()}, r"`mass` is of torch\.float32"),
+        ({"mass": -reference.mass}, "negative or not finite"),
+    ):
+        with pytest.raises(InputError, match=text):
+            reference_rollout(model.shape, replace(reference, **changed), [pusher], first[:1], [pusher.time])
+    for poses, time, text in (
+        (first[:1], pusher.time[::-1], "must be finite and ascend"),
+        (first, pusher.time, r"\(2, 3\), expected \(1, 3\)"),
+    ):
+        with pytest.raises(InputError, match=text):
+            reference_rollout(model.shape, reference, [pusher], poses, [time])
     with pytest.raises(InputError, match=r"StepProblem\.gap has shape"):
         replace(random_contacts(0), gap=torch.zeros(60).double())
