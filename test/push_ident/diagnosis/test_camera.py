@@ -14,35 +14,31 @@ from push_ident.diagnosis.policy import CameraPolicy, DecisionPolicy, SelectionP
 from push_ident.diagnosis.settings import DiagnosisSettings
 
 
-def test_errors_of_a_camera_join_the_base_model_once() -> None:
+def test_errors_of_a_camera_join_the_base_model_once_and_an_outline_is_as_accurate_as_its_deviations_say() -> None:
     settings = camera_settings(DiagnosisSettings(base_effects=("wear", *POSE_ERRORS[:1])), hammer_shape())
     assert settings.base_effects[:2] == ("wear", POSE_ERRORS[0])
     assert sorted(settings.base_effects) == sorted({"wear", *OUTLINE_ERRORS, *POSE_ERRORS})
-
-
-def test_an_outline_is_as_accurate_as_its_deviations_say() -> None:
-    exact = hammer_shape()
-    traced = replace(exact, outline_std=np.full(len(exact.outline), 1.5e-3))
+    traced = replace(hammer_shape(), outline_std=np.full(len(hammer_shape().outline), 1.5e-3))
     (name,) = OUTLINE_ERRORS
+    assert settings.effect_std[name] == pytest.approx((4e-4,))
     assert camera_settings(DiagnosisSettings(), traced).effect_std[name] == pytest.approx((1.5e-3,))
-    assert camera_settings(DiagnosisSettings(), exact).effect_std[name] == pytest.approx((4e-4,))
 
 
 def test_camera_raises_margins_and_noise_and_lowers_none() -> None:
     strict = DiagnosisSettings(policy=DecisionPolicy(selection=SelectionPolicy(discrepancy_rivals=50.0)))
-    policy = camera_settings(strict, hammer_shape()).policy
-    assert policy.selection.discrepancy_rivals == 50.0
-    assert policy.selection.min_log_bayes_factor == pytest.approx(15.0, abs=0.1)
-    assert policy.for_camera() == policy
-    assert camera_settings(strict, hammer_shape()).noise.floor_position >= strict.noise.floor_position
+    with_camera = camera_settings(strict, hammer_shape())
+    selection = with_camera.policy.selection
+    assert selection.discrepancy_rivals == 50.0 and selection.min_log_bayes_factor == pytest.approx(15.0, abs=0.1)
+    assert with_camera.policy.for_camera() == with_camera.policy
+    assert with_camera.noise.floor_position >= strict.noise.floor_position
+    assert selection.log_prior_effect == SelectionPolicy().log_prior_effect
 
 
 def test_pushes_that_disagree_with_all_others_are_outliers_unless_they_are_many() -> None:
     policy, noise = CameraPolicy(), np.random.default_rng(2).normal(size=(8, 30, 3))
     assert outlier_pushes(frame_residuals(noise), policy) == ()
-    few, many = noise.copy(), noise.copy()
-    few[[2, 5]] *= 3.0
-    many[[2, 5, 6]] *= 3.0
-    assert outlier_pushes(frame_residuals(few), policy) == (2, 5)
     # So many pushes have a common cause.
-    assert outlier_pushes(frame_residuals(many), policy) == ()
+    for pushes, outliers in (([2, 5], (2, 5)), ([2, 5, 6], ())):
+        larger = noise.copy()
+        larger[pushes] *= 3.0
+        assert outlier_pushes(frame_residuals(larger), policy) == outliers

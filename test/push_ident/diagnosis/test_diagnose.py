@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.diagnosis import NOISE, simulated_pushes, traced_by_camera, with_correlated_noise
+from helpers.diagnosis import NOISE, TRUTH, simulated_pushes, traced_by_camera, with_correlated_noise
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import fit_base
@@ -21,10 +21,18 @@ from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.something_else.family import VariesWith
 from push_ident.diagnosis.verdict import Verdict
 from push_ident.errors import InputError
-from push_ident.identification.observing.observation import noise_correlation
-from push_ident.types import PoseTrack
+from push_ident.geometry.cells import cell_error
+from push_ident.identification.observing.observation import noise_correlation, observe_push
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import simulate
+from push_ident.types import PoseTrack, PushRecord
 
 TILT = 0.02  # [rad]
+
+
+def page_of(diagnosis: Diagnosis, folder: Path) -> str:
+    write_report(folder / "report.html", diagnosis, object_id="o1", sources=["bag, push 0"])
+    return (folder / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +48,6 @@ def tilted() -> Diagnosis:
 def test_no_effect_is_found_where_there_is_none(nothing: Diagnosis) -> None:
     assert nothing.verdict is Verdict.NO_GAP
     assert nothing.gap is not None and np.isnan(nothing.gap.shrink)
-    # Six pushes hardly determine the maps.
-    assert nothing.sentence.startswith(("No gap beyond noise", "Nothing is found, and the pushes are too few to know"))
     assert nothing.account is not None and not nothing.account.is_unexplained
     # The smallest size that would have been detected: one number an effect.
     smallest = {entry["name"]: entry["smallest"] for entry in to_json(nothing)["ranking"]}
@@ -53,34 +59,69 @@ def test_tilted_table_is_named_with_its_size_and_closes_the_gap(tilted: Diagnosi
     """A tether contains it as a special case, and explains no more."""
     effect = tilted.effects[0]
     assert effect.name == "table_tilt"
-    for name, true in zip(("x", "y"), (TILT, 0.0), strict=True):
-        assert abs(effect.parameters[name] - true) < 3 * effect.std[name]
-        assert effect.std[name] < 0.25 * TILT
+    for name, true in (("x", TILT), ("y", 0.0)):
+        assert abs(effect.parameters[name] - true) < 3 * effect.std[name] < 0.75 * TILT
     assert tilted.gap is not None
-    assert tilted.gap.shrink > 0.7
     low, high = tilted.gap.shrink_interval
-    assert low <= tilted.gap.shrink <= high
+    assert tilted.gap.shrink > 0.7 and low <= tilted.gap.shrink <= high
 
 
-SIZES = [
-    ("pose_latency", 0.03),
-    pytest.param("pusher_friction", 0.3, marks=pytest.mark.long),
-]
+def test_parts_of_the_account_add_up_to_the_error_of_the_base_model_for_every_push(tilted: Diagnosis) -> None:
+    account = tilted.account
+    assert account is not None
+    np.testing.assert_allclose(sum(account.per_push.values()), account.gap.before, atol=1e-15)
+    assert sum(part.mean for part in account.parts) == pytest.approx(account.before, abs=1e-15)
+    assert [part.name for part in account.parts] == ["noise", "maps", "model", "table_tilt", "unexplained"]
+    assert all(part.interval[0] < part.mean < part.interval[1] for part in account.parts)
+    assert account["table_tilt"].mean > 0.5 * account.before and account["table_tilt"].interval[0] > 0.0
+    assert not account.is_unexplained
 
 
-@pytest.mark.parametrize(("name", "size"), SIZES)
+def test_noise_has_the_part_that_known_noise_makes(nothing: Diagnosis) -> None:
+    """Against other draws of the noise in the true world: pushes from displaced first poses, ends displaced as the mean of a rest is."""
+    rng, errors = np.random.default_rng(5), []
+    for record in simulated_pushes(6, 1):
+        observed = observe_push(record)
+        # A rest begins or ends with the record, and its mean time is that of the first or last observation.
+        time, ends = record.poses.time, observed.time[[0, -1]]
+        lengths = 2 * (ends - time[[0, -1]]) * [1, -1] + 1e-6
+        n_first, n_last = (np.count_nonzero(np.abs(time - end) <= 0.5 * length) for end, length in zip(ends, lengths, strict=True))
+        scenario = PushScenario(record.pusher, observed.pose[0], observed.time[-1:], record.order)
+        end = simulate(TRUTH, scenario).pose[-1]
+        for _ in range(20):
+            first = observed.pose[0] + NOISE / np.sqrt(n_first) * rng.normal(size=3)
+            moved = simulate(TRUTH, replace(scenario, pose_object_in_table=first)).pose[-1]
+            errors.append(cell_error(record.shape.cells, moved + NOISE / np.sqrt(n_last) * rng.normal(size=3), end))
+    assert nothing.account is not None and nothing.account["noise"].mean == pytest.approx(np.mean(errors), rel=0.35)
+
+
+def test_page_is_complete_in_one_file_and_its_parts_add_up(tilted: Diagnosis, tmp_path: Path) -> None:
+    page = page_of(tilted, tmp_path)
+    assert page.count("<svg") == 2 and page.count('class="dot"') >= 3 * 6
+    assert "table_tilt" in page and "bag, push 0" in page and tilted.check in page and not re.search(r"\d rad\b", page)
+    assert not re.findall(r"(?:src|href)=\"(?!#|data:)", page)
+    parts = re.findall(r'<span class="part( negative)?" style="left:([\d.]+)%;width:([\d.]+)%', page.split('class="row"')[0])
+    assert tilted.account is not None and len(parts) == len(tilted.account.parts)
+    signed = sum((-1.0 if negative else 1.0) * float(width) for negative, _, width in parts)
+    (total,) = re.findall(r'<span class="total" style="left:([\d.]+)%', page)
+    assert abs(signed - float(total)) < 0.1
+
+
+def test_too_few_pushes_are_not_trusted(tmp_path: Path) -> None:
+    found = diagnose(simulated_pushes(2, 1))
+    assert found.verdict is Verdict.NOT_TRUSTWORTHY and np.isnan(to_json(found)["gap"]["before_m"])
+    page = page_of(found, tmp_path)
+    assert "at least 3 pushes" in page and "<svg" not in page
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "size"), [("pose_latency", 0.03), ("pusher_friction", 0.3)])
 def test_effect_is_named_with_its_size(name: str, size: float) -> None:
     found = diagnose(simulated_pushes(6, 2, {name: [size]}))
     assert found.effects[0].name == name, found.sentence
     (value,), (std,) = found.effects[0].parameters.values(), found.effects[0].std.values()
     assert abs(value - size) < max(0.15 * size, 3 * std)
     assert std < 0.3 * size
-
-
-def test_effect_of_the_base_model_is_no_gap() -> None:
-    found = diagnose(simulated_pushes(6, 2, {"pose_latency": [0.03]}), DiagnosisSettings(base_effects=("pose_latency",)))
-    assert found.verdict is Verdict.NO_GAP
-    assert found.fit is not None and found.fit.names == ("pose_latency",)
 
 
 def test_cause_outside_the_catalogue_is_unknown_and_described(tmp_path: Path) -> None:
@@ -94,8 +135,7 @@ def test_cause_outside_the_catalogue_is_unknown_and_described(tmp_path: Path) ->
     content = to_json(found)
     assert content["verdict"] == "unknown" and content["unknown"]["evidence"] > 2.0
     assert content["probabilities"]["something_else"] > 0.8 and content["something_else"]["where"] == "from push 5 on"
-    write_report(tmp_path / "report.html", found, object_id="o1", sources=[])
-    assert "mm with something else" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "mm with something else" in page_of(found, tmp_path)
 
 
 def test_small_error_of_a_traced_outline_joins_the_base_model_and_a_large_one_is_not_trusted() -> None:
@@ -123,6 +163,7 @@ def test_error_of_a_camera_within_its_accuracy_is_no_effect_and_a_larger_one_is_
     assert diagnose(simulated_pushes(6, 1, {"camera_rotation": [0.03]}), requested).verdict is Verdict.NO_GAP
 
 
+@pytest.mark.long
 def test_exact_twins_are_named_together() -> None:
     found = diagnose(simulated_pushes(6, 3, {"tool_offset": [0.003, 0.0]}))
     assert found.verdict is Verdict.ONE_OF
@@ -130,40 +171,36 @@ def test_exact_twins_are_named_together() -> None:
     assert "mark" in found.check
 
 
-CORRELATED = [(0.6, None, []), pytest.param(0.0, {"table_tilt": [0.03, 0.0]}, ["table_tilt"], marks=pytest.mark.long)]
+def cut_to_motion(record: PushRecord) -> PushRecord:
+    """Without most of its rests."""
+    poses, driven = record.poses, record.pusher.time[np.abs(np.gradient(record.pusher.position, axis=0)).sum(axis=1) > 1e-9]
+    kept = (poses.time > driven[0] - 0.1) & (poses.time < driven[-1] + 0.25)
+    return replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept]))
 
 
-@pytest.mark.parametrize(("rho", "effects", "names"), CORRELATED)
-def test_correlated_noise_is_no_effect_where_rests_are_too_short_to_show_it(
-    rho: float, effects: dict[str, list[float]] | None, names: list[str]
-) -> None:
-    records = []
-    for record in with_correlated_noise(simulated_pushes(8, 1, effects), rho, 1):
-        poses, driven = record.poses, record.pusher.time[np.abs(np.gradient(record.pusher.position, axis=0)).sum(axis=1) > 1e-9]
-        kept = (poses.time > driven[0] - 0.1) & (poses.time < driven[-1] + 0.25)
-        records.append(replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept])))
+def test_correlation_of_noise_is_measured_in_motion_where_rests_are_too_short_to_show_it() -> None:
+    records = [cut_to_motion(record) for record in with_correlated_noise(simulated_pushes(8, 1), 0.6, 1)]
     assert np.isnan(noise_correlation(records, enough_pairs=80))
     # A fifth of the noise is white: neighbours are correlated by 0.8 rho.
-    base = fit_base(records, DiagnosisSettings())
-    assert correlation_in_motion(base, ResidualPolicy()) == pytest.approx(0.8 * rho, abs=0.15)
-    found = diagnose(records)
+    assert correlation_in_motion(fit_base(records, DiagnosisSettings()), ResidualPolicy()) == pytest.approx(0.8 * 0.6, abs=0.15)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("rho", "effects", "names"), [(0.6, None, []), (0.0, {"table_tilt": [0.03, 0.0]}, ["table_tilt"])])
+def test_correlated_noise_that_rests_are_too_short_to_show_is_no_effect(
+    rho: float, effects: dict[str, list[float]] | None, names: list[str]
+) -> None:
+    found = diagnose([cut_to_motion(record) for record in with_correlated_noise(simulated_pushes(8, 1, effects), rho, 1)])
     assert [effect.name for effect in found.effects] == names and (names or found.verdict is Verdict.NO_GAP)
 
 
-FILTERED = [(None, []), pytest.param({"pusher_lag": [0.05]}, ["pusher_lag"], marks=pytest.mark.long)]
-
-
-@pytest.mark.parametrize(("effects", "names"), FILTERED)
+@pytest.mark.parametrize(("effects", "names"), [(None, []), pytest.param({"pusher_lag": [0.05]}, ["pusher_lag"], marks=pytest.mark.long)])
 def test_filtered_poses_are_diagnosed(effects: dict[str, list[float]] | None, names: list[str]) -> None:
     """Errors that hardly change from frame to frame, as of a tracking filter."""
     records = with_correlated_noise(simulated_pushes(8, 4, effects, noise=0.01 * NOISE), 0.97, 4)
     assert noise_correlation(records) > 0.9
-    found = diagnose(
-        [
-            replace(r, poses=replace(r.poses, covariance=np.broadcast_to(np.diag(4.0 * NOISE**2), (len(r.poses.time), 3, 3))))
-            for r in records
-        ]
-    )
+    reported = [np.broadcast_to(np.diag(4.0 * NOISE**2), (len(r.poses.time), 3, 3)) for r in records]
+    found = diagnose([replace(r, poses=replace(r.poses, covariance=cov)) for r, cov in zip(records, reported, strict=True)])
     assert [effect.name for effect in found.effects] == names and (names or found.verdict is Verdict.NO_GAP)
 
 
@@ -195,31 +232,6 @@ def test_outlier_push_of_a_traced_object_is_set_aside() -> None:
     assert found.verdict == Verdict.NO_GAP and " Push 3 disagrees with all others and was set aside" in found.sentence
 
 
-def test_too_few_pushes_are_not_trusted(tmp_path: Path) -> None:
-    found = diagnose(simulated_pushes(2, 1))
-    assert found.verdict is Verdict.NOT_TRUSTWORTHY
-    assert np.isnan(to_json(found)["gap"]["before_m"])
-    page = page_of(found, tmp_path)
-    assert "at least 3 pushes" in page and "<svg" not in page
-
-
-def page_of(diagnosis: Diagnosis, folder: Path) -> str:
-    write_report(folder / "report.html", diagnosis, object_id="o1", sources=["bag, push 0"])
-    return (folder / "report.html").read_text(encoding="utf-8")
-
-
-def test_page_is_complete_in_one_file_and_its_parts_add_up(tilted: Diagnosis, tmp_path: Path) -> None:
-    page = page_of(tilted, tmp_path)
-    assert page.count("<svg") == 2 and page.count('class="dot"') >= 3 * 6
-    assert "table_tilt" in page and "bag, push 0" in page and tilted.check in page and not re.search(r"\d rad\b", page)
-    assert not re.findall(r"(?:src|href)=\"(?!#|data:)", page)
-    parts = re.findall(r'<span class="part( negative)?" style="left:([\d.]+)%;width:([\d.]+)%', page.split('class="row"')[0])
-    assert tilted.account is not None and len(parts) == len(tilted.account.parts)
-    signed = sum((-1.0 if negative else 1.0) * float(width) for negative, _, width in parts)
-    (total,) = re.findall(r'<span class="total" style="left:([\d.]+)%', page)
-    assert abs(signed - float(total)) < 0.1
-
-
 def test_too_few_pushes_to_know_are_told_from_no_gap(tmp_path: Path) -> None:
     few = diagnose(simulated_pushes(4, 1, noise=NOISE / 3))
     assert few.account is not None and few.account.maps_are_open and few.first_push is not None
@@ -227,6 +239,7 @@ def test_too_few_pushes_to_know_are_told_from_no_gap(tmp_path: Path) -> None:
     assert few.verdict is Verdict.NO_GAP and "too few pushes" in title
 
 
+@pytest.mark.long
 def test_wrong_radius_of_the_pusher_is_named_with_the_outline() -> None:
     """Pushes show the sum of it and of an error of the outline."""
     thicker = [replace(push, pusher=replace(push.pusher, radius=push.pusher.radius - 0.004)) for push in simulated_pushes(8, 1)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -19,63 +20,56 @@ from push_ident.identification.observing.observation import NoiseModel, observe_
 from push_ident.types import PoseTrack, PushRecord
 
 
-def failed(records: list[PushRecord], policy: GatePolicy | None = None) -> list[str]:
+def failed(records: Sequence[PushRecord], policy: GatePolicy | None = None) -> list[str]:
     return [gate.finding for gate in check_data(records, NoiseModel(), policy or GatePolicy()) if not gate.passed]
 
 
-def with_frames(record: PushRecord, kept: np.ndarray) -> PushRecord:
-    poses = record.poses
-    return replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept]))
+def checked(*records: PushRecord) -> DiagnosisState:
+    return check_pushes(DiagnosisState(records, DiagnosisSettings(), DiagnosisSettings()))
 
 
-def test_good_pushes_pass_all_gates() -> None:
-    assert failed(simulated_pushes(4, 1)) == []
+@pytest.fixture(scope="module")
+def records() -> list[PushRecord]:
+    return simulated_pushes(4, 1)
 
 
-def test_too_few_pushes_fail() -> None:
-    records = simulated_pushes(4, 1)
-    (found,) = failed(records, GatePolicy(min_pushes=5))
-    assert found == "4 of 4 pushes touch the object"
+def test_good_pushes_pass_all_gates_and_too_few_do_not(records: list[PushRecord]) -> None:
+    assert failed(records) == []
+    assert failed(records, GatePolicy(min_pushes=5)) == ["4 of 4 pushes touch the object"]
 
 
-def test_pushes_with_many_missing_frames_count_by_their_poses_at_rest() -> None:
-    rng = np.random.default_rng(0)
-    records = [with_frames(record, np.flatnonzero(rng.random(len(record.poses.time)) > 0.4)) for record in simulated_pushes(4, 1)]
+def test_pushes_with_many_missing_frames_count_by_their_poses_at_rest(records: list[PushRecord]) -> None:
+    rng, gaps = np.random.default_rng(0), []
+    for record in records:
+        poses, kept = record.poses, np.flatnonzero(rng.random(len(record.poses.time)) > 0.4)
+        gaps.append(replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept])))
     whole = simulated_pushes(1, 2)[0]
-    settings = DiagnosisSettings()
-    state = check_pushes(DiagnosisState((*records, whole), settings, settings))
+    state = checked(*gaps, whole)
     assert not state.abstains and any("4 of 5 pushes count by their poses at rest" in gate.finding for gate in state.gates)
-    for record, kept in zip(records, state.records, strict=False):
+    for record, kept in zip(gaps, state.records, strict=False):
         before, after = observe_push(record), observe_push(kept)
         assert len(after.time) == 2 < len(before.time)
         np.testing.assert_array_equal(after.pose, before.pose[[0, -1]])
     assert len(state.records[-1].poses.time) == len(whole.poses.time)
 
 
-def test_poses_that_jump_and_come_back_fail_and_a_step_that_stays_does_not() -> None:
-    records = simulated_pushes(4, 1)
-    turned = []
+@pytest.mark.parametrize(("frames", "axis", "change", "fails"), [(slice(5, None, 10), 2, np.pi, True), (slice(60, None), 0, 0.1, False)])
+def test_poses_that_jump_and_come_back_fail_and_a_step_that_stays_does_not(
+    records: list[PushRecord], frames: slice, axis: int, change: float, fails: bool
+) -> None:
+    jumping = []
     for record in records:
         pose = record.poses.pose.copy()
-        pose[5::10, 2] += np.pi
-        turned.append(replace(record, poses=replace(record.poses, pose=pose)))
-    assert any("jump away" in found for found in failed(turned))
-    stepped = []
-    for record in records:
-        pose = record.poses.pose.copy()
-        pose[len(pose) // 2 :, 0] += 0.1
-        stepped.append(replace(record, poses=replace(record.poses, pose=pose)))
-    assert not any("jump away" in found for found in failed(stepped))
+        pose[frames, axis] += change
+        jumping.append(replace(record, poses=replace(record.poses, pose=pose)))
+    assert any("jump away" in found for found in failed(jumping)) is fails
 
 
-def test_stage_keeps_the_pushes_that_touch_the_object() -> None:
-    records = simulated_pushes(4, 1)
+def test_stage_keeps_the_pushes_that_touch_the_object(records: list[PushRecord]) -> None:
     away = replace(records[1], pusher=replace(records[1].pusher, position=records[1].pusher.position + 5.0))
-    settings = DiagnosisSettings()
-    state = check_pushes(DiagnosisState((records[0], away, *records[2:]), settings, settings))
-    assert not state.abstains
+    state = checked(records[0], away, *records[2:])
+    assert not state.abstains and state.source_of(1) == "push 2"
     assert [record.source for record in state.records] == ["push 0", "push 2", "push 3"]
-    assert state.source_of(1) == "push 2"
 
 
 def test_poses_count_as_no_more_exact_than_the_time_steps_up_to_a_limit() -> None:

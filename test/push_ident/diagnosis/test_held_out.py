@@ -1,4 +1,4 @@
-"""Errors on held-out pushes, before and after effects are added."""
+"""Errors on held-out pushes, before and after effects are added, and the account of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from helpers.diagnosis import gap_of, simulated_pushes
+from helpers.diagnosis import account_of_parts, gap_of, simulated_pushes
 from push_ident.diagnosis.fits import fit_base, fit_effects
 from push_ident.diagnosis.held_out import HeldOutFits, measure_gap, noise_errors
 from push_ident.diagnosis.policy import ValidationPolicy
@@ -61,10 +61,22 @@ def test_shrink_is_the_share_of_the_gap_above_noise_that_is_closed_and_not_a_num
     assert low < 0.75 < high
     scattered = gap_of([1e-3, 6e-3, 0.2e-3, 0.4e-3], [1e-3] * 4, 1e-3)
     assert not scattered.is_above_noise and np.isnan(scattered.shrink) and np.isnan(scattered.shrink_interval).all()
-
-
-def test_effects_are_worse_only_where_neither_error_nor_density_improves() -> None:
+    # Effects are worse only where neither error nor density improves.
     better = gap_of([3e-3, 3e-3], [2e-3, 2e-3], 1e-3, log_density_gain=-1.0)
     assert not better.is_worse
     worse = replace(better, after=np.array([4e-3, 4e-3]))
     assert worse.is_worse and not replace(worse, log_density_gain=np.ones(2)).is_worse
+
+
+def test_effects_added_in_stages_have_a_part_each() -> None:
+    gap = replace(gap_of([5e-3] * 4, [1e-3] * 4, 1e-3, names=("wear", "tether", "pusher_lag")), stages={"wear": np.full(4, 3e-3)})
+    account = account_of_parts(gap, 1e-3, 0.0, 0.0)
+    assert {part.name: part.mean for part in account.effects} == pytest.approx({"wear": 2e-3, "tether and pusher_lag": 2e-3})
+    assert account["unexplained"].mean == pytest.approx(0.0)
+
+
+def test_error_that_all_pushes_share_widens_the_interval_of_the_unexplained_part() -> None:
+    account = account_of_parts(gap_of([2e-3, 2.1e-3] * 3, [2e-3, 2.1e-3] * 3, 1e-3), 1e-3, 5e-4, 1e-4)
+    shared = replace(account, expected=replace(account.expected, shared_std=1e-3))
+    assert account.is_unexplained and not shared.is_unexplained and shared.is_within_chance
+    assert shared["noise"] == account["noise"]

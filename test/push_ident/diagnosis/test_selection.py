@@ -1,4 +1,4 @@
-"""Selection of effects: which are refitted, what counts, and which rivals remain in a tie."""
+"""Score tests of absent effects, and their selection: which are refitted, what counts, and which rivals remain in a tie."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from helpers.diagnosis import simulated_pushes, stub_fit
 from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.next_push import competing_explanations
 from push_ident.diagnosis.policy import SelectionPolicy
-from push_ident.diagnosis.scores import EffectScore
+from push_ident.diagnosis.scores import EffectInformation, EffectScore, score_effects
 from push_ident.diagnosis.select import choose_refits, required_log_bayes_factor, select_effects
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.fitting.fit import Fit
+from push_ident.physics.effects import EFFECTS
 from push_ident.types import SolveStatus
 
 POLICY = SelectionPolicy()
@@ -64,10 +65,14 @@ def test_rivals_of_an_earlier_effect_come_from_fits_beside_all_others() -> None:
     assert list(competing_explanations(selection, POLICY)) == ["pusher_lag", "pose_latency"]
 
 
-def test_effect_that_contains_the_found_one_is_no_rival_but_its_general_case() -> None:
+def test_effect_that_contains_the_found_one_is_its_general_case_and_no_rival() -> None:
+    """That something acts is known from the strongest effect, whichever is named."""
     selection = Selection(stub_fit(), stub_fit("table_tilt"), (step_of(table_tilt=50.0, tether=49.0, wear=48.0),))
     assert [rival.name for rival in selection.rivals] == ["wear"]
     assert selection.special_cases(POLICY.tie_margin) == {"table_tilt": "tether"}
+    step = step_of(table_tilt=14.2, tether=19.5)
+    assert step.best is step.candidates[0] and step.log_bayes_factor == 19.5
+    assert step_of().log_bayes_factor == -np.inf
 
 
 def test_stages_are_the_fits_between_the_base_model_and_all_that_was_found() -> None:
@@ -101,13 +106,10 @@ def test_effect_beside_another_is_refitted_only_where_it_promises_something() ->
     assert chosen(False, wear=3.0, restitution=-1.0) == ["wear"]
     assert chosen(True, outline_error=100.0, wear=5.0) == ["outline_error"]  # no rival of so much more
     assert chosen(True) == []
+    # Effects whose scores mislead about one another are refitted together.
+    assert chosen(True, pose_latency=90.0, wear=5.0, pusher_lag=-5.0) == ["pose_latency", "pusher_lag"]
     # Refits bring up to five times what scores promise.
     assert chosen(True, wear=0.9) == [] and chosen(True, wear=1.1) == ["wear"] and chosen(False, wear=2.3) == []
-
-
-def test_effects_whose_scores_mislead_about_one_another_are_refitted_together() -> None:
-    scores = [EffectScore(n, v, np.zeros(1), np.eye(1), np.inf) for n, v in {"pose_latency": 90.0, "wear": 5.0, "pusher_lag": -5.0}.items()]
-    assert [score.name for score in choose_refits(scores, POLICY, required=5.0, is_first=True)] == ["pose_latency", "pusher_lag"]
 
 
 def test_base_model_at_a_poor_optimum_is_freed_before_an_effect_counts() -> None:
@@ -123,8 +125,27 @@ def test_base_model_at_a_poor_optimum_is_freed_before_an_effect_counts() -> None
     assert selection.base.log_evidence > good.log_evidence - 2.0
 
 
-def test_that_something_acts_is_known_from_the_strongest_effect_whichever_is_named() -> None:
-    named, general = Candidate("table_tilt", stub_fit("table_tilt"), 14.2), Candidate("tether", stub_fit("tether"), 19.5)
-    step = Step(stub_fit(), None, (), (named, general))
-    assert step.best is named and step.log_bayes_factor == 19.5
-    assert Step(stub_fit(), None, (), ()).log_bayes_factor == -np.inf
+def information_of(**slopes: tuple[float, float]) -> EffectInformation:
+    """Of effects with one parameter: precision of its unknown and slope of the cost."""
+    places = {name: np.array([k]) for k, name in enumerate(slopes)}
+    return EffectInformation(places, np.diag([p for p, _ in slopes.values()]), np.array([g for _, g in slopes.values()]))
+
+
+def test_effects_are_ranked_by_the_log_bayes_factor_that_they_promise() -> None:
+    scores = score_effects(information_of(wear=(2.0, 1.0), pose_latency=(101.0, -60.0)), POLICY)
+    assert [score.name for score in scores] == ["pose_latency", "wear"]
+    best = scores[0]
+    assert best.expected_log_bayes_factor == pytest.approx(0.5 * 60.0**2 / 101.0 - 0.5 * np.log(101.0))
+    np.testing.assert_allclose(best.start, [60.0 / 101.0])
+    np.testing.assert_allclose(best.information, [[100.0]])
+    assert score_effects(None, POLICY) == []
+
+
+def test_smallest_detectable_size_brings_the_threshold_on_average() -> None:
+    (score,) = score_effects(information_of(pose_latency=(101.0, 0.0)), POLICY)
+    true = score.smallest_detectable / EFFECTS["pose_latency"].parameters[0].scale
+    # A true value e makes a mean slope of -S e.
+    (found,) = score_effects(information_of(pose_latency=(101.0, -100.0 * true)), POLICY)
+    assert found.expected_log_bayes_factor == pytest.approx(POLICY.min_log_bayes_factor)
+    (nothing,) = score_effects(information_of(pose_latency=(1.0, 0.0)), POLICY)
+    assert nothing.smallest_detectable == np.inf
