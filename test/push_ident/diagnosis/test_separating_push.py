@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
-
 import numpy as np
-import pytest
 
 from helpers.diagnosis import simulated_pushes, stub_fit
 from push_ident.diagnosis.fits import fit_base, fit_effects
-from push_ident.diagnosis.next_push import NO_EFFECT, SeparatingPush, check_without_a_push, competing_explanations, separating_push
+from push_ident.diagnosis.next_push import NO_EFFECT, competing_explanations, separating_push
 from push_ident.diagnosis.policy import NextPushPolicy, SelectionPolicy
 from push_ident.diagnosis.selection import Candidate, Selection, Step
 from push_ident.diagnosis.settings import DiagnosisSettings
@@ -28,18 +25,6 @@ def test_no_push_distinguishes_an_error_of_the_tool_from_one_of_the_camera() -> 
     assert three is not None and "nothing" in three.between and three.mahalanobis2 > 9.0 and not three.resolves
 
 
-@pytest.mark.parametrize(
-    ("between", "aim"),
-    [
-        (("wear", "tether"), "distinguishes wear from tether best"),
-        (("without wear", "wear"), "confirms wear best"),
-        (("no effect", "wear"), "would show wear best"),
-    ],
-)
-def test_purpose_of_a_push_in_words(between: tuple[str, str], aim: str) -> None:
-    assert SeparatingPush(cast(Any, None), between, 10.0, True).aim == aim
-
-
 def test_explanations_compete_with_no_effect_with_rivals_or_with_absence() -> None:
     def names(found: tuple[str, ...], **log_bayes_factors: float) -> list[str]:
         candidates = tuple(Candidate(name, stub_fit(name), value) for name, value in log_bayes_factors.items())
@@ -51,8 +36,3 @@ def test_explanations_compete_with_no_effect_with_rivals_or_with_absence() -> No
     assert names(("wear",), wear=50.0, tether=10.0) == ["without wear", "wear"]
     # No push distinguishes exact twins.
     assert names(("tool_offset",), tool_offset=50.0, camera_translation=50.0) == ["without tool_offset", "tool_offset"]
-
-
-def test_check_is_that_of_the_first_effect() -> None:
-    assert check_without_a_push(["table_tilt", "wear"]) == "Put a spirit level on the table."
-    assert check_without_a_push([]) == ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from push_ident.diagnosis.scores import clipped_start
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.something_else.evidence import SomethingElse, error_with_patterns, find_something_else
 from push_ident.diagnosis.something_else.family import Acts, VariesWith
+from push_ident.diagnosis.something_else.precision import AmplitudePrecision
 from push_ident.diagnosis.something_else.words import PatternWords, describe_pattern
 from push_ident.identification.fitting.fit import Fit
 from push_ident.types import PushRecord
@@ -83,3 +85,32 @@ def test_friction_that_rises_with_a_push_is_found_by_forces_where_poses_do_not_c
 def test_one_step_estimate_is_clipped_along_its_direction() -> None:
     np.testing.assert_allclose(clipped_start(np.array([3.0, 4.0]), 2.0), [1.2, 1.6])
     np.testing.assert_array_equal(clipped_start(np.array([0.3, 0.4]), 2.0), [0.3, 0.4])
+
+
+def test_patterns_of_each_push_by_blocks_give_what_all_columns_at_once_give() -> None:
+    rng = np.random.default_rng(3)
+    sizes, n_rows, n_unknowns = (4, 7, 2), 12, 5
+    blocks = [rng.normal(size=(n_rows, n)) for n in sizes]
+    jacobian = rng.normal(size=(n_rows * len(sizes), n_unknowns))
+    # The last column is nearly what the fit has explained already.
+    blocks[2][:, 1] = jacobian[2 * n_rows :, 0] + 1e-4 * rng.normal(size=n_rows)
+    hessian = jacobian.T @ jacobian + np.diag([1.0, 1.0, 0.3, 0.0, 0.0])
+    columns = np.zeros((len(jacobian), sum(sizes)))
+    ends = np.cumsum([0, *sizes])
+    places = [slice(a, b) for a, b in pairwise(ends)]
+    for k, block in enumerate(blocks):
+        columns[k * n_rows : (k + 1) * n_rows, places[k]] = block
+    information = columns.T @ (columns - jacobian @ np.linalg.solve(hessian, jacobian.T @ columns))
+    slope, scales = rng.normal(size=(sum(sizes), 3)), (0.1, 1.0, 30.0)
+
+    together = AmplitudePrecision.of(information)
+    apart = AmplitudePrecision.of_blocks([block.T @ block for block in blocks], places, jacobian.T @ columns, hessian)
+    np.testing.assert_allclose(apart.log_bayes_factors(slope, scales), together.log_bayes_factors(slope, scales), rtol=1e-9)
+    for scale in scales:
+        expected = np.linalg.solve(information + np.eye(len(information)) / scale**2, slope[:, 0])
+        np.testing.assert_allclose(together.amplitudes(slope[:, 0], scale), expected, rtol=1e-9)
+        np.testing.assert_allclose(apart.amplitudes(slope[:, 0], scale), expected, rtol=1e-8)
+    # By its definition, with the determinant of the prior predictive.
+    both = information + np.eye(len(information))
+    value = 0.5 * slope[:, 0] @ np.linalg.solve(both, slope[:, 0]) - 0.5 * np.linalg.slogdet(both)[1]
+    assert together.log_bayes_factors(slope, (1.0,))[0, 0] == pytest.approx(value)

@@ -12,21 +12,6 @@ import pytest
 from push_ident.diagnosis.threads import map_in_threads
 
 
-class Counter:
-    """How many threads are at work at once, at most."""
-
-    def __init__(self) -> None:
-        self.lock, self.now, self.most = Lock(), 0, 0
-
-    def work(self, seconds: float) -> None:
-        with self.lock:
-            self.now += 1
-            self.most = max(self.most, self.now)
-        time.sleep(seconds)
-        with self.lock:
-            self.now -= 1
-
-
 def test_results_keep_their_order_whoever_is_first() -> None:
     assert map_in_threads(lambda k: (time.sleep(0.02 * (k == 0)), k)[1], range(6)) == list(range(6))
     assert map_in_threads(str, []) == []
@@ -34,20 +19,27 @@ def test_results_keep_their_order_whoever_is_first() -> None:
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor has no helper")
 def test_thread_without_work_helps_the_other_one_and_no_processor_has_two() -> None:
-    counter = Counter()
+    lock, now, most = Lock(), 0, 0
 
-    def task(n: int) -> list[int]:
-        # As a fit that simulates its pushes again and again.
-        return [thread for _ in range(n) for thread in map_in_threads(lambda _: (counter.work(0.01), get_ident())[1], range(4))]
+    def work(_: object) -> int:
+        nonlocal now, most
+        with lock:
+            now += 1
+            most = max(most, now)
+        time.sleep(0.01)
+        with lock:
+            now -= 1
+        return get_ident()
 
-    short, long = map_in_threads(task, [1, 20])
+    # As a fit that simulates its pushes again and again.
+    short, long = map_in_threads(lambda n: [thread for _ in range(n) for thread in map_in_threads(work, range(4))], [1, 20])
     # The thread of the short task, or another one in its place, takes a part of the long one.
     assert len(short) == 4 and len(set(long)) >= 2
-    assert 2 <= counter.most <= min(4, len(os.sched_getaffinity(0)))
+    assert 2 <= most <= min(4, len(os.sched_getaffinity(0)))
     # All threads are idle again.
-    counter.most = 0
-    map_in_threads(counter.work, [0.01] * 8)
-    assert counter.most >= 2
+    most = 0
+    map_in_threads(work, range(8))
+    assert most >= 2
 
 
 def test_failure_ends_the_work() -> None:

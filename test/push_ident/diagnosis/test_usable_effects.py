@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from push_ident.diagnosis.usable_effects import usable_effects, usable_effects_of_file, usable_effects_of_text
-from push_ident.diagnosis.verdict import Verdict
 from push_ident.errors import InputError, ModelFileError
 
 
@@ -66,14 +65,3 @@ def test_what_is_open_or_no_effect_is_refused_with_its_reason(content: dict[str,
         (tmp_path / "other.json").write_text(json.dumps(content))
         with pytest.raises(ModelFileError, match="not a diagnosis"):
             usable_effects_of_file(tmp_path / "other.json")
-
-
-def test_every_verdict_is_used_or_refused() -> None:
-    used = []
-    for verdict in Verdict:
-        try:
-            usable_effects(diagnosis(verdict.value))
-            used.append(verdict)
-        except InputError:
-            continue
-    assert used == [Verdict.NO_GAP, Verdict.NAMED, Verdict.ONE_OF, Verdict.SEVERAL]
