@@ -72,7 +72,7 @@ def test_push_along_a_path_takes_corrections_until_it_is_told_to_stop(bench: Ben
     assert order == [Phase.PLAN, Phase.APPROACH, Phase.PUSH, Phase.REST, Phase.RETREAT]
 
 
-def test_corrections_that_stop_in_the_middle_of_a_push_end_it_within_their_timeout_and_the_arm_goes_home(bench: Bench) -> None:
+def test_corrections_that_stop_in_a_push_end_it_within_their_timeout_and_the_arm_goes_home(bench: Bench) -> None:
     stopped: list[tuple[float, float]] = []
     Corrector(bench, last=0.6)
     bench.cell.events.append(lambda cell: stopped.append((cell.time, float(cell.tip[1]))) if cell.holds and len(stopped) < 60 else None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,10 +52,9 @@ def check_motion(kinematics: ArmKinematics, plan: PathPlan) -> None:
 
 
 def test_border_of_a_corridor_is_half_its_width_away_also_inside_a_bend_that_is_narrower() -> None:
-    narrow = Corridor(0.25 * BEND, 0.04)
-    for corridor in (CORRIDOR, narrow):
-        line, border = Corridor(corridor.line, 1e-6), corridor.outline()
-        np.testing.assert_allclose(line.excess(border), 0.04, rtol=0.06)
+    for corridor in (CORRIDOR, Corridor(0.25 * BEND, 0.04)):
+        border = corridor.outline()
+        np.testing.assert_allclose(Corridor(corridor.line, 1e-6).excess(border), 0.04, rtol=0.06)
         assert len(border) > len(corridor.line), "both sides"
 
 
@@ -73,8 +73,7 @@ def test_tool_keeps_to_its_path_and_rounds_its_corners_within_its_acceleration()
     np.testing.assert_allclose(motion.heading(0.7), [1.0, 0.0], atol=1e-6)
 
 
-@pytest.mark.parametrize("speed", [0.05, 0.1, 0.2, 0.25])
-@pytest.mark.parametrize("acceleration", [0.5, 2.0])
+@pytest.mark.parametrize(("speed", "acceleration"), [(0.05, 2.0), (0.25, 0.5)])
 def test_tool_that_stops_or_comes_late_does_not_swing_back_and_keeps_its_speed(speed: float, acceleration: float) -> None:
     """What swings back at the end would back off into the object."""
     moving, rest = np.array([speed, 0.0]), np.zeros(2)
@@ -96,12 +95,10 @@ def test_tool_that_stops_or_comes_late_does_not_swing_back_and_keeps_its_speed(s
 def test_tool_that_stops_in_a_bend_keeps_to_the_motion_that_was_checked() -> None:
     speed, radius, acceleration = 0.2, 0.04, 2.0
     time = np.arange(151) * 0.01
-    angle = time * speed / radius
-    towards = np.column_stack([np.cos(angle), np.sin(angle)])
-    bend = ToolMotion(time, radius * np.column_stack([np.sin(angle), 1.0 - np.cos(angle)]), speed * towards)
+    sin, cos = np.sin(time * speed / radius), np.cos(time * speed / radius)
+    bend = ToolMotion(time, radius * np.column_stack([sin, 1.0 - cos]), speed * np.column_stack([cos, sin]))
     stop = rounded(stopping(bend, 0.5, acceleration), 0.5, bend.position[50], bend.velocity[50], acceleration)
-    travel = np.linalg.norm(np.diff(stop.position, axis=0), axis=1).sum()
-    assert travel == pytest.approx(speed**2 / (2 * 0.8 * acceleration), abs=1e-3)
+    assert np.linalg.norm(np.diff(stop.position, axis=0), axis=1).sum() == pytest.approx(speed**2 / (2 * 0.8 * acceleration), abs=1e-3)
     assert np.max(np.abs(np.linalg.norm(stop.position - [0.0, radius], axis=1) - radius)) < 5e-4, "a straight line would be 1.9 mm away"
 
 
@@ -133,20 +130,22 @@ def test_corrected_motion_is_the_same_up_to_where_it_begins_and_goes_on_without_
     check_motion(kinematics, again)
 
 
-REFUSED = {
-    "out of the workspace's reach": ({"workspace": (-0.6, 0.9, -0.9, 0.9)}, {}, 0.6, PushCode.UNREACHABLE, "corridor"),
-    "joints too slow": ({}, {"max_joint_velocity": 0.25}, 0.04, PushCode.LIMIT, "the joints allow"),
-    "joints too weak": ({}, {"joint_acceleration_limits": (2.0,)}, 0.04, PushCode.LIMIT, "go slower"),
-    "elbow too low": ({}, {"link_height": 0.6}, 0.04, PushCode.LIMIT, "above the table"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_impossible_anywhere_in_the_corridor_is_refused_before_anything_moves(kinematics: ArmKinematics, name: str) -> None:
-    limits, motion, width, code, words = REFUSED[name]
+@pytest.mark.parametrize(
+    ("limits", "motion", "width", "code", "words"),
+    [
+        ({"workspace": (-0.6, 0.9, -0.9, 0.9)}, {}, 0.6, PushCode.UNREACHABLE, "corridor"),
+        ({}, {"max_joint_velocity": 0.25}, 0.04, PushCode.LIMIT, "the joints allow"),
+        ({}, {"joint_acceleration_limits": (2.0,)}, 0.04, PushCode.LIMIT, "go slower"),
+        ({}, {"link_height": 0.6}, 0.04, PushCode.LIMIT, "above the table"),
+    ],
+    ids=["out of reach", "joints too slow", "joints too weak", "elbow too low"],
+)
+def test_what_is_impossible_anywhere_in_the_corridor_is_refused_before_anything_moves(
+    kinematics: ArmKinematics, limits: dict[str, Any], motion: dict[str, Any], width: float, code: PushCode, words: str
+) -> None:
+    settings = replace(MOTION, **motion), replace(LIMITS, **limits)
     with pytest.raises(PlanningError, match=words) as refusal:
-        settings = replace(MOTION, **motion)
-        plan_path_push(kinematics, PARKED, PUSH, PATH, Corridor(BEND, width), settings, replace(LIMITS, **limits))
+        plan_path_push(kinematics, PARKED, PUSH, PATH, Corridor(BEND, width), *settings)
     assert refusal.value.code == code
 
 

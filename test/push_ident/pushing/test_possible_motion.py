@@ -63,16 +63,9 @@ def test_object_that_the_tool_came_never_near_stays() -> None:
     assert why(np.array([1e-3, 0.0, 0.0]), beside) == ""
 
 
-def test_short_push_makes_no_half_turn() -> None:
-    short = straight_push((-0.063, 0.0), 0.0, travel=0.02)
-    assert "turned by 180°" in why(np.array([0.01, 0.0, np.pi]), short)
-
-
-def test_pose_of_which_nothing_is_known_is_not_impossible() -> None:
+def test_short_push_makes_no_half_turn_and_what_poses_and_camera_may_err_by_counts() -> None:
+    assert "turned by 180°" in why(np.array([0.01, 0.0, np.pi]), straight_push((-0.063, 0.0), 0.0, travel=0.02))
     assert why(END + np.array([0.0, 0.25, 1.0]), covariance=np.eye(3)) == ""
-
-
-def test_what_is_known_of_the_camera_counts() -> None:
     aside = END + np.array([0.0, 0.12, 0.0])
     assert why(aside) and why(aside, camera=CameraAccuracy(position=0.02)) == ""
 
@@ -84,15 +77,11 @@ def test_pose_seen_soon_after_the_tool_stopped_may_be_older() -> None:
     assert "inside of it" in why_impossible(SHAPE, PUSH, FIRST, behind, **stated, observed_at=stopped + 0.6)
 
 
-def test_path_of_two_samples_is_looked_at_between_them() -> None:
-    ends = PusherPath(PUSH.time[[0, -1]], PUSH.position[[0, -1]], PUSH.radius)
-    assert why(END, ends) == ""
-    aside = np.array([-0.02, 0.02, 0.1])  # what is left behind in the middle of a long path
+def test_path_of_two_samples_is_looked_at_between_them_and_a_polygon_is_taken_for_the_circle_around_it() -> None:
+    assert why(END, PusherPath(PUSH.time[[0, -1]], PUSH.position[[0, -1]], PUSH.radius)) == ""
+    # What is left behind in the middle of a long path.
     long = PusherPath(np.array([0.0, 2.0]), np.array([[-0.3, 0.06], [0.3, 0.06]]), 0.008)
-    assert why(aside, long) == ""
-
-
-def test_polygon_is_taken_for_the_circle_around_it() -> None:
+    assert why(np.array([-0.02, 0.02, 0.1]), long) == ""
     plate = np.array([[-5e-3, -0.03], [5e-3, -0.03], [5e-3, 0.03], [-5e-3, 0.03]])
     beside = PusherPath(PUSH.time, PUSH.position + np.array([0.0, 0.08]), 0.0)
     assert why(END, beside) and why(END, replace(beside, polygon=plate)) == ""

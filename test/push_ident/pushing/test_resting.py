@@ -9,25 +9,19 @@ from push_ident.pushing.executed_push import RestingPose, displacement
 COVARIANCE = np.diag([1e-3, 1e-3, np.radians(0.5)]) ** 2
 
 
-def rest(pose: np.ndarray, n: int, rng: np.random.Generator) -> RestingPose:
+def rest(pose: np.ndarray, rng: np.random.Generator) -> RestingPose:
+    """Thirty poses with noise."""
     found = RestingPose()
-    for k, error in enumerate(errors(n, rng)):
+    for k, error in enumerate(rng.multivariate_normal(np.zeros(3), COVARIANCE, size=30)):
         found.add(float(k), pose + error, COVARIANCE)
     return found
 
 
-def errors(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Noise of some poses, shape (n, 3); a draw for each would take most of the time of a test."""
-    return rng.multivariate_normal(np.zeros(3), COVARIANCE, size=n)
-
-
 def test_noise_is_no_motion_however_often_it_is_looked_at() -> None:
-    rng = np.random.default_rng(0)
-    pose = np.array([0.1, -0.2, np.pi])
-    said = 0
+    rng, pose, said = np.random.default_rng(0), np.array([0.1, -0.2, np.pi]), 0
     for _ in range(300):
-        before, after = rest(pose, 30, rng), RestingPose()
-        for k, error in enumerate(errors(30, rng)):
+        before, after = rest(pose, rng), RestingPose()
+        for k, error in enumerate(rng.multivariate_normal(np.zeros(3), COVARIANCE, size=30)):
             after.add(float(k), pose + error, COVARIANCE)
             said += displacement(before, after)[2]
     assert said <= 3
@@ -36,20 +30,15 @@ def test_noise_is_no_motion_however_often_it_is_looked_at() -> None:
 def test_small_motion_is_seen_and_measured_across_the_wrap_of_yaw() -> None:
     rng = np.random.default_rng(1)
     pose = np.array([0.1, -0.2, np.pi])
-    shift, turn, is_moved = displacement(rest(pose, 30, rng), rest(pose + np.array([0.003, 0.0, 0.02]), 30, rng))
-    assert is_moved
-    assert abs(shift - 0.003) < 1e-3
-    assert abs(turn - 0.02) < 0.01
+    shift, turn, is_moved = displacement(rest(pose, rng), rest(pose + np.array([0.003, 0.0, 0.02]), rng))
+    assert is_moved and abs(shift - 0.003) < 1e-3 and abs(turn - 0.02) < 0.01
 
 
-def test_poses_that_claim_to_be_exact_are_compared_too() -> None:
+def test_exact_poses_are_compared_too_and_one_that_is_not_newer_is_not_counted_twice() -> None:
     rests = [RestingPose(), RestingPose()]
-    for pose, found in zip((0.0, 0.01), rests, strict=True):
-        found.add(0.0, np.array([pose, 0.0, 0.0]), np.zeros((3, 3)))
+    for pose, exact in zip((0.0, 0.01), rests, strict=True):
+        exact.add(0.0, np.array([pose, 0.0, 0.0]), np.zeros((3, 3)))
     assert displacement(*rests) == (0.01, 0.0, True)
-
-
-def test_pose_that_is_not_newer_is_not_counted_twice() -> None:
     found = RestingPose()
     for _ in range(5):
         found.add(1.0, np.zeros(3), COVARIANCE)

@@ -75,12 +75,6 @@ def test_nodes_get_one_value_from_one_place(tmp_path: Path) -> None:
     assert motion_settings(robot).acceleration == 1.0
 
 
-def test_a_value_that_the_file_has_elsewhere_is_refused_among_the_further_parameters(tmp_path: Path) -> None:
-    path = changed(tmp_path, lambda c: c["parameters"]["push_executor_node"].update(pusher_radius=0.02))
-    with pytest.raises(InputError, match=r"parameters\.push_executor_node\.pusher_radius is given by the robot file elsewhere"):
-        node_parameters(read_robot(path))
-
-
 def test_joint_that_turns_without_end_gets_the_limits_of_the_file_and_foreign_prefixes_are_left_out(tmp_path: Path) -> None:
     robot = read_robot(two_axes(tmp_path, lower=[-2.0, -1.0], upper=[2.0, 0.9]))
     urdf = read_urdf(robot)
@@ -91,25 +85,19 @@ def test_joint_that_turns_without_end_gets_the_limits_of_the_file_and_foreign_pr
     np.testing.assert_allclose(arm.position_upper, [2.0, 0.9])
 
 
-def test_description_that_is_no_urdf_is_refused(tmp_path: Path) -> None:
+def test_description_that_is_no_urdf_or_not_there_is_refused(tmp_path: Path) -> None:
     entities = URDF.replace("<robot", '<!DOCTYPE robot [<!ENTITY a "b">]><robot', 1)
     for text, why in ((entities, "declares entities"), ("<robot", "cannot be read"), ("<world/>", "no element `robot`")):
         with pytest.raises(InputError, match=why):
             read_urdf(read_robot(two_axes(tmp_path, text)))
-
-
-@pytest.mark.parametrize(
-    ("description", "why"),
-    [
-        ({"file": "ur5e.urdf", "root": "base_link"}, "no file"),
-        ({"file": "ur5e.urdf", "root": "base_link", "package": "no_such_package"}, "which is not installed"),
-        ({"file": "ur5e.urdf", "root": "base_link", "package": "push_ident"}, "which the package push_ident does not have"),
-    ],
-)
-def test_description_that_is_not_there_is_told_with_where_it_was_looked_for(tmp_path: Path, description: dict[str, str], why: str) -> None:
-    robot = read_robot(changed(tmp_path, lambda c: c.update(description=description)))
-    with pytest.raises(InputError, match=why):
-        read_urdf(robot)
+    for package, why in (
+        ({}, "no file"),
+        ({"package": "no_such_package"}, "which is not installed"),
+        ({"package": "push_ident"}, "which the package push_ident does not have"),
+    ):
+        description = {"file": "ur5e.urdf", "root": "base_link", **package}
+        with pytest.raises(InputError, match=why):
+            read_urdf(read_robot(changed(tmp_path, lambda c, described=description: c.update(description=described))))
 
 
 @pytest.mark.parametrize(
@@ -125,12 +113,16 @@ def test_description_that_is_not_there_is_told_with_where_it_was_looked_for(tmp_
         (lambda c: c.update(push_height=0.2), "heights must rise"),
         (lambda c: c.update(workspace=[0.1, -0.1, 0.0, 0.1]), "x_min < x_max"),
         (lambda c: c["parameters"].update(push_executor_node={"clearance": "3 cm"}), "expected numbers"),
+        (
+            lambda c: c["parameters"].update(push_executor_node={"pusher_radius": 0.02}),
+            "is given by the robot file elsewhere",
+        ),
     ],
 )
 def test_file_with_a_mistake_is_refused_in_one_line(tmp_path: Path, change: Callable[[dict[str, Any]], object], why: str) -> None:
     path = changed(tmp_path, change)
     with pytest.raises(InputError) as refused:
-        read_robot(path)
+        node_parameters(read_robot(path), tmp_path / "robot.urdf")
     text = str(refused.value)
     assert why in text and str(path) in text and "\n" not in text
 
