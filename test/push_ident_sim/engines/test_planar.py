@@ -23,7 +23,7 @@ from push_ident_sim.studies.blind.scoring import true_values
 
 RADIUS = 0.008
 AWAY = PusherPath(np.array([0.0, 0.01]), np.full((2, 2), 5.0), RADIUS)
-FEW = TruthSettings(n_train=4, n_test=0)
+FEW = TruthSettings(n_train=3, n_test=0)
 
 
 def disc(friction: float = 0.3, bears: bool = True) -> SimObject:
@@ -47,7 +47,7 @@ def off(name: str, motions: list[TrueMotion], others: list[TrueMotion]) -> float
 def test_disc_slides_its_coulomb_distance_in_every_direction() -> None:
     sim_object, speed = disc(), 0.4
     world, expected = PlanarWorld(sim_object, RADIUS), speed**2 / (2 * 0.3 * GRAVITY)
-    for angle in 2 * np.pi * np.arange(12) / 12 + 0.1:
+    for angle in 2 * np.pi * np.arange(5) / 5 + 0.1:
         along = np.array([np.cos(angle), np.sin(angle)])
         way = world.push((0.0, 0.0, 0.7), AWAY, velocity=(*(speed * along), 0.0)).pose[-1] - [0.0, 0.0, 0.7]
         assert way[:2] @ along == pytest.approx(expected, rel=0.005)
@@ -84,24 +84,9 @@ def test_energy_never_grows_when_a_thrown_object_hits_a_resting_pusher() -> None
 
 
 def test_half_the_step_changes_ends_by_less_than_a_twentieth_of_a_millimetre() -> None:
-    for name in ("hammer", "crimp"):
-        sim_object = make_object(name, 3)
-        coarse, fine = (make_pushes(sim_object, [3, 1], FEW, engine=PlanarWorld(sim_object, RADIUS, inner_steps=n)) for n in (96, 192))
-        assert off(name, coarse, fine) < 5e-5
-
-
-@pytest.mark.parametrize("name", ["hammer", "wrench", "book"])
-def test_both_engines_agree_to_half_a_millimetre_where_the_loads_are_the_same(name: str) -> None:
-    sim_object = make_object(name, 3)
-    world, model = PlanarWorld(sim_object, RADIUS), true_model(sim_object)
-    # The bed of springs loads cells otherwise than their own weight does; friction maps of the fit take this up.
-    model = replace(model, friction=model.friction * world.cell_loads() / (model.mass * GRAVITY))
-    errors = []
-    for motion in make_pushes(sim_object, [3, 1], FEW, engine=world):
-        path = PusherPath(motion.time, motion.pusher, RADIUS)
-        end = simulate(model, PushScenario(path, motion.pose[0], motion.time[-1:])).pose[-1]
-        errors.append(cell_error(model.shape.cells, end, motion.pose[-1]))
-    assert 1e-6 < np.median(errors) < 5e-4
+    sim_object = make_object("hammer", 3)
+    coarse, fine = (make_pushes(sim_object, [3, 1], FEW, engine=PlanarWorld(sim_object, RADIUS, inner_steps=n)) for n in (96, 192))
+    assert off("hammer", coarse, fine) < 5e-5
 
 
 def test_loads_bear_the_weight_under_the_centre_of_mass_and_none_pulls() -> None:
@@ -112,14 +97,11 @@ def test_loads_bear_the_weight_under_the_centre_of_mass_and_none_pulls() -> None
     assert load.min() >= 0.0
 
 
-@pytest.mark.parametrize("name", [n for n, e in INJECTED.items() if e.acts_on in ("table", "object", "pusher")])
-def test_every_effect_of_the_catalogue_changes_the_motion(name: str) -> None:
-    moved = off("book", pushes_of("book", **INJECTED[name].typical(0.3)), pushes_of("book"))
-    assert 1e-6 < moved < 0.05
-
-
-@pytest.mark.parametrize("name", list(OUTSIDE))
-def test_every_effect_outside_the_catalogue_changes_the_motion(name: str) -> None:
+@pytest.mark.parametrize("name", [*(n for n, e in INJECTED.items() if e.acts_on in ("table", "object", "pusher")), *OUTSIDE])
+def test_every_effect_changes_the_motion(name: str) -> None:
+    if name in INJECTED:
+        assert 1e-6 < off("book", pushes_of("book", **INJECTED[name].typical(0.3)), pushes_of("book")) < 0.05
+        return
     book = make_object("book", 3)
     changed = make_pushes(book, [3, 1], FEW, engine=PlanarWorld(book, RADIUS, outside={name: OUTSIDE[name].parameters[0].typical}))
     assert off("book", changed, pushes_of("book")) > 1e-4
@@ -163,7 +145,10 @@ LAWS = {
 
 @cache
 def without_effects(which: str, seed: int) -> tuple[ObjectModel, list[tuple[PushScenario, Float64Array, Float64Array]]]:
-    """Model of an object with the loads of the engine, and pushes of it without effects, each with its end in engine and model."""
+    """Model of an object with the loads of the engine, and pushes of it without effects, each with its end in engine and model.
+
+    The bed of springs loads cells otherwise than their own weight does; friction maps of the fit take this up.
+    """
     sim_object = make_object(which, seed)
     world, model = PlanarWorld(sim_object, RADIUS), true_model(sim_object)
     model = replace(model, friction=model.friction * world.cell_loads() / (model.mass * GRAVITY))
@@ -172,6 +157,12 @@ def without_effects(which: str, seed: int) -> tuple[ObjectModel, list[tuple[Push
         scenario = PushScenario(PusherPath(motion.time, motion.pusher, RADIUS), motion.pose[0], motion.time[-1:])
         pushes.append((scenario, motion.pose[-1], simulate(model, scenario).pose[-1]))
     return model, pushes
+
+
+@pytest.mark.parametrize(("which", "seed"), [("wrench", 11), ("hammer", 12), ("book", 13)])
+def test_both_engines_agree_to_half_a_millimetre_where_the_loads_are_the_same(which: str, seed: int) -> None:
+    model, pushes = without_effects(which, seed)
+    assert 1e-6 < np.median([cell_error(model.shape.cells, predicted, end) for _, end, predicted in pushes]) < 5e-4
 
 
 @pytest.mark.parametrize("name", LAWS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -28,9 +29,8 @@ PUSHES = replace(TruthSettings().pushes, workspace=(-2.0, 2.0, -2.0, 2.0), dista
 @pytest.fixture(scope="module")
 def world() -> Iterator[PushWorld]:
     # Pushed low, so that the push itself moves the load by little.
-    own = PushWorld(THING, PUSHES.pusher_radius, rigid=True, pusher_height=0.004)
-    yield own
-    own.close()
+    with closing(PushWorld(THING, PUSHES.pusher_radius, rigid=True, pusher_height=0.004)) as world:
+        yield world
 
 
 def with_centre_inside(inside: float, yaw: float) -> Float64Array:

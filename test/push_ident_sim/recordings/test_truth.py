@@ -28,9 +28,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("truth")
 
 
-@pytest.mark.parametrize("name", ["hammer", "book"])
-def test_planar_model_with_the_true_maps_predicts_the_pushes_to_a_millimetre(name: str) -> None:
-    thing = make_object(name, 7)
+def test_planar_model_with_the_true_maps_predicts_the_pushes_to_a_millimetre() -> None:
+    thing = make_object("hammer", 7)
     model, errors = true_model(thing), []
     for motion in make_pushes(thing, [7], TruthSettings(n_train=4, n_test=0)):
         way = np.abs(motion.pose[-1] - motion.pose[0])
@@ -68,18 +67,17 @@ def test_contact_of_a_push_is_gone_where_object_and_pusher_are_put_down_anew() -
         np.testing.assert_allclose(motion.pose[3], motion.pose[0], atol=1e-6)
 
 
-def test_pushes_are_seeded_and_simulated_once(folder: Path) -> None:
+def test_pushes_are_seeded_simulated_once_and_a_damaged_file_is_refused_with_a_remedy(folder: Path, tmp_path: Path) -> None:
     path = generate_truth(folder, "toolbox", 3, FEW)
     written, content = path.stat().st_mtime_ns, path.read_bytes()
     assert generate_truth(folder, "toolbox", 3, FEW) == path and path.stat().st_mtime_ns == written
-    path.unlink()
-    assert generate_truth(folder, "toolbox", 3, FEW).read_bytes() == content
-    assert not list(folder.glob("*.partial"))
-    others = {
-        truth_file(folder, *which)
-        for which in (("toolbox", 4, FEW), ("book", 3, FEW), ("toolbox", 3, TruthSettings(2, 1, start_range=0.1)))
-    }
-    assert len(others | {path}) == 4
+    again = generate_truth(tmp_path, "toolbox", 3, FEW)
+    assert again.read_bytes() == content and not list(tmp_path.glob("*.partial"))
+    others = (("toolbox", 4, FEW), ("book", 3, FEW), ("toolbox", 3, TruthSettings(2, 1, start_range=0.1)))
+    assert len({truth_file(folder, *which) for which in others} | {path}) == 4
+    again.write_bytes(content[:200])
+    with pytest.raises(InputError, match="delete the file"):
+        load_truth(tmp_path, "toolbox", 3, FEW)
 
 
 def test_truth_and_results_depend_on_the_code_that_makes_the_truth() -> None:
@@ -128,10 +126,3 @@ def test_force_sensor_measures_the_sliding_friction_of_a_push(folder: Path) -> N
         impulse = np.trapezoid(record.wrench.force, record.wrench.time, axis=0)
         expected = np.trapezoid(motion.force, motion.force_time, axis=0)
         np.testing.assert_allclose(impulse, expected, atol=0.05 * np.linalg.norm(expected))
-
-
-def test_damaged_file_is_refused_with_a_remedy(folder: Path) -> None:
-    path = generate_truth(folder, "book", 1, TruthSettings(n_train=1, n_test=0))
-    path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(InputError, match="delete the file"):
-        load_truth(folder, "book", 1, TruthSettings(n_train=1, n_test=0))

@@ -53,10 +53,7 @@ def test_files_and_their_bag_give_the_same_pushes_in_the_order_in_which_they_wer
     for one, other in zip(files.records, bag.records, strict=True):
         np.testing.assert_allclose(one.poses.pose, other.poses.pose, atol=1e-9)
     assert [round(1e3 * record.poses.pose[0, 0]) for record in files.records] == [281, 282, 280]
-
-
-def test_fewer_pushes_ends_and_no_forces_are_drawn_as_requested(folder: Path) -> None:
-    drawn = draw_pushes(find_sets(folder)["even-rect1"], 2, np.random.default_rng(1), ends_only=True, with_forces=False)
+    drawn = draw_pushes(sets["even-rect1"], 2, np.random.default_rng(1), ends_only=True, with_forces=False)
     assert len(drawn.records) == 2 and all(len(r.poses.time) == 2 and r.wrench is None for r in drawn.records)
 
 

@@ -30,7 +30,7 @@ def test_placed_outline_has_the_error_of_its_form_alone():
 def test_true_motion_is_the_same_before_every_camera_and_exact_poses_are_as_the_camera_reports_them():
     first = None
     for sensor, most in (("ideal", 3e-4), ("phoxi", 1.5e-3)):
-        filmed = FilmedObject(make_object("toolbox", 3), [3, 3, 8], sensor=sensor, unit=17, rest=12)
+        filmed = FilmedObject(make_object("toolbox", 3), [3, 3, 8], sensor=sensor, unit=17, rest=6)
         record = filmed.execute(filmed.true_push(np.random.default_rng(1)))
         (test,) = filmed.test_pushes(1, np.random.default_rng(2))
         filmed.close()
@@ -42,14 +42,13 @@ def test_true_motion_is_the_same_before_every_camera_and_exact_poses_are_as_the_
         np.testing.assert_array_equal(exact.poses.time, record.poses.time)
         assert np.max(np.abs(record.poses.pose - exact.poses.pose)[:, :2]) < most
         assert exact.poses.pose[-1] == pytest.approx(compose(filmed.as_reported(filmed.true_pose), filmed.offset), abs=1e-9)
-        assert outline_errors(filmed.exact_shape.outline, filmed.shape.outline)["placed_m"] < 2e-3
 
 
 def test_case_gives_all_that_the_table_shows(tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "N_PUSHES", 1)
-    monkeypatch.setattr(study, "N_TEST", 2)
+    for name, value in (("N_PUSHES", 1), ("N_TEST", 2), ("_REST", 10)):
+        monkeypatch.setattr(study, name, value)
     settings = CaseSettings(tmp_path, Budget(max_seconds=10.0, processor_time=True), TruthSettings(), CameraNoise())
-    cases = [Case("toolbox", 3, sensor) for sensor in ("ideal", "kinect_v1")]
-    summary = STUDY.summarise([CaseResult(case, STUDY.run(case, settings)) for case in cases])
-    assert summary["sensors"]["ideal"]["last_placed_m"] < 3e-4 < 5e-4 < summary["sensors"]["kinect_v1"]["last_placed_m"]
+    case = Case("toolbox", 3, "kinect_v1")
+    summary = STUDY.summarise([CaseResult(case, STUDY.run(case, settings))])
+    assert 5e-4 < summary["sensors"]["kinect_v1"]["last_placed_m"] < 5e-3
     assert "kinect_v1" in STUDY.tables(summary) and "(kinect_v1)" in STUDY.answer(summary)
