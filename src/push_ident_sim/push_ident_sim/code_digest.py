@@ -11,8 +11,6 @@ from typing import Final
 
 import push_ident
 
-__all__ = ["code_digest", "files_behind"]
-
 _PREFIXES: Final = ("push_ident.", "push_ident_sim.")
 _ROOTS: Final = {"push_ident": Path(push_ident.__file__).parent, "push_ident_sim": Path(__file__).parent}
 

@@ -8,8 +8,6 @@ from typing import Final
 
 from push_ident.nodes.executables import run_executable
 
-__all__ = ["NODES", "main"]
-
 NODES: Final = {
     "sim_cell_node": "push_ident_sim.cell.sim_cell_node",
     "sim_hand_node": "push_ident_sim.cell.sim_hand_node",

@@ -16,8 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.errors import InputError
 from push_ident.geometry.outline import outline_of_cells, polygon_area
 
-__all__ = ["OBJECT_NAMES", "Part", "SimObject", "make_object", "object_from_picture", "outline_rectangles"]
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -15,8 +15,6 @@ from typing import Any
 
 from push_ident.nodes.base.lifetime import end_with_parent
 
-__all__ = ["describe_machine", "single_threads"]
-
 _SINGLE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 

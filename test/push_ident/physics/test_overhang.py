@@ -19,7 +19,7 @@ from push_ident.physics.effects import EFFECTS
 from push_ident.physics.overhang import TableEdge, overhung_loads
 from push_ident.planning.belief import Belief
 from push_ident.types import Float64Array, ObjectModel, PusherPath
-from push_ident_sim.studies.common.random_objects import random_object
+from push_ident_sim.studies.common.objects import random_object
 
 MODEL = random_object(np.random.default_rng(4))
 CELLS, MASS = MODEL.shape.cells.centres, MODEL.mass

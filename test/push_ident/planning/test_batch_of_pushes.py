@@ -18,7 +18,7 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, body_of_cells, simulate_body
 from push_ident.planning.library import moved
 from push_ident.types import ObjectModel, PusherPath
-from push_ident_sim.studies.common.random_objects import random_object
+from push_ident_sim.studies.common.objects import random_object
 
 OF_MOTION = [name for name, effect in EFFECTS.items() if not isinstance(effect.acts, OnTimes | OnPoses | OnForces | OnForceTimes)]
 POSE = np.array([0.1, -0.2, 2.0])

@@ -22,8 +22,7 @@ from push_ident.planning.path_planner import PathStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.tool_path import Corridor
 from push_ident.types import Float64Array, ObjectModel, PusherPath
-from push_ident_sim.studies.common.plate import plate
-from push_ident_sim.studies.common.random_objects import random_object
+from push_ident_sim.studies.common.objects import plate, random_object
 
 SETTINGS = PushSettings(workspace=(-0.5, 0.5, -0.5, 0.5), pusher_radius=0.008, clearance=0.02)
 MODEL = plate(8, 3)

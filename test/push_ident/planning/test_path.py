@@ -17,7 +17,7 @@ from push_ident.planning.path_goal import PathGoal, check_path, read_path
 from push_ident.planning.path_planner import PathPlanner, PathStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array
-from push_ident_sim.studies.common.random_objects import random_object
+from push_ident_sim.studies.common.objects import random_object
 
 SETTINGS = PushSettings(workspace=(-0.4, 0.4, -0.4, 0.4), pusher_radius=0.008, clearance=0.02)
 MODEL = random_object(np.random.default_rng(7))

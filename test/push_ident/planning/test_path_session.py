@@ -23,7 +23,7 @@ from push_ident.planning.planner import GoalPush, PlanStatus
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import Float64Array
-from push_ident_sim.studies.common.plate import plate
+from push_ident_sim.studies.common.objects import plate
 
 SHAPE = hammer(1).shape
 PATH = PathGoal(np.array([[-0.06, 0.0, 0.0], [0.06, 0.0, 0.0]]), 0.05, 0.003, 0.035)

@@ -21,7 +21,7 @@ from push_ident.planning.planner import GoalPlanner, PlanStatus
 from push_ident.planning.refine import end_by_push, refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectModel
-from push_ident_sim.studies.common.random_objects import random_object
+from push_ident_sim.studies.common.objects import random_object
 
 SETTINGS = PushSettings(workspace=(-0.6, 0.6, -0.6, 0.6), pusher_radius=0.008, clearance=0.02)
 SURE = np.diag([2e-4, 2e-4, 1e-3]) ** 2

@@ -18,7 +18,7 @@ from push_ident.pushing.sampling import sample_push
 from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, path_of_plan
-from push_ident_sim.studies.blind import sealing
+from push_ident_sim.studies.blind import cases as sealing
 from push_ident_sim.studies.blind.cases import (
     FIRST_REPORT_MODEL,
     Scenario,
@@ -29,8 +29,7 @@ from push_ident_sim.studies.blind.cases import (
 )  # fmt: skip
 from push_ident_sim.studies.blind.scoring import score_case
 from push_ident_sim.studies.blind.summary import figures, interval, judge, summarise_cases
-from push_ident_sim.studies.common.files import write_json
-from push_ident_sim.studies.common.study import Case, CaseResult
+from push_ident_sim.studies.common.study import Case, CaseResult, write_json
 
 NOISE = CameraNoise()
 

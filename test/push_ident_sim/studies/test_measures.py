@@ -7,10 +7,9 @@ import time
 import numpy as np
 import pytest
 
-from push_ident_sim.studies.common.measuring import error_row, failures, mean_of, root_mean_square, share
+from push_ident_sim.studies.common.measuring import error_row, failures, growth_exponent, interleaved, mean_of, root_mean_square, share
 from push_ident_sim.studies.common.study import Case, CaseResult
 from push_ident_sim.studies.common.tables import causes_text
-from push_ident_sim.studies.common.timing import growth_exponent, interleaved
 from push_ident_sim.studies.convergence import error_at
 from push_ident_sim.studies.coverage import gaussian_level
 

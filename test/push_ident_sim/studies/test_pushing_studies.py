@@ -19,18 +19,16 @@ from push_ident.errors import InputError
 from push_ident.geometry.outline import polygon_area
 from push_ident.geometry.se2 import transform_points
 from push_ident.planning.path_steps import PathSteps
-from push_ident_sim.studies.common.plate import plate_in_bullet
+from push_ident_sim.studies.common.objects import plate_in_bullet, random_object
 from push_ident_sim.studies.common.pushed import PushedObject
-from push_ident_sim.studies.common.random_objects import random_object
 from push_ident_sim.studies.common.study import Case, CaseResult
-from push_ident_sim.studies.paths.follow import (
+from push_ident_sim.studies.paths import (
     HALF_WIDTH,
     PATHS,
     Displacement,
     follow_steered,
 )  # fmt: skip
-from push_ident_sim.studies.pusht.disc import actions
-from push_ident_sim.studies.pusht.game import BLOCK, GOAL, TICK, Game
+from push_ident_sim.studies.pusht import BLOCK, GOAL, TICK, Game, actions
 from push_ident_sim.studies.registry import EXPERIMENTS
 
 # --- goals and edge

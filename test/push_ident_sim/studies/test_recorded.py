@@ -15,7 +15,7 @@ from push_ident.bags.importers import MIT_SHAPES, import_mit
 from push_ident.bags.importers.shapes import shape_of_outline
 from push_ident.errors import InputError
 from push_ident_sim.studies.common.study import Case, CaseResult
-from push_ident_sim.studies.recorded.sets import draw_pushes, find_sets, known_of
+from push_ident_sim.studies.recorded import draw_pushes, find_sets, known_of
 from push_ident_sim.studies.registry import EXPERIMENTS
 
 STUDY = EXPERIMENTS["recorded"]

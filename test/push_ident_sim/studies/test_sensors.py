@@ -9,11 +9,10 @@ from push_ident.geometry.se2 import compose
 from push_ident.identification.fitting.budget import Budget
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings
+from push_ident_sim.studies import sensors as study
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings
 from push_ident_sim.studies.registry import EXPERIMENTS
-from push_ident_sim.studies.sensors import study
-from push_ident_sim.studies.sensors.filmed import FilmedObject
-from push_ident_sim.studies.sensors.study import outline_errors
+from push_ident_sim.studies.sensors import FilmedObject, outline_errors
 
 STUDY = EXPERIMENTS["sensors"]
 

@@ -46,7 +46,7 @@ def bench_command(
                 settings,
                 lambda what, done, total, task=task: progress.update(task, description=what, completed=done, total=total),
             )
-            sim_module("push_ident_sim.studies.common.files").write_json(page.with_suffix("") / f"{name}.json", result)
+            sim_module("push_ident_sim.studies.common.study").write_json(page.with_suffix("") / f"{name}.json", result)
     written = pages.write_benchmarks(known.values(), page)
     say(page.read_text(encoding="utf-8"))
     say("written: " + ", ".join(str(path) for path in written))

@@ -95,7 +95,7 @@ def experiment_command(
     for failure in content["failed"]:
         warn(f"push-ident: {failure['case']}: {failure['error']}")
     if json is not None:
-        sim_module("push_ident_sim.studies.common.files").write_json(json, content)
+        sim_module("push_ident_sim.studies.common.study").write_json(json, content)
         say(f"written: {json}")
 
 

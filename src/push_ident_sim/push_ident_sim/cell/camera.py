@@ -21,8 +21,6 @@ from push_ident_sim.cell.robot import robot_description
 from push_ident_sim.engines.bullet.bullet_object import TABLE
 from push_ident_sim.objects import SimObject
 
-__all__ = ["ALBEDO", "INTRINSICS", "DepthCamera", "DepthNoise", "Mesh", "Placed", "View", "look_at"]
-
 FloatArray = NDArray[np.float64]
 DepthImage = NDArray[np.float32]
 Mesh = tuple[FloatArray, NDArray[np.int64]]

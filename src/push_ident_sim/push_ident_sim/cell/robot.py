@@ -13,21 +13,6 @@ from push_ident.limits import plain_text
 from push_ident.pushing.robot.description import PUSHER_LINK, cell_description, read_urdf
 from push_ident.pushing.robot.robot_file import read_robot
 
-__all__ = [
-    "BASE_POSITION",
-    "CONTACT_LINK",
-    "HOME",
-    "JOINT_NAMES",
-    "PUSHER_LENGTH",
-    "PUSHER_RADIUS",
-    "CellRobot",
-    "bullet_description",
-    "cell_robot",
-    "iiwa_with_hand",
-    "robot_description",
-    "robot_from_file",
-]
-
 JOINT_NAMES = tuple(f"lbr_iiwa_joint_{i}" for i in range(1, 8))
 BASE_POSITION = (-0.44, 0.0, 0.43)
 """Base of the arm in `table` [m]: on a pedestal, so that the elbow limits leave all of the workspace within reach."""

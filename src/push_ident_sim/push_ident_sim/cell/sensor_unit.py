@@ -15,8 +15,6 @@ from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthImage, Dept
 from push_ident_sim.cell.sensors import PLAIN, SENSORS, SensorModel, check_name
 from push_ident_sim.objects import SimObject
 
-__all__ = ["Sensor"]
-
 Mask = NDArray[np.bool_]
 
 _EDGE = np.float32(0.004)

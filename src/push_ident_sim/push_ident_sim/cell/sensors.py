@@ -49,8 +49,6 @@ from push_ident.errors import InputError
 from push_ident.types import CameraIntrinsics
 from push_ident_sim.cell.camera import INTRINSICS, DepthImage, FloatArray, look_at
 
-__all__ = ["PLAIN", "SENSORS", "SENSOR_NAMES", "AxialNoise", "SensorModel", "check_name", "suitable_pose"]
-
 PLAIN: Final = "plain"
 """Name of the sensor without a model: `DepthNoise` at 600 px."""
 _STEEP: Final = np.radians(60.0)

@@ -15,8 +15,6 @@ from push_ident.nodes.base.run import run_node
 from push_ident.pushing.hand import CLOSED, HandMotion
 from push_ident_msgs.msg import HandCommand, HandStatus
 
-__all__ = ["PARAMETERS", "SimHandNode", "main"]
-
 PARAMETERS: Final = (
     Parameter("closed", True, "whether the hand starts as a closed fist; else it starts in reset", read_only=True),
     Parameter("activation_time", 1.0, "from the command to an activated hand [s]", 0.0, 30.0),

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from push_ident.errors import InputError
 
-__all__ = ["JointTrajectory"]
-
 FloatArray = NDArray[np.float64]
 
 

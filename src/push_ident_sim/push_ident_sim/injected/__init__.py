@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from push_ident_sim.injected.catalogue import INJECTED
-from push_ident_sim.injected.effect import InjectedEffect, InjectedParameter
-from push_ident_sim.injected.values import InjectedEffects
+from push_ident_sim.injected.effects import INJECTED, InjectedEffect, InjectedEffects, InjectedParameter
 
 __all__ = ["INJECTED", "InjectedEffect", "InjectedEffects", "InjectedParameter"]

@@ -6,10 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.physics.effect import OnPusherPath
+from push_ident_sim.injected.effects import InjectedEffects
 from push_ident_sim.injected.equations import acts_by_equation, driven_position
-from push_ident_sim.injected.values import InjectedEffects
-
-__all__ = ["ToolErrors"]
 
 FloatArray = NDArray[np.float64]
 

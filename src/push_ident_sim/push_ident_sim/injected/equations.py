@@ -27,22 +27,8 @@ from push_ident.physics.effect import (
     OnTimes,
 )
 from push_ident.physics.effects import EFFECTS
-from push_ident_sim.injected.catalogue import INJECTED
-from push_ident_sim.injected.values import InjectedEffects
+from push_ident_sim.injected.effects import INJECTED, InjectedEffects
 from push_ident_sim.objects import SimObject
-
-__all__ = [
-    "TableChange",
-    "TableEquations",
-    "acts_by_equation",
-    "contact_quantity",
-    "driven_position",
-    "pusher_friction",
-    "reported_forces",
-    "reported_poses",
-    "times_of_forces",
-    "times_of_poses",
-]
 
 FloatArray = NDArray[np.float64]
 

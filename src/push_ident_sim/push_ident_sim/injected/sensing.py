@@ -10,21 +10,8 @@ from numpy.typing import NDArray
 
 from push_ident.errors import InputError
 from push_ident.types import CameraIntrinsics
-from push_ident_sim.injected.catalogue import INJECTED
+from push_ident_sim.injected.effects import INJECTED, InjectedEffects
 from push_ident_sim.injected.equations import reported_poses, times_of_poses
-from push_ident_sim.injected.values import InjectedEffects
-
-__all__ = [
-    "PoseSensor",
-    "check_rendered",
-    "correlated",
-    "flipped",
-    "kept_frames",
-    "measured_at",
-    "observed_poses",
-    "stamp_delay",
-    "true_camera",
-]
 
 FloatArray = NDArray[np.float64]
 

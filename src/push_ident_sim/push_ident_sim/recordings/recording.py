@@ -25,8 +25,6 @@ from push_ident_sim.injected.sensing import check_rendered, kept_frames, stamp_d
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, make_pushes, observe_motion, true_model
 
-__all__ = ["RecordingSettings", "record_pushes", "seal", "standing_tool"]
-
 FloatArray = NDArray[np.float64]
 
 _TIP_HEIGHT = 0.012

@@ -29,19 +29,6 @@ from push_ident_sim.injected.equations import reported_forces, times_of_forces
 from push_ident_sim.injected.sensing import correlated, flipped, kept_frames, measured_at, observed_poses
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 
-__all__ = [
-    "CameraNoise",
-    "Engine",
-    "TruthSettings",
-    "generate_truth",
-    "load_truth",
-    "make_pushes",
-    "observe_motion",
-    "path_of_plan",
-    "true_model",
-    "truth_file",
-]
-
 FloatArray = NDArray[np.float64]
 
 _LARGE_TABLE = (-0.6, 0.6, -0.6, 0.6)

@@ -13,12 +13,18 @@ from push_ident.identification.results.result import Checkpoint
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.types import Float64Array, ObjectModel, PushRecord
 from push_ident_sim.recordings.truth import load_truth
-from push_ident_sim.studies.common.figures import COLOURS, label_below, log_millimetres, new_figure, save
 from push_ident_sim.studies.common.measuring import error_row, fit_errors, grouped, micrometres
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
-from push_ident_sim.studies.common.tables import markdown_table, mean_millimetres, millimetres
-
-__all__ = ["STUDY", "error_at"]
+from push_ident_sim.studies.common.tables import (
+    COLOURS,
+    label_below,
+    log_millimetres,
+    markdown_table,
+    mean_millimetres,
+    millimetres,
+    new_figure,
+    save,
+)
 
 _N_TRAIN: Final = 4
 _AXES: Final = {"n_simulations": "simulations of a push", "time_s": "time [s]"}

@@ -20,12 +20,9 @@ from push_ident.identification.unknowns.mechanics import model_at
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array, ObjectModel, PushRecord, SolveStatus
 from push_ident_sim.recordings.truth import load_truth, true_model
-from push_ident_sim.studies.common.figures import label_below, new_figure, save
 from push_ident_sim.studies.common.measuring import fit_errors, grouped, root_mean_square
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
-from push_ident_sim.studies.common.tables import markdown_table, millimetres
-
-__all__ = ["STUDY", "gaussian_level"]
+from push_ident_sim.studies.common.tables import label_below, markdown_table, millimetres, new_figure, save
 
 _N_TRAIN: Final = 4
 _N_SAMPLES: Final = 500

@@ -17,8 +17,6 @@ from push_ident_sim.studies.common.measuring import grouped
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import markdown_table, millimetres
 
-__all__ = ["STUDY"]
-
 _TIMEOUT: Final = 900.0
 """Of one demo [s]: it takes two minutes where it has two cores for itself."""
 _FAR: Final = 3.0

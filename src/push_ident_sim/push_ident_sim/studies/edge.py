@@ -24,8 +24,6 @@ from push_ident_sim.studies.common.pushed import IDENTIFIED, KINDS, TABLE, Pushe
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import causes_text, markdown_table, number, share_text
 
-__all__ = ["STUDY"]
-
 _EDGE: Final = TableEdge(np.array([1.0, 0.0]), float(TABLE[0]))
 """The table's edge in Bullet."""
 _GOAL: Final = EdgeGoal(_EDGE)

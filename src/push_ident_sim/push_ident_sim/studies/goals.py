@@ -11,13 +11,10 @@ from push_ident.planning.goal import Goal
 from push_ident.planning.planner import PlanStatus
 from push_ident.types import Float64Array
 from push_ident_sim.studies.common.measuring import grouped, share
-from push_ident_sim.studies.common.plate import plate_in_bullet
+from push_ident_sim.studies.common.objects import plate_in_bullet, random_object
 from push_ident_sim.studies.common.pushed import IDENTIFIED, KINDS, PushedObject
-from push_ident_sim.studies.common.random_objects import random_object
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import markdown_table, share_text
-
-__all__ = ["STUDY"]
 
 _LEVELS: Final = {"20mm_0.1rad": (0.02, 0.1), "10mm_5deg": (0.01, np.radians(5.0)), "5mm_2deg": (0.005, np.radians(2.0))}
 """Tolerances of position [m] and yaw [rad], from the first to the last: every goal is reached at the first, then held to the next."""

@@ -12,12 +12,9 @@ from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.types import Float64Array, ObjectModel
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import load_truth, true_model
-from push_ident_sim.studies.common.figures import new_figure, save
 from push_ident_sim.studies.common.measuring import fit_errors, grouped
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
-from push_ident_sim.studies.common.tables import markdown_table, millimetres
-
-__all__ = ["STUDY"]
+from push_ident_sim.studies.common.tables import markdown_table, millimetres, new_figure, save
 
 _N_TRAIN: Final = 4
 _COLUMNS: Final = {

@@ -11,8 +11,6 @@ from push_ident_sim.studies.common.measuring import MODELS, ends_of, error_row, 
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import markdown_table, mean_millimetres, millimetres
 
-__all__ = ["STUDY"]
-
 _N_TRAIN: Final = 2
 _N_TEST: Final = 5
 

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from push_ident_sim.studies import convergence, coverage, demo, edge, goals, maps, real_protocol
+from push_ident_sim.studies import convergence, coverage, demo, edge, goals, maps, paths, pusht, real_protocol, recorded, sensors
 from push_ident_sim.studies.bench import batches, engine, frames, identification
 from push_ident_sim.studies.blind import study as blind
 from push_ident_sim.studies.common.study import Benchmark, Experiment
-from push_ident_sim.studies.paths import study as paths
-from push_ident_sim.studies.pusht import study as pusht
-from push_ident_sim.studies.recorded import study as recorded
-from push_ident_sim.studies.sensors import study as sensors
-
-__all__ = ["BENCHMARKS", "EXPERIMENTS"]
 
 EXPERIMENTS: dict[str, Experiment] = {
     module.STUDY.name: module.STUDY

@@ -20,23 +20,8 @@ from push_ident.errors import InputError
 from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
 from push_ident_sim.engines.bullet.support import SupportEffects
 from push_ident_sim.injected import InjectedEffects
-from push_ident_sim.injected.contact import friction_of_pusher, outline_growth, restitution
+from push_ident_sim.injected.shared import friction_of_pusher, outline_growth, restitution
 from push_ident_sim.objects import SimObject, outline_rectangles
-
-__all__ = [
-    "ARM_GROUP",
-    "CELL_GROUP",
-    "OUTLINE_GROUP",
-    "Link",
-    "PUSHER_GROUP",
-    "TABLE",
-    "TABLE_GROUP",
-    "BulletObject",
-    "add_table",
-    "checked_pose",
-    "connect",
-    "outline_shape",
-]
 
 FloatArray = NDArray[np.float64]
 

@@ -11,8 +11,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["cone_friction_correction"]
-
 FloatArray = NDArray[np.float64]
 
 

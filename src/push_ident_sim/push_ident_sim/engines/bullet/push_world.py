@@ -15,10 +15,8 @@ from push_ident_sim.engines.bullet.rigid_object import RigidObject
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.actuation import ToolErrors
-from push_ident_sim.injected.contact import bearing_torque, restitution
+from push_ident_sim.injected.shared import bearing_torque, restitution
 from push_ident_sim.objects import SimObject
-
-__all__ = ["PushWorld"]
 
 FloatArray = NDArray[np.float64]
 

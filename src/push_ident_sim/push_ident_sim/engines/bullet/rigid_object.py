@@ -15,8 +15,6 @@ from push_ident_sim.engines.bullet.bullet_object import CELL_GROUP, OUTLINE_GROU
 from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
 from push_ident_sim.objects import SimObject
 
-__all__ = ["RigidObject"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -15,10 +15,8 @@ from push_ident.physics.effect import OnTable
 from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.equations import TableEquations, acts_by_equation
-from push_ident_sim.injected.table import push_height, tether_anchor
+from push_ident_sim.injected.shared import push_height, tether_anchor
 from push_ident_sim.objects import SimObject
-
-__all__ = ["SupportAction", "SupportEffects"]
 
 FloatArray = NDArray[np.float64]
 

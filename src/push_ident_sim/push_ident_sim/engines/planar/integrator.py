@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from push_ident_sim.engines.planar.laws import CONSTANTS, Laws
 
-__all__ = ["Body", "Clock", "Path", "State", "StepChange", "advance", "bed_loads", "new_state"]
-
 FloatArray = NDArray[np.float64]
 
 _kernel: Any = njit(cache=True, error_model="numpy")

@@ -9,11 +9,8 @@ import numpy as np
 
 from push_ident.errors import InputError
 from push_ident_sim.injected import InjectedEffect, InjectedEffects, InjectedParameter
-from push_ident_sim.injected.contact import bearing_torque, friction_of_pusher, outline_growth, restitution
-from push_ident_sim.injected.table import push_height, tether_anchor
+from push_ident_sim.injected.shared import bearing_torque, friction_of_pusher, outline_growth, push_height, restitution, tether_anchor
 from push_ident_sim.objects import SimObject
-
-__all__ = ["CONSTANTS", "OUTSIDE", "Laws", "laws_of"]
 
 
 class _Constants(NamedTuple):

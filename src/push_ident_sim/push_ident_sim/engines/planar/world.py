@@ -18,8 +18,6 @@ from push_ident_sim.injected.actuation import ToolErrors
 from push_ident_sim.injected.equations import TableEquations
 from push_ident_sim.objects import SimObject
 
-__all__ = ["PlanarWorld"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -16,13 +16,10 @@ from push_ident.planning.library import BATCH_STEP, DRAW_STEP, path_of
 from push_ident.pushing.sampling import sample_push
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 from push_ident_sim.recordings.truth import TruthSettings
-from push_ident_sim.studies.common.plate import plate, plate_pushes
-from push_ident_sim.studies.common.random_objects import random_object
+from push_ident_sim.studies.common.measuring import interleaved, statistics
+from push_ident_sim.studies.common.objects import plate, plate_pushes, random_object
 from push_ident_sim.studies.common.study import Benchmark, Json, Piece, Settings, Target
 from push_ident_sim.studies.common.tables import markdown_table, millimetres
-from push_ident_sim.studies.common.timing import interleaved, statistics
-
-__all__ = ["STUDY"]
 
 _CELLS_ALONG: Final = 10
 _CALLS: Final = ("single", "batch")

@@ -18,12 +18,10 @@ from push_ident.geometry.cells import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, compile_kernels, loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath
-from push_ident_sim.studies.common.plate import FRAMES, distance_to, plate, plate_pushes
+from push_ident_sim.studies.common.measuring import growth_exponent, interleaved, milliseconds, statistics
+from push_ident_sim.studies.common.objects import FRAMES, distance_to, plate, plate_pushes
 from push_ident_sim.studies.common.study import Benchmark, Json, Piece, Settings, Target
 from push_ident_sim.studies.common.tables import markdown_table, millimetres
-from push_ident_sim.studies.common.timing import growth_exponent, interleaved, milliseconds, statistics
-
-__all__ = ["STUDY"]
 
 _CALLS: Final = ("rollout", "gradient", "jacobian")
 _CELLS_ALONG: Final = (4, 10, 32, 100)

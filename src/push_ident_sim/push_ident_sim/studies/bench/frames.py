@@ -20,11 +20,9 @@ from push_ident_sim.cell.camera import Placed
 from push_ident_sim.cell.sensor_unit import Sensor
 from push_ident_sim.cell.sensors import SENSORS, suitable_pose
 from push_ident_sim.objects import make_object
+from push_ident_sim.studies.common.measuring import late_quantiles
 from push_ident_sim.studies.common.study import Benchmark, Json, Piece, Settings, Target
 from push_ident_sim.studies.common.tables import markdown_table, millimetres
-from push_ident_sim.studies.common.timing import late_quantiles
-
-__all__ = ["STUDY"]
 
 _CAMERAS: Final = {"1280 x 720": "realsense_d435_1280x720", "640 x 480": "realsense_d435_640x480"}
 _OBJECTS: Final = {"toolbox": (0.0, 0.27, 0.3), "crimp": (0.0, 0.0, 1.2), "book": (0.0, -0.27, 2.0)}

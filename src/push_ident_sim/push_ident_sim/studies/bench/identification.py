@@ -13,12 +13,10 @@ from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.physics.simulation import compile_kernels
 from push_ident.types import PushRecord
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, make_pushes, observe_motion
-from push_ident_sim.studies.common.plate import plate, plate_in_bullet
+from push_ident_sim.studies.common.measuring import statistics
+from push_ident_sim.studies.common.objects import plate, plate_in_bullet
 from push_ident_sim.studies.common.study import Benchmark, Json, Piece, Settings, Target
 from push_ident_sim.studies.common.tables import markdown_table, millimetres
-from push_ident_sim.studies.common.timing import statistics
-
-__all__ = ["STUDY"]
 
 _CELLS_ALONG: Final = 10
 _N_TRAIN: Final = 4

@@ -1,24 +1,32 @@
-"""The cases of the blind check: which engine pushes, which effects are in it, how large; all drawn from the case's seed."""
+"""The cases of the blind check, all drawn from the case's seed, and their seal: truth, policy and code are fixed before scoring."""
 
 from __future__ import annotations
 
+import json
 import tempfile
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
+import push_ident
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.errors import InputError
+from push_ident.files import write_whole
 from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.effects import CAUSES
 from push_ident.types import PushRecord
+from push_ident_sim.code_digest import code_digest
 from push_ident_sim.engines.planar import OUTSIDE, PlanarWorld
 from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
-from push_ident_sim.injected.table import mean_friction
+from push_ident_sim.injected.shared import mean_friction
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
-from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
+from push_ident_sim.recordings.recording import RecordingSettings, record_pushes, seal
 from push_ident_sim.recordings.truth import (
     CameraNoise,
     Engine,
@@ -28,10 +36,8 @@ from push_ident_sim.recordings.truth import (
     observe_motion,
     path_of_plan,
     true_model,
-)  # fmt: skip
-from push_ident_sim.studies.common.study import Json
-
-__all__ = ["FIRST_REPORT_MODEL", "Scenario", "Truth", "draw_truth", "make_records", "make_requested_record", "phase_of"]
+)
+from push_ident_sim.studies.common.study import Case, Json
 
 FIRST_REPORT_MODEL = 1000
 """Ground truths from this seed on are scored once; those below are there to set thresholds."""
@@ -225,3 +231,58 @@ def _filmed(truth: Truth, object_name: str, model: int, n_pushes: int) -> list[P
         bag = Path(folder) / "pushes"
         record_pushes(bag, settings)
         return load_pushes([bag]).records
+
+
+CAMERA: Final = "camera"
+"""Variant through rendered depth images and perception."""
+ENGINES: Final = "engines"
+"""Variant that compares the engines; it has no truth to be sealed."""
+DECIDING_PACKAGES: Final = ("geometry", "physics", "pushing", "identification", "diagnosis", "perception")
+"""Packages of the core whose code decides what a diagnosis reports."""
+
+
+def decision_hashes() -> dict[str, str]:
+    """SHA-256 of the values of the default policy, and of the code that decides (without comments and docstrings), hexadecimal."""
+    return {"policy_sha256": DiagnosisSettings().policy.sha256, "code_sha256": _code_sha256()}
+
+
+@cache
+def _code_sha256() -> str:
+    core = Path(push_ident.__file__).parent
+    return code_digest({path for package in DECIDING_PACKAGES for path in (core / package).rglob("*.py")})
+
+
+def seal_cases(cases: Sequence[Case], folder: Path) -> Json:
+    """Write the hashes of truth, policy and code before anything is scored.
+
+    A report set is scored by one policy and one code only: once its seal lies in `folder`, others are refused. Raises InputError for that,
+    and for cases of both phases in one run.
+    """
+    phases = {phase_of(case.model) for case in cases}
+    if len(phases) > 1:
+        raise InputError("Seeds below 1000 are for setting the policy, those from 1000 on are scored once; give --seed to separate them.")
+    truths = [_truth_of(case) for case in cases if case.variant != ENGINES]
+    sealed: Json = {
+        "phase": phases.pop(),
+        "n_cases": len(truths),
+        "truth_sha256": seal({"cases": truths}),
+        # As it is read back from the file.
+        "policy": json.loads(json.dumps(asdict(DiagnosisSettings().policy))),
+        **decision_hashes(),
+    }
+    if sealed["phase"] == "tune":
+        return sealed
+    path = folder / f"sealed-{sealed['truth_sha256'][:16]}.json"
+    if path.is_file():
+        before: Json = json.loads(path.read_text(encoding="utf-8"))
+        for what in ("policy", "code"):
+            if before.get(f"{what}_sha256") != sealed[f"{what}_sha256"]:
+                raise InputError(f"These cases were scored with another {what} ({path}); take other seeds from 1000 on for this one.")
+        return before
+    write_whole(path, json.dumps(sealed, indent=1) + "\n", "the sealed cases")
+    return sealed
+
+
+def _truth_of(case: Case) -> Json:
+    truth = draw_truth(case.object_name, case.model, filmed=case.variant == CAMERA)
+    return {"case": case.key, "object": case.object_name, "model": case.model, **truth.as_json()}

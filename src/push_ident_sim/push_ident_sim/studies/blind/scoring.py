@@ -28,8 +28,6 @@ from push_ident_sim.objects import SimObject
 from push_ident_sim.studies.blind.cases import Truth
 from push_ident_sim.studies.common.study import Json
 
-__all__ = ["MakePush", "score_case", "true_values", "twins_of"]
-
 MakePush = Callable[[PlannedPush, int], PushRecord | None]
 """Makes a requested push after a number of others; None where that is not possible."""
 

@@ -20,14 +20,19 @@ from push_ident_sim.engines.planar import PlanarWorld
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
 from push_ident_sim.recordings.truth import TruthSettings, make_pushes, true_model
-from push_ident_sim.studies.blind.cases import Truth, draw_truth, make_records, make_requested_record
-from push_ident_sim.studies.blind.page import answer, tables
+from push_ident_sim.studies.blind.cases import (
+    CAMERA,
+    ENGINES,
+    Truth,
+    decision_hashes,
+    draw_truth,
+    make_records,
+    make_requested_record,
+    seal_cases,
+)
 from push_ident_sim.studies.blind.scoring import MakePush, score_case
-from push_ident_sim.studies.blind.sealing import CAMERA, ENGINES, decision_hashes, seal_cases
-from push_ident_sim.studies.blind.summary import CHOSEN, MOST_PUSHES, summarise_cases
+from push_ident_sim.studies.blind.summary import CHOSEN, MOST_PUSHES, answer, summarise_cases, tables
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
-
-__all__ = ["STUDY"]
 
 _N_RANDOM: Final = 3
 """Random pushes before the diagnosis chooses: the fewest that it takes."""

@@ -8,11 +8,8 @@ from typing import Final, TypeVar
 
 from push_ident.errors import InputError
 from push_ident.files import write_whole
-from push_ident_sim.studies.common.files import read_json
-from push_ident_sim.studies.common.study import Benchmark, Experiment, Json, Study
+from push_ident_sim.studies.common.study import Benchmark, Experiment, Json, Study, read_json
 from push_ident_sim.studies.common.tables import markdown_table, millimetres
-
-__all__ = ["write_benchmarks", "write_experiments"]
 
 _S = TypeVar("_S", bound=Study)
 

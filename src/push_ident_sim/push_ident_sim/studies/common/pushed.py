@@ -20,8 +20,6 @@ from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.objects import SimObject
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, observe_motion, path_of_plan, true_model
 
-__all__ = ["IDENTIFIED", "KINDS", "REST", "TABLE", "TRUTH", "UNIFORM", "PushedObject"]
-
 KINDS = UNIFORM, IDENTIFIED, TRUTH = ("uniform", "identified", "truth")
 """What is known of the mechanics: nothing (equal cells), what pushes have shown, everything."""
 TABLE: Final = np.array([0.8, 0.7])

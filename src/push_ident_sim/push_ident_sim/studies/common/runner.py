@@ -20,17 +20,14 @@ from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.fitting.budget import Budget
 from push_ident_sim.code_digest import code_digest, files_behind
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, truth_file
-from push_ident_sim.studies.common.files import read_json, write_json
-from push_ident_sim.studies.common.study import Benchmark, Case, CaseResult, CaseSettings, Experiment, Json, Settings
+from push_ident_sim.studies.common.study import Benchmark, Case, CaseResult, CaseSettings, Experiment, Json, Settings, read_json, write_json
 from push_ident_sim.workers import describe_machine, single_threads
-
-__all__ = ["RunOptions", "cases_of", "run_benchmark", "run_calls", "run_experiment"]
 
 Progress = Callable[[str, int, int], None]
 """Called with the part in progress, the number of finished parts and the number of all."""
 
 _CORE = Path(push_ident.__file__).parent
-_PRESENTATION = ("push_ident_sim.studies.common.tables", "push_ident_sim.studies.common.figures")
+_PRESENTATION = ("push_ident_sim.studies.common.tables",)
 """Modules that only present results."""
 _Calls = Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]
 

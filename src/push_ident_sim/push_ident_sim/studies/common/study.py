@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from push_ident.errors import InputError
+from push_ident.files import write_whole
 from push_ident.identification.fitting.budget import Budget
 from push_ident_sim.objects import OBJECT_NAMES
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings
-
-__all__ = ["Benchmark", "Case", "CaseResult", "CaseSettings", "Experiment", "Json", "Piece", "Settings", "Study", "Target", "no_figures"]
 
 Json = dict[str, Any]
 """What `json` can write; lengths in metres, times in seconds."""
@@ -157,3 +158,17 @@ class Benchmark(Study):
 
     pieces: Callable[[Settings], list[Piece]]
     targets: Callable[[Json], list[Target]]
+
+
+def write_json(path: Path, content: Json) -> None:
+    """Write whole or not at all. Raises PushIdentError where it cannot be written, ValueError for numbers that are not finite."""
+    write_whole(path, json.dumps(content, separators=(",", ":"), allow_nan=False) + "\n", "the result")
+
+
+def read_json(path: Path) -> Json:
+    """Read a result. Raises InputError where it cannot be read."""
+    try:
+        content: Json = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"Cannot read the result {path}: {error}; delete it and run the study again.") from None
+    return content

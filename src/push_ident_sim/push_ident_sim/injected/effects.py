@@ -1,23 +1,91 @@
-"""Every effect that can be injected.
+"""Effects that a simulated world can have: what they are, the catalogue, and those of one world with their values.
 
-Effects of the core's catalogue come first, each with a law of its own in the engines, which does not share a line with the core and so
-checks it. Then those that no diagnosis can name. Effects of the core without an entry here are injected through their own equation
-(`equations.py`): a new file in `push_ident/physics/effects/` needs nothing else.
+An effect of the core's catalogue (`push_ident.physics.effects`) keeps its name there, and its parameters keep their names, units and
+meaning; the sizes that a simulation can bring about are added here. It has a law of its own in the engines, which shares no line with the
+core and so checks it. Then come those that no diagnosis can name. Effects of the core without an entry here are injected through their own
+equation (`equations.py`): a new file in `push_ident/physics/effects/` needs nothing else.
 
 Axes are those of `table` unless said otherwise.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from push_ident.errors import InputError
 from push_ident.physics.effect import Effect, OnContact, OnForces, OnForceTimes, OnPoses, OnPusherFriction, OnPusherPath, OnTable, OnTimes
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
-from push_ident_sim.injected.effect import InjectedEffect, InjectedParameter, Part
 
-__all__ = ["INJECTED"]
+Part = Literal["table", "object", "pusher", "camera", "poses", "forces"]
+"""Part of the cell that an effect acts on. `poses`, `forces`: on what is reported; a rendered camera cannot have the first."""
+
+
+@dataclass(frozen=True, slots=True)
+class InjectedParameter:
+    """One number of an injected effect, with its range in simulations."""
+
+    name: str
+    unit: str
+    """"1" where it has none."""
+    typical: float
+    """Of a cell that was set up with ordinary care."""
+    lowest: float
+    highest: float
+    what: str = ""
+    default: float | None = 0.0
+    """Value where none is given. None: the world chooses it, see `how` of the effect."""
+    is_shape: bool = False
+    """It only shapes the effect that other parameters switch on."""
+    smallest: float = 0.0
+    """The simulation cannot bring about sizes between 0 and this."""
+    times_friction: bool = False
+    """`typical`, `lowest` and `highest` are for a friction coefficient of 1; sizes drawn for an object are scaled by its mean one."""
+
+    @property
+    def described(self) -> str:
+        """One line for people."""
+        sizes = f"{self.lowest:g} to {self.highest:g}"
+        if self.default is None:
+            return f"{self.name} [{self.unit}]: {self.what}; {sizes}, optional"
+        typical = f"{self.default:g} by default" if self.is_shape else f"typical {self.typical:g}"
+        return f"{self.name} [{self.unit}]: {self.what}; {sizes}, {typical}" + (
+            " times the friction coefficient" if self.times_friction else ""
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class InjectedEffect:
+    """An effect that a simulated world can have."""
+
+    name: str
+    acts_on: Part
+    parameters: tuple[InjectedParameter, ...]
+    what: str
+    how: str
+    """How the simulation brings it about."""
+    has_own_law: bool = True
+    """Whether the engines have a law of their own for it; else they evaluate the equation of the core's catalogue."""
+
+    @property
+    def acting(self) -> tuple[InjectedParameter, ...]:
+        """The parameters that switch the effect on where they are not at their default."""
+        return tuple(p for p in self.parameters if not p.is_shape and p.default is not None)
+
+    @property
+    def defaults(self) -> tuple[float, ...]:
+        """Values at which it does nothing, without those that the world chooses."""
+        return tuple(p.default for p in self.parameters if p.default is not None)
+
+    def typical(self, mean_friction: float = 1.0) -> dict[str, tuple[float, ...]]:
+        """The effect in its typical size, for `InjectedEffects`; along the first axis where it has a direction."""
+        first = self.parameters[0]
+        return {self.name: (first.typical * (mean_friction if first.times_friction else 1.0), *self.defaults[1:])}
+
 
 _PARTS: dict[type, Part] = {
     OnTable: "table",
@@ -199,3 +267,80 @@ _ENTRIES = (
 INJECTED: dict[str, InjectedEffect] = {effect.name: effect for effect in _ENTRIES}
 """By name. An effect that names no cause has nothing to inject."""
 INJECTED |= {name: _through_its_equation(EFFECTS[name]) for name in (*CAUSES, *FORCE_CAUSES) if name not in INJECTED}
+
+
+@dataclass(frozen=True, slots=True)
+class InjectedEffects:
+    """The effects injected into one simulation; none by default."""
+
+    values: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    """Names and parameters, sorted by name. Effects of size zero are dropped, so that they change no bit of a simulation."""
+
+    def __post_init__(self) -> None:
+        chosen: dict[str, tuple[float, ...]] = {}
+        for name, given in self.values:
+            if name not in INJECTED:
+                raise InputError(f"Effect {name!r} is not known, expected some of {', '.join(INJECTED)}.")
+            if name in chosen:
+                raise InputError(f"Effect {name} is given twice; give it once with all its parameters.")
+            chosen[name] = _checked(INJECTED[name], given)
+        switched_on = {
+            name: values
+            for name, values in chosen.items()
+            if any(value != p.default for value, p in zip(values, INJECTED[name].parameters, strict=False) if not p.is_shape)
+        }
+        object.__setattr__(self, "values", tuple(sorted(switched_on.items())))
+
+    @classmethod
+    def of(cls, values: Mapping[str, float | Sequence[float]]) -> InjectedEffects:
+        """From names and parameters: one number, or several; missing ones at the end take their default."""
+        return cls(tuple((name, tuple(v) if isinstance(v, Sequence) else (float(v),)) for name, v in values.items()))
+
+    @classmethod
+    def parse(cls, texts: Iterable[str]) -> InjectedEffects:
+        """From texts such as `table_tilt=0.02` or `table_tilt=0.02,-0.01`. Raises InputError for what is not of that form."""
+        effects = []
+        for text in texts:
+            name, equals, numbers = text.partition("=")
+            try:
+                values = tuple(float(number) for number in numbers.split(","))
+            except ValueError:
+                values = ()
+            if not (equals and values):
+                raise InputError(f"Effect {text!r} has no size, expected NAME=VALUE or NAME=VALUE,VALUE such as table_tilt=0.02.")
+            effects.append((name.strip(), values))
+        return cls(tuple(effects))
+
+    def __bool__(self) -> bool:
+        return bool(self.values)
+
+    def __contains__(self, name: str) -> bool:
+        return any(effect == name for effect, _ in self.values)
+
+    def __getitem__(self, name: str) -> tuple[float, ...]:
+        """Parameters of an effect; its defaults, at which it does nothing, where it is not injected."""
+        return self.as_dict().get(name) or INJECTED[name].defaults
+
+    def as_dict(self) -> dict[str, tuple[float, ...]]:
+        """Parameters of the injected effects by name."""
+        return dict(self.values)
+
+    def acting_on(self, *parts: str) -> tuple[str, ...]:
+        """Names of the injected effects that act on one of `parts`."""
+        return tuple(name for name, _ in self.values if INJECTED[name].acts_on in parts)
+
+
+def _checked(effect: InjectedEffect, given: Sequence[float]) -> tuple[float, ...]:
+    """The values with defaults added. Those that the world chooses are given all or not at all."""
+    named = ", ".join(f"{p.name} [{p.unit}]" for p in effect.parameters)
+    n_defaults, n_all = len(effect.defaults), len(effect.parameters)
+    if not (0 < len(given) <= n_defaults or len(given) == n_all):
+        expected = f"1 to {n_defaults}" + (f" or {n_all}" if n_all > n_defaults else "")
+        raise InputError(f"Effect {effect.name} has {len(given)} values, expected {expected}: {named}.")
+    values = (*map(float, given), *effect.defaults[len(given) :])
+    for value, p in zip(values, effect.parameters, strict=False):
+        if not (math.isfinite(value) and p.lowest <= value <= p.highest):
+            raise InputError(f"{p.name} of effect {effect.name} is {value:g} {p.unit}, expected {p.lowest:g} to {p.highest:g}.")
+        if 0.0 < abs(value) < p.smallest:
+            raise InputError(f"{p.name} of effect {effect.name} is {value:g} {p.unit}, expected 0 or at least {p.smallest:g}.")
+    return values

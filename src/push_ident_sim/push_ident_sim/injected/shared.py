@@ -1,4 +1,4 @@
-"""Effects between table and object, as the numbers that both engines need."""
+"""Effects at the contact and at the table, as the numbers that both engines need."""
 
 from __future__ import annotations
 
@@ -6,10 +6,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError
-from push_ident_sim.injected.values import InjectedEffects
+from push_ident_sim.injected.effects import InjectedEffects
+from push_ident_sim.injected.equations import contact_quantity, pusher_friction
 from push_ident_sim.objects import SimObject
 
-__all__ = ["mean_friction", "push_height", "tether_anchor"]
+
+def friction_of_pusher(effects: InjectedEffects, nominal: float) -> float:
+    """Friction coefficient of the pusher on the object where it is `nominal` without effects."""
+    return pusher_friction(effects, max(0.0, nominal + effects["pusher_friction"][0]))
+
+
+def outline_growth(effects: InjectedEffects) -> float:
+    """By how much the surface lies outside the outline [m]."""
+    return effects["outline_error"][0] + contact_quantity(effects, "offset")
+
+
+def restitution(effects: InjectedEffects) -> float:
+    """Coefficient of restitution of object and pusher."""
+    return effects["restitution"][0] + contact_quantity(effects, "restitution")
+
+
+def bearing_torque(effects: InjectedEffects) -> float:
+    """Friction torque of the finger about its own axis [N m], if it turns at all."""
+    (ease,) = effects["rolling_finger"]
+    return 0.02 * (1.0 - ease)
+
 
 FloatArray = NDArray[np.float64]
 

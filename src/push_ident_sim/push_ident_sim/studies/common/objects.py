@@ -1,4 +1,4 @@
-"""A square plate cut into any number of cells: the same object at each resolution, and pushes of one second."""
+"""Objects of studies: a square plate cut into any number of cells, the same at each resolution, and objects of random shape and maps."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from push_ident.pushing.push import PushSettings
 from push_ident.pushing.sampling import sample_push
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PusherPath
 from push_ident_sim.objects import SimObject
-
-__all__ = ["FRAMES", "distance_to", "plate", "plate_in_bullet", "plate_pushes"]
 
 _SIDE = 0.12
 _LEVER = 0.05
@@ -72,3 +70,43 @@ def plate_in_bullet(model: ObjectModel) -> SimObject:
     """The plate as an object of the simulated cell."""
     cells = model.shape.cells
     return SimObject("plate", cells.size, cells.centres, np.full(len(cells), 0.03), model.mass, model.friction, model.pusher_friction)
+
+
+_CELL = 0.011
+"""Edge of a cell [m]."""
+
+
+def random_object(rng: np.random.Generator) -> ObjectModel:
+    """Two or three rectangles that overlap, 50 to 120 cells, with wavy maps; every other object hides a heavy lump."""
+    shape = random_shape(rng)
+    centres = shape.cells.centres
+    mass = _wavy_map(centres, 0.7, rng)
+    if rng.uniform() < 0.5:
+        lump = np.linalg.norm(centres - rng.choice(centres), axis=1) < 0.03
+        mass = mass + lump * mass.mean() * rng.uniform(2.0, 6.0)
+    friction = np.clip(rng.uniform(0.2, 0.45) * _wavy_map(centres, 0.4, rng), 0.05, 1.0)
+    return ObjectModel(shape, mass * rng.uniform(0.3, 0.8) / mass.sum(), friction, rng.uniform(0.15, 0.5))
+
+
+def random_shape(rng: np.random.Generator) -> ObjectShape:
+    """Two or three overlapping rectangles of cells, 50 to 120 cells in all."""
+    n = 20
+    while True:
+        cells = np.zeros((n, n), dtype=bool)
+        seed = np.array([n // 2, n // 2])
+        for _ in range(rng.integers(2, 4)):
+            size = rng.integers(3, 11, 2)
+            low = np.clip(seed - rng.integers(0, size), 0, n - size)
+            cells[low[0] : low[0] + size[0], low[1] : low[1] + size[1]] = True
+            seed = rng.integers(low, low + size)
+        if 50 <= cells.sum() <= 120:
+            centres = np.argwhere(cells) * _CELL
+            centres = centres - centres.mean(axis=0)
+            return ObjectShape(CellGrid(centres, _CELL), outline_of_cells(centres, _CELL))
+
+
+def _wavy_map(centres: Float64Array, log_std: float, rng: np.random.Generator) -> Float64Array:
+    """Three plane waves as the logarithm of a map."""
+    extent = float(np.ptp(centres, axis=0).max())
+    waves = sum(np.cos(centres @ rng.normal(size=2) * 4.0 / extent + rng.uniform(0, 2 * np.pi)) for _ in range(3))
+    return np.exp(log_std * waves / np.std(waves))

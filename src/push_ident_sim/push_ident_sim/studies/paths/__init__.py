@@ -1,1 +1,0 @@
-"""Experiment: objects pushed along paths."""

@@ -1,1 +1,0 @@
-"""Experiment: Push-T as gym-pusht has it."""

@@ -1,1 +1,0 @@
-"""Experiment: identification over models of depth sensors."""
