@@ -40,18 +40,11 @@ def written(tmp_path: Path, content: Any) -> Path:
     return path
 
 
-def test_right_model_loads_with_its_numbers(tmp_path: Path) -> None:
-    content = right_model()
-    object_id, posterior = load_model(written(tmp_path, content))
-    assert object_id == "o1"
-    assert posterior.z.tolist() == content["z"]
-    assert posterior.model.mass.tolist() == content["mass"]
-
-
 @pytest.mark.parametrize("name", DAMAGE)
 def test_damaged_model_is_refused_with_what_is_wrong(name: str, tmp_path: Path) -> None:
     change, pattern = DAMAGE[name]
     content = right_model()
+    assert load_model(written(tmp_path, content))[1].z.tolist() == content["z"]
     change(content)
     path = written(tmp_path, content)
     refused(lambda: load_model(path), pattern)
@@ -61,8 +54,7 @@ def test_damaged_model_is_refused_with_what_is_wrong(name: str, tmp_path: Path) 
 @pytest.mark.parametrize("name", DAMAGED_TEXT)
 def test_text_that_is_no_model_is_refused_with_what_is_wrong(name: str, tmp_path: Path) -> None:
     make, pattern = DAMAGED_TEXT[name]
-    path = written(tmp_path, make())
-    refused(lambda: load_model(path), pattern)
+    refused(lambda: load_model(written(tmp_path, make())), pattern)
 
 
 def test_a_path_that_no_file_can_be_read_from_is_one_line(tmp_path: Path) -> None:
@@ -73,10 +65,8 @@ def test_a_path_that_no_file_can_be_read_from_is_one_line(tmp_path: Path) -> Non
             pi.predict(path, [])
 
 
-@pytest.mark.parametrize(("place", "filler"), [('"z": [', "null,"), ('"covariance": [', "0,")])
-def test_millions_of_wrong_values_take_bounded_memory(place: str, filler: str, tmp_path: Path) -> None:
-    text = json.dumps(right_model())
-    path = written(tmp_path, text.replace(place, place + filler * (15_000_000 // len(filler))))
+def test_millions_of_wrong_values_take_bounded_memory(tmp_path: Path) -> None:
+    path = written(tmp_path, json.dumps(right_model()).replace('"covariance": [', '"covariance": [' + "0," * 7_500_000))
     code = (
         "import sys; from pathlib import Path; from push_ident.errors import ModelFileError\n"
         "from push_ident.identification.results.model_file import load_model\n"
@@ -87,11 +77,11 @@ def test_millions_of_wrong_values_take_bounded_memory(place: str, filler: str, t
     assert int(done.stdout) < 1_000_000, done.stderr  # [kB]: 8 GB where every wrong value is remembered
 
 
-def push_of(content: dict[str, Any]) -> dict[str, Any]:
-    push: dict[str, Any] = content["pushes"][0]
-    return push
+def push_of(content: dict[str, Any]) -> Any:
+    return content["pushes"][0]
 
 
+TILT = {"name": "table_tilt", "value": [0.0, 0.0], "std": [0.1, 0.1]}
 STATE_DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "model of it": (lambda c: c["model"].update(total_mass=-1.0), "The total mass is -1"),
     "pose beyond the table": (lambda c: push_of(c)["pose"].__setitem__(0, [1e6, 0.0, 0.0]), "a coordinate is"),
@@ -109,7 +99,6 @@ STATE_DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "forces without times": (lambda c: push_of(c).update(force=[[1.0, 0.0]]), "forces without their times"),
     "force beyond any arm": (lambda c: push_of(c).update(wrench_time=[0.0, 0.1], force=[[1.0, 0.0], [1e9, 0.0]]), "a force is"),
     "negative order": (lambda c: push_of(c).update(order=-1), "order"),
-    "order that no message has": (lambda c: push_of(c).update(order=10**30), "order"),
     "ragged hessian": (lambda c: c["past"]["hessian"][0].pop(), "rows of 5 to 6 numbers"),
     "hessian that is not symmetric": (lambda c: c["past"]["hessian"][0].__setitem__(1, 1e3), "not symmetric"),
     "hessian below zero": (lambda c: c["past"]["hessian"][0].__setitem__(0, -1e3), "eigenvalue"),
@@ -125,10 +114,7 @@ STATE_DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "score of no time": (lambda c: c["record"]["latest"][0].update(start=float("nan")), "start"),
     "unknown format": (lambda c: c.update(format="push_ident/state/99"), "expected `push_ident/state/3`"),
     "effect that is none": (lambda c: c.update(known=[{"name": "x", "value": [], "std": [], "share": 1.0}]), "There is no effect"),
-    "share beyond all": (
-        lambda c: c.update(known=[{"name": "table_tilt", "value": [0.0, 0.0], "std": [0.1, 0.1], "share": 7.0}]),
-        "share of the pushes",
-    ),
+    "share beyond all": (lambda c: c.update(known=[{**TILT, "share": 7.0}]), "share of the pushes"),
 }
 
 
@@ -137,8 +123,12 @@ def test_damaged_state_is_refused_with_what_is_wrong(name: str, tmp_path: Path) 
     change, pattern = STATE_DAMAGE[name]
     content = json.loads(json.dumps(STATE))
     change(content)
-    path = written(tmp_path, content)
-    refused(lambda: load_state(path), pattern)
+    refused(lambda: load_state(written(tmp_path, content)), pattern)
+
+
+@pytest.mark.parametrize("text", [json.dumps(STATE)[:2000], "\x80\x04N."], ids=["cut", "no text"])
+def test_half_a_state_is_refused(text: str, tmp_path: Path) -> None:
+    refused(lambda: load_state(written(tmp_path, text)), r"file\.json")
 
 
 @pytest.mark.parametrize(

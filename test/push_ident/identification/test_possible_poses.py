@@ -58,6 +58,11 @@ def pushes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return SOURCES[request.param](tmp_path_factory.mktemp("bag"))
 
 
+def with_frames(record: PushRecord, frames: np.ndarray) -> PushRecord:
+    poses = record.poses
+    return replace(record, poses=PoseTrack(poses.time[frames], poses.pose[frames], poses.covariance[frames]))
+
+
 def displaced(record: PushRecord, frames: slice | np.ndarray, by: Float64Array, *, covariance: Float64Array | None = None) -> PushRecord:
     pose, covariances = record.poses.pose.copy(), record.poses.covariance.copy()
     pose[frames] += by
@@ -83,17 +88,13 @@ def test_pushes_as_they_were_are_possible_to_the_last_pose(pushes: list[PushReco
 
 
 @pytest.mark.parametrize("by", [ASIDE, AROUND], ids=["25 cm aside", "half a turn"])
-def test_push_whose_pose_jumps_and_stays_there_is_impossible(pushes: list[PushRecord], by: Float64Array) -> None:
-    assert all(why(displaced(record, slice(middle(record), None), by)) for record in pushes)
-
-
-@pytest.mark.parametrize("by", [ASIDE, AROUND], ids=["25 cm aside", "half a turn"])
-def test_so_it_is_where_only_its_ends_are_known(pushes: list[PushRecord], by: Float64Array) -> None:
+def test_push_whose_pose_jumps_and_stays_there_is_impossible_also_where_only_its_ends_are_known(
+    pushes: list[PushRecord], by: Float64Array
+) -> None:
     for record in pushes:
         before, after, _ = rest_frames(record)
-        pose = np.array([record.poses.pose[before[-1]], record.poses.pose[after[-1]]])
-        ends = replace(record, poses=PoseTrack(record.poses.time[[before[-1], after[-1]]], pose, record.poses.covariance[:2]))
-        assert why(ends) == "" and why(displaced(ends, slice(1, None), by))
+        ends = with_frames(record, np.array([before[-1], after[-1]]))
+        assert why(displaced(record, slice(middle(record), None), by)) and why(displaced(ends, slice(1, None), by)) and why(ends) == ""
 
 
 @pytest.mark.parametrize("by", [np.array([0.05, 0.0, 0.0]), AROUND], ids=["5 cm", "half a turn"])
@@ -139,54 +140,30 @@ def test_pose_of_which_nothing_is_known_is_neither_impossible_nor_a_bridge() -> 
     assert "stays there to the end" in check_poses(displaced(bridged, wild, 0.5 * ASIDE, covariance=unknown)).why
 
 
-def test_noise_that_is_five_times_the_stated_one_is_noise() -> None:
-    for record in PUSHES:
-        assert check_poses(
-            replace(record, poses=replace(record.poses, covariance=record.poses.covariance / 25.0))
-        ).record.poses.time.size == (record.poses.time.size)
-
-
-def test_stamps_of_arrival_in_bursts_are_no_jump() -> None:
-    """Every third pose arrives together with the one before."""
-    noise = np.array([2e-4, 2e-4, 1e-3])
-    for record in simulated_pushes(4, 5, noise=noise):
-        time = record.poses.time.copy()
-        time[2::3] = time[1::3][: len(time[2::3])] + 1e-3
-        assert check_poses(replace(record, poses=replace(record.poses, time=time))).record.poses.time.size == time.size
-
-
-def test_frames_that_are_missing_are_no_jump() -> None:
-    for record in PUSHES:
+def test_noise_of_five_times_the_stated_one_stamps_in_bursts_and_missing_frames_are_no_jump() -> None:
+    for record in (*PUSHES, *simulated_pushes(4, 5, noise=np.array([2e-4, 2e-4, 1e-3]))):
         before, after, _ = rest_frames(record)
-        kept = np.concatenate([before, after])
-        poses = record.poses
-        hidden = replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept]))
+        poses, hidden = record.poses, with_frames(record, np.concatenate([before, after]))
+        time = poses.time.copy()
+        time[2::3] = time[1::3][: len(time[2::3])] + 1e-3  # every third pose arrives together with the one before
+        noisy = replace(record, poses=replace(poses, covariance=poses.covariance / 25.0))
+        for changed in (noisy, replace(record, poses=replace(poses, time=time))):
+            assert check_poses(changed).record.poses.time.size == time.size
         assert check_poses(hidden).record is hidden and why(hidden) == ""
 
 
-def test_estimate_is_that_without_the_impossible_push_and_the_next_is_learned() -> None:
+def test_estimate_is_that_without_the_impossible_push_and_without_an_excursion() -> None:
     session, other = (ObjectSession("o1", PUSHES[0].shape, SessionOptions()) for _ in range(2))
+    frames = slice(middle(PUSHES[0]) - 6, middle(PUSHES[0]) + 6)
+    assert session.finish(displaced(PUSHES[0], frames, ASIDE)) is not None
+    assert session.checked is not None and session.checked.n_left_out == 12
     jumping = displaced(PUSHES[1], slice(middle(PUSHES[1]), None), ASIDE)
-    session.finish(PUSHES[0])
-    under_way = middle(PUSHES[1]) + 4
-    poses = jumping.poses
-    partial = replace(jumping, poses=PoseTrack(poses.time[:under_way], poses.pose[:under_way], poses.covariance[:under_way]))
-    assert session.update(partial) is None
+    assert session.update(with_frames(jumping, np.arange(middle(PUSHES[1]) + 4))) is None
     with pytest.raises(ImpossiblePosesError, match="no push can have made its poses: its pose moves by 2"):
         session.finish(jumping)
-    scores = [session.finish(PUSHES[2]), *(other.finish(PUSHES[i]) for i in (0, 2))]
+    other.finish(with_frames(PUSHES[0], np.delete(np.arange(len(PUSHES[0].poses.time)), frames)))
+    scores = [one.finish(PUSHES[2]) for one in (session, other)]
     assert all(score is not None and score.explained for score in scores) and session.n_pushes == 2
-    np.testing.assert_array_equal(session.posterior.z, other.posterior.z)
-
-
-def test_excursion_does_not_reach_the_estimate() -> None:
-    record = PUSHES[0]
-    frames = slice(middle(record) - 6, middle(record) + 6)
-    poses, kept = record.poses, np.delete(np.arange(len(record.poses.time)), frames)
-    without = replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept]))
-    session, other = (ObjectSession("o1", record.shape, SessionOptions()) for _ in range(2))
-    assert session.finish(displaced(record, frames, ASIDE)) is not None and other.finish(without) is not None
-    assert session.checked is not None and session.checked.n_left_out == 12
     np.testing.assert_array_equal(session.posterior.z, other.posterior.z)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from push_ident.geometry.outline import cells_in_outline
+from helpers.objects import square, uniform
 from push_ident.identification.fitting.levenberg_marquardt import minimise
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.unknowns.mechanics import model_at
@@ -14,17 +16,11 @@ from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.accuracy import SHARE
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
-from push_ident.types import Float64Array, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus
+from push_ident.types import Float64Array, PoseTrack, PusherPath, PushRecord, SolveStatus
 
-SQUARE = np.array([[-0.045, -0.045], [0.045, -0.045], [0.045, 0.045], [-0.045, 0.045]])
-SHAPE = ObjectShape(cells_in_outline(SQUARE, 0.015), SQUARE)
-FRICTION, PUSHER_FRICTION = 0.17, 0.35
+SHAPE, FRICTION = square(6, 0.015), 0.17
+TRUTH = uniform(SHAPE, 0.8, FRICTION, 0.35)
 FINE = SimulationSettings(step=1 / 30720, resolve_events=True)
-
-
-def _model() -> ObjectModel:
-    n = len(SHAPE.cells)
-    return ObjectModel(SHAPE, np.full(n, 0.8 / n), np.full(n, FRICTION), PUSHER_FRICTION)
 
 
 def _pushes(speed: float, n: int, noise: float, path_noise: float = 0.0) -> list[PushRecord]:
@@ -42,7 +38,7 @@ def _pushes(speed: float, n: int, noise: float, path_noise: float = 0.0) -> list
         position = position + path_noise * rng.normal(size=position.shape)
         pusher = PusherPath(time, position, 0.00475)
         ends = time[[0, -1]]
-        pose = simulate(_model(), PushScenario(pusher, np.zeros(3), ends), settings=FINE).pose + deviation * rng.normal(size=(2, 3))
+        pose = simulate(TRUTH, PushScenario(pusher, np.zeros(3), ends), settings=FINE).pose + deviation * rng.normal(size=(2, 3))
         covariance = np.broadcast_to(np.diag(deviation**2), (2, 3, 3))
         records.append(PushRecord("o1", SHAPE, PoseTrack(ends, pose, covariance), pusher, source=f"push {number}"))
     return records
@@ -54,19 +50,15 @@ def _fit(records: list[PushRecord], settings: SimulationSettings | None = None) 
     return problem, x, status
 
 
-def _friction(problem: FitProblem, x: Float64Array) -> float:
-    return float(model_at(problem.unknowns, problem.object_unknowns(x)).friction.mean())
-
-
-def _end_error(records: list[PushRecord], problem: FitProblem, x: Float64Array) -> float:
-    """Mean error of the ends of pushes by the fitted model, simulated at very short steps [m]."""
+def _errors(records: list[PushRecord], problem: FitProblem, x: Float64Array) -> tuple[float, float]:
+    """Of the friction [-], and mean one of the ends of pushes by the fitted model, simulated at very short steps [m]."""
     model = model_at(problem.unknowns, problem.object_unknowns(x))
     errors = []
     for record in records:
         scenario = PushScenario(record.pusher, np.zeros(3), record.poses.time[-1:])
-        difference = simulate(model, scenario, settings=FINE).pose[-1] - simulate(_model(), scenario, settings=FINE).pose[-1]
+        difference = simulate(model, scenario, settings=FINE).pose[-1] - simulate(TRUTH, scenario, settings=FINE).pose[-1]
         errors.append(float(np.linalg.norm(difference[:2])))
-    return float(np.mean(errors))
+    return float(abs(model.friction.mean() / FRICTION - 1.0)), float(np.mean(errors))
 
 
 def test_fit_to_fast_pushes_recovers_the_truth_at_very_short_steps() -> None:
@@ -75,10 +67,10 @@ def test_fit_to_fast_pushes_recovers_the_truth_at_very_short_steps() -> None:
     coarse, x_coarse, _ = _fit(records, SimulationSettings(step=1 / 240))
     assert status is SolveStatus.CONVERGED
     # The objects coast by 27 mm, which is known to 0.2 mm a push. With steps of 1/240 s, friction takes up their error.
-    assert _friction(problem, x) == pytest.approx(FRICTION, rel=0.01)
-    assert abs(_friction(coarse, x_coarse) / FRICTION - 1) > 0.04
-    assert _end_error(records, problem, x) < 1e-4
-    assert _end_error(records, coarse, x_coarse) > 1e-3
+    friction_error, end_error = _errors(records, problem, x)
+    assert friction_error < 0.01 and end_error < 1e-4
+    friction_error, end_error = _errors(records, coarse, x_coarse)
+    assert friction_error > 0.04 and end_error > 1e-3
     assert np.median(problem.step_errors(x)) < SHARE
 
 
@@ -107,12 +99,8 @@ def test_fit_across_kinks_of_the_cost_converges(wrong: float) -> None:
     # A jerky path strikes the object at each sample; poses that are worse than stated leave large residuals.
     records = _pushes(0.05, 8, 1e-4, path_noise=5e-5)
     rng = np.random.default_rng(3)
-    moved = []
-    for record in records:
-        poses = PoseTrack(record.poses.time, record.poses.pose + wrong * rng.normal(size=(2, 3)), record.poses.covariance)
-        moved.append(PushRecord("o1", SHAPE, poses, record.pusher, source=record.source))
-    unknowns = UnknownsSpec.of(SHAPE, Prior())
-    problem = FitProblem(moved, unknowns, settings=SimulationSettings(step=1 / 240))
+    moved = [replace(r, poses=replace(r.poses, pose=r.poses.pose + wrong * rng.normal(size=(2, 3)))) for r in records]
+    problem = FitProblem(moved, UnknownsSpec.of(SHAPE, Prior()), settings=SimulationSettings(step=1 / 240))
     x, end, status = minimise(problem, np.zeros(problem.size))
     assert status is SolveStatus.CONVERGED
     assert end.cost == pytest.approx(problem.cost(x))
