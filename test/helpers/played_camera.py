@@ -1,10 +1,7 @@
-"""A depth camera that a test plays before perception_node, and that process."""
+"""A depth camera that a test plays before perception_node, and that node."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 
@@ -33,7 +30,7 @@ SIDE = look_at((0.0, -0.6, 0.8), (0.0, 0.0, 0.0))
 POSE = np.array([0.03, -0.02, 0.4])
 SECOND, THIRD = np.array([-0.03, 0.05, 1.0]), np.array([-0.09, -0.02, 1.6])
 """Where it rests later."""
-PARAMETERS = str(CONFIG / "push_ident.yaml")
+PARAMETERS = CONFIG / "push_ident.yaml"
 TOOL = np.array([-0.15, 0.15, 0.004])
 
 
@@ -102,25 +99,6 @@ def wait_for(condition: Callable[[], object], timeout: float = 60.0) -> None:
     while not condition():
         assert time.monotonic() < deadline, "timed out"
         time.sleep(0.005)
-
-
-def start(domain: int, *arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "push_ident.nodes",
-            "perception_node",
-            "--ros-args",
-            "--params-file",
-            str(CONFIG / "push_ident.yaml"),
-            *arguments,
-        ],
-        env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
 
 
 def send_until(camera: Camera, condition: Callable[[], object], **how: object) -> None:

@@ -1,8 +1,10 @@
-"""bag_recorder_node as a real process: a disk that fills up, and a process that is killed, cost no more than the last second."""
+"""A disk that fills up, and a recorder that is killed, cost no more than the last second; a bag is played without waiting for decades."""
 
 from __future__ import annotations
 
 import resource
+import signal
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,19 +12,24 @@ from pathlib import Path
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
-from helpers.executor_cell import Stalls
+from helpers.executor_cell import Stalls, wait_for
 from helpers.node_process import NodeProcess, Talker
+from helpers.spinning import running
 from push_ident.bags.opening import open_bag
 from push_ident.bags.salvage import salvage
+from push_ident.bags.writer import BagWriter
 from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.messages import position_to_msg
+from push_ident.nodes.recording.bag_player_node import BagPlayerNode
+from push_ident.nodes.recording.bag_recorder_node import BagRecorderNode
 
 FULL = 10_000_000
 """[MiB] that no disk has free."""
+DECADES = 1e9
+"""[s]"""
 
 
 class User(Talker):
@@ -30,13 +37,11 @@ class User(Talker):
 
     def __init__(self, domain: int, folder: Path) -> None:
         super().__init__(domain)
-        self._domain, self._folder = domain, folder
+        self.domain, self._folder = domain, folder
         self.said: list[DiagnosticStatus] = []
         self.n_sent = 0
         self._pusher = self.node.create_publisher(PoseStamped, "pusher/pose", 1000)
         self.node.create_subscription(DiagnosticStatus, "recording", self.said.append, LATCHED)
-        # Long before it asks: a node that has not found the reading end of a client drops its answer.
-        self._setter = self.node.create_client(SetParameters, "bag_recorder_node/set_parameters")
 
     def record(self, *, most_bytes: int | None = None, **parameters: object) -> NodeProcess:
         """A recorder that has begun; none of its files becomes larger than `most_bytes`."""
@@ -46,7 +51,7 @@ class User(Talker):
                 resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
 
         chosen = {"bag": str(self._folder / "bag"), "min_free_mib": 1} | parameters
-        process = NodeProcess("bag_recorder_node", "push_ident.nodes", chosen, self._domain, self._folder, before=limit)
+        process = NodeProcess("bag_recorder_node", "push_ident.nodes", chosen, self.domain, self._folder, before=limit)
         self.until(lambda: self.said)
         return process
 
@@ -62,10 +67,6 @@ class User(Talker):
             self.n_sent += 1
             self.spin(0.001)
 
-    def set_parameter(self, name: str, value: int) -> None:
-        answer = self.ask(self._setter, SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()]))
-        assert answer.results[0].successful
-
 
 @pytest.fixture
 def user(tmp_path: Path) -> Iterator[User]:
@@ -75,23 +76,18 @@ def user(tmp_path: Path) -> Iterator[User]:
 
 @pytest.mark.live
 def test_disk_that_runs_low_closes_the_bag_readable_and_is_reported(user: User, tmp_path: Path) -> None:
-    recorder = user.record()
-    try:
+    with running(BagRecorderNode, user.domain, f"bag:={tmp_path / 'bag'}", "min_free_mib:=1") as recorder:
+        user.until(lambda: user.said)
         assert user.said[0].level != DiagnosticStatus.ERROR
         user.send(200)
         user.until(lambda: user.recorded == 200)
-        user.set_parameter("min_free_mib", FULL)
+        assert recorder.set_parameters([Parameter("min_free_mib", value=FULL)])[0].successful
         user.until(lambda: user.said[-1].level == DiagnosticStatus.ERROR)
         assert "MiB free" in user.said[-1].message
         # Closed at once, not when the process ends.
         user.until((tmp_path / "bag" / "metadata.yaml").exists, timeout=10.0)
         report = salvage(tmp_path / "bag", tmp_path / "copy")
         assert report.total == 200 and report.end == ""
-        assert recorder.runs
-        user.send(10)
-    finally:
-        code = recorder.stop()
-    assert code == 0 and "200 messages" in recorder.output and "Traceback" not in recorder.output
 
 
 @pytest.mark.live
@@ -140,3 +136,19 @@ def test_kill_loses_no_more_than_a_second_and_the_next_recorder_begins_another_b
     assert sorted((path, path.read_bytes()) for path in (tmp_path / "bag").rglob("*") if path.is_file()) == first
     with open_bag(tmp_path / "bag_2") as bag:
         assert sum(1 for _ in bag.raw_messages()) >= 5
+
+
+@pytest.mark.live
+def test_time_without_messages_that_no_recording_has_is_not_waited_for(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        for stamp in (1.0, 1.1, 1.2, DECADES, DECADES + 0.1):
+            writer.write_pusher(stamp, [0.0, 0.0])
+    ended = threading.Event()
+    before = signal.signal(signal.SIGTERM, lambda *_: ended.set())  # so a player ends its process
+    try:
+        with running(BagPlayerNode, own_domain(), f"bag:={tmp_path / 'bag'}", "wait:=0.0", "listeners:=0"):
+            wait_for(ended.is_set, 60.0)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    said = capfd.readouterr().err
+    assert "played 5 messages" in said and "hours; that is skipped" in said

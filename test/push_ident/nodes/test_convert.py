@@ -29,7 +29,13 @@ from push_ident.nodes.convert.messages import (
     stamp_from_msg,
     stamp_to_msg,
 )
+from push_ident.pushing.executed_push import Purpose
+from push_ident.pushing.ports import Phase
+from push_ident.pushing.push import PushCode
+from push_ident.pushing.push_request import Mode
 from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, ObjectShape
+from push_ident_msgs.action import ExecutePush
+from push_ident_msgs.msg import PushRecord
 
 STAMP = Time(sec=12, nanosec=345678901)
 COVARIANCE = np.array([[2e-6, 3e-7, -1e-7], [3e-7, 1e-6, 2e-7], [-1e-7, 2e-7, 4e-6]])
@@ -183,3 +189,11 @@ def test_images_and_infos_that_do_not_belong_together_are_refused(which, fields,
 def test_an_empty_image_is_refused():
     with pytest.raises(FrameError):
         depth_frame_from_msgs(Image(encoding="16UC1"), CameraInfo())
+
+
+def test_modes_phases_purposes_and_codes_of_pushes_are_those_of_the_messages():
+    assert {mode: getattr(ExecutePush.Goal, f"MODE_{mode.name}") for mode in Mode} == {mode: mode.value for mode in Mode}
+    assert {phase: getattr(ExecutePush.Feedback, f"PHASE_{phase.name}") for phase in Phase} == {phase: phase.value for phase in Phase}
+    assert {why: getattr(PushRecord, f"PURPOSE_{why.name}") for why in Purpose} == {why: why.value for why in Purpose}
+    codes = {name: int(code) for name, code in PushCode.__members__.items() if name != "SUCCESS"}  # the action says NONE: no error
+    assert codes == {name: getattr(ExecutePush.Result, name) for name in codes}

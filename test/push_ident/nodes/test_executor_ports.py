@@ -1,4 +1,4 @@
-"""The inputs of push_executor_node, in the process of the test: force, recorder, hand, and the lease of the arm."""
+"""The inputs of push_executor_node, in the process of the test: arm, force, recorder, hand, and the lease of the arm."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import rclpy
 from builtin_interfaces.msg import Time
@@ -19,6 +22,8 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from helpers.executor_cell import wait_for
 from push_ident.errors import InputError
@@ -26,12 +31,14 @@ from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.messages import force_to_msg
 from push_ident.nodes.push_executor.arm_lease import ArmLease
+from push_ident.nodes.push_executor.arm_port import ArmPort
 from push_ident.nodes.push_executor.force_port import ForcePort
 from push_ident.nodes.push_executor.hand_port import RobotiqHand
 from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
 from push_ident.nodes.recording import recording_port
 from push_ident.nodes.recording.recording_port import REPEATED, RecordingPort
 from push_ident.nodes.recording.settings import RECORDING
+from push_ident_sim.cell.robot import HOME, JOINT_NAMES, robot_description
 from push_ident_sim.cell.sim_hand_node import SimHandNode
 
 pytestmark = pytest.mark.live
@@ -76,11 +83,75 @@ def listener(executor: SingleThreadedExecutor) -> Listener:
     return node
 
 
-def test_force_that_cannot_be_trusted_is_infinite_and_a_stamp_that_repeats_is_silence(
-    executor: SingleThreadedExecutor, listener: Listener
-) -> None:
+@pytest.fixture
+def driver(executor: SingleThreadedExecutor) -> Node:
+    """What is on the other side of the topics."""
+    return Node("driver", context=executor.context)
+
+
+class Arm:
+    """Joint states and descriptions of an arm at home, and the port that hears them."""
+
+    def __init__(self, port: ArmPort, driver: Node) -> None:
+        self.port, self._driver = port, driver
+        self._states = driver.create_publisher(JointState, "joint_states", qos_profile_sensor_data)
+        self._descriptions = driver.create_publisher(String, "robot_description", LATCHED)
+
+    def describe(self, change: tuple[str, str] = ("", "")) -> None:
+        self._descriptions.publish(String(data=robot_description().replace(*change)))
+
+    def until(self, condition: Callable[[], object]) -> None:
+        """Say where it is until something is so."""
+
+        def say() -> object:
+            state = JointState(name=list(JOINT_NAMES), position=list(HOME))
+            state.header.stamp = self._driver.get_clock().now().to_msg()
+            self._states.publish(state)
+            return condition()
+
+        wait_for(say)
+
+
+@pytest.fixture
+def arm(listener: Listener, driver: Node) -> Arm:
+    group = listener.default_callback_group
+    port = ArmPort(listener, description_file="", tip_frame="tool_tip", neutral=list(HOME), callback_group=group, on_state=lambda *_: None)
+    return Arm(port, driver)
+
+
+def test_arm_without_any_state_yet_is_waited_for_and_so_is_its_description(arm: Arm) -> None:
+    """The topics of a cell that has just started come in any order."""
+    with ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(arm.port.next_state, 0.5)
+        time.sleep(1.6)  # longer than an arm that was heard before may be silent
+        later = time.monotonic() + 0.3
+        arm.until(lambda: time.monotonic() > later)
+        assert not asked.done()
+        arm.describe()
+        arm.until(asked.done)
+        assert asked.result().q == pytest.approx(HOME)
+
+
+def test_description_is_used_once_the_arm_stands_unless_its_joints_are_others(arm: Arm) -> None:
+    arm.describe()
+    arm.until(lambda: arm.port.state)
+    first, at_80_mm = arm.port.planner, '<child link="tool_tip" /><origin xyz="0 0 0.08" />'
+    with arm.port.in_use():
+        arm.describe((at_80_mm, at_80_mm.replace("0.08", "0.09")))
+        n_received = arm.port.n_received
+        arm.until(lambda: arm.port.n_received > n_received + 20)
+        assert arm.port.planner is first
+    arm.until(lambda: arm.port.planner is not first)
+    second = arm.port.planner
+    heights = [planner.forward(np.array(HOME))[2, 3] for planner in (first, second)]
+    assert heights[0] - heights[1] == pytest.approx(0.01, abs=1e-4)
+    arm.describe((f'"{JOINT_NAMES[2]}"', '"renamed"'))
+    arm.until(lambda: "its joints renamed" in arm.port.description_fault)
+    assert arm.port.planner is second
+
+
+def test_force_that_cannot_be_trusted_is_infinite_and_a_stamp_that_repeats_is_silence(listener: Listener, driver: Node) -> None:
     port = ForcePort(listener, listener.default_callback_group)
-    driver = Node("driver", context=executor.context)
     publisher = driver.create_publisher(WrenchStamped, "pusher/wrench", qos_profile_sensor_data)
     wait_for(publisher.get_subscription_count)
     stamps = iter(range(1, 100))
@@ -109,13 +180,12 @@ def test_force_that_cannot_be_trusted_is_infinite_and_a_stamp_that_repeats_is_si
 
 
 def test_recorder_that_promised_its_next_status_and_falls_silent_is_a_fault_until_it_writes_again(
-    executor: SingleThreadedExecutor, listener: Listener, monkeypatch: pytest.MonkeyPatch
+    listener: Listener, driver: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [100.0]
     monkeypatch.setattr(recording_port, "time", SimpleNamespace(monotonic=lambda: now[0]))
     port = RecordingPort(listener, listener.default_callback_group)
-    recorder = Node("recorder", context=executor.context)
-    publisher = recorder.create_publisher(DiagnosticStatus, "recording", LATCHED)
+    publisher = driver.create_publisher(DiagnosticStatus, "recording", LATCHED)
     promise = [KeyValue(key=REPEATED, value=str(RECORDING.status_period))]
     assert port.fault == "", "nobody asked for a recording"
     publisher.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, message="disk full", values=promise))
@@ -132,7 +202,7 @@ def test_recorder_that_promised_its_next_status_and_falls_silent_is_a_fault_unti
     assert port.fault == "", "a recorder of another kind promises nothing"
     publisher.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, message="disk full"))
     wait_for(lambda: port.fault == "disk full")
-    recorder.destroy_publisher(publisher)
+    driver.destroy_publisher(publisher)
     now[0] += 100.0
     wait_for(lambda: port.fault == "")  # a recorder that has left is not asked for any more
 

@@ -1,10 +1,12 @@
-"""gap_diagnosis_node as a real process: pushes of a bag, diagnosed on request, and what identification_node makes of the outcome."""
+"""gap_diagnosis_node: pushes of a bag, diagnosed on request, and what identification_node makes of the outcome."""
 
 from __future__ import annotations
 
 import json
+import signal
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +16,15 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 
 from helpers.executor_cell import Stalls
-from helpers.node_process import NodeProcess, Talker
+from helpers.node_process import Talker
+from helpers.spinning import running
 from push_ident.identification.results.known_effects import effects_in_use
 from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.model import posterior_from_msg
+from push_ident.nodes.gap_diagnosis.gap_diagnosis_node import GapDiagnosisNode
+from push_ident.nodes.identification.identification_node import IdentificationNode
+from push_ident.nodes.recording.bag_player_node import BagPlayerNode
 from push_ident.planning.belief import Belief
 from push_ident_msgs.action import DiagnoseGap
 from push_ident_msgs.msg import GapReport, ModelPosterior
@@ -26,15 +32,17 @@ from push_ident_msgs.srv import LoadModel
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes
 
+pytestmark = pytest.mark.live
+
 N_PUSHES = 6
 TILT = 0.03
 OBJECT = "hammer"
 
 
 class Cell(Talker):
-    """Nodes to which a bag is played, and somebody who asks them."""
+    """Nodes in this process to which a bag is played, and somebody who asks them."""
 
-    def __init__(self, folder: Path, bag: Path, *names: str) -> None:
+    def __init__(self, bag: Path, *, identifies: bool = False) -> None:
         domain = own_domain()
         super().__init__(domain)
         self.models: list[ModelPosterior] = []
@@ -43,13 +51,15 @@ class Cell(Talker):
         self.node.create_subscription(GapReport, "gap_report", self.reports.append, LATCHED)
         self.diagnose = ActionClient(self.node, DiagnoseGap, "diagnose_gap")
         self.load = self.node.create_client(LoadModel, "load_diagnosis")
+        self._nodes = ExitStack()
         # The outline of the bag is exact: no camera traced it.
-        parameters: dict[str, dict[str, object]] = {
-            "gap_diagnosis_node": {"outline_from_camera": False},
-            "identification_node": {"suggest_candidates": 0},
-            "bag_player_node": {"bag": str(bag), "rate": 0.0, "listeners": len(names), "wait": 300.0},
-        }
-        self._nodes = [NodeProcess(name, "push_ident.nodes", parameters[name], domain, folder) for name in (*names, "bag_player_node")]
+        self._nodes.enter_context(running(GapDiagnosisNode, domain, "outline_from_camera:=false", n_threads=3))
+        if identifies:
+            self._nodes.enter_context(running(IdentificationNode, domain, "suggest_candidates:=0"))
+        # At its end the player asks its process to end.
+        self._nodes.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, signal.SIG_IGN))
+        player = (f"bag:={bag}", "rate:=0.0", f"listeners:={1 + identifies}", "wait:=300.0")
+        self._nodes.enter_context(running(BagPlayerNode, domain, *player))
         self.until(lambda: self.values("gap_diagnosis_node").get("pushes") == str(N_PUSHES), timeout=600.0)
 
     def send(self, on_stage: Callable[[str], None] = lambda stage: None, **goal: object) -> Any:
@@ -62,9 +72,8 @@ class Cell(Talker):
         return self.ask(self.load, LoadModel.Request(object_id=OBJECT, path=path), timeout=300.0)
 
     def __exit__(self, *error: object) -> None:
-        codes = [node.stop() for node in self._nodes]
+        self._nodes.close()
         super().__exit__(*error)
-        assert codes == [0] * len(codes) and not any("Traceback" in node.output for node in self._nodes)
 
 
 @pytest.fixture(scope="module")
@@ -75,12 +84,11 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def cell(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
-    with Cell(tmp_path_factory.mktemp("cell"), bag, "gap_diagnosis_node") as cell:
+def cell(bag: Path) -> Iterator[Cell]:
+    with Cell(bag) as cell:
         yield cell
 
 
-@pytest.mark.live
 def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
     stages: list[str] = []
     handle = cell.send(stages.append)
@@ -91,8 +99,9 @@ def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
     assert report.n_pushes == N_PUSHES and report.verdict in ("named", "one_of", "several")
     tilt = next(effect for effect in report.effects if effect.name == "table_tilt")
     assert list(tilt.parameters) == ["x", "y"]
-    assert max(tilt.std) < 0.25 * TILT
-    assert all(abs(value - true) < 3 * std for value, true, std in zip(tilt.values, (TILT, 0.0), tilt.std, strict=True))
+    assert max(tilt.std) < 0.25 * TILT and all(
+        abs(value - true) < 3 * std for value, true, std in zip(tilt.values, (TILT, 0.0), tilt.std, strict=True)
+    )
     assert report.noise < report.after < 0.7 * report.before
     assert sum(part.mean for part in report.account) == pytest.approx(report.before, rel=1e-9)
     assert next(part for part in report.account if part.name.startswith("table_tilt")).mean == pytest.approx(report.before - report.after)
@@ -103,13 +112,14 @@ def test_pushes_on_a_tilted_table_are_diagnosed_on_request(cell: Cell) -> None:
     assert cell.reports[-1] == report
 
 
-@pytest.mark.live
-def test_cancel_ends_a_diagnosis_at_once(cell: Cell) -> None:
+def test_what_cannot_be_diagnosed_is_refused_and_cancel_ends_a_diagnosis_at_once(cell: Cell) -> None:
+    for goal, why in (({"object_id": "o9"}, "no pushes of object `o9`"), ({"base_effects": ["ghosts"]}, "no effect `ghosts`")):
+        result = cell.result_of(cell.send(**goal).get_result_async()).result
+        assert not result.success and why in result.message
     started: list[str] = []
     handle = cell.send(started.append)
     cell.until(lambda: started)
-    second = cell.send()
-    assert not second.accepted, "one at a time"
+    assert not cell.send().accepted, "one at a time"
     with Stalls() as stalls:
         asked = time.monotonic()
         cell.result_of(handle.cancel_goal_async())
@@ -118,17 +128,9 @@ def test_cancel_ends_a_diagnosis_at_once(cell: Cell) -> None:
     assert took < 3.0 + 6.0 * stalls.worst  # the diagnosis holds all processors until then
 
 
-@pytest.mark.live
-def test_what_cannot_be_diagnosed_is_refused_with_the_reason(cell: Cell) -> None:
-    for goal, why in (({"object_id": "o9"}, "no pushes of object `o9`"), ({"base_effects": ["ghosts"]}, "no effect `ghosts`")):
-        result = cell.result_of(cell.send(**goal).get_result_async()).result
-        assert not result.success and why in result.message
-
-
-@pytest.mark.live
 @pytest.mark.long
 def test_what_is_named_live_acts_in_the_model_that_is_planned_with(bag: Path, tmp_path: Path) -> None:
-    with Cell(tmp_path, bag, "gap_diagnosis_node", "identification_node") as cell:
+    with Cell(bag, identifies=True) as cell:
         cell.until(lambda: cell.models and cell.models[-1].n_pushes == N_PUSHES, timeout=600.0)
         n_models = len(cell.models)
         report = cell.result_of(cell.send(object_id=OBJECT).get_result_async(), 600.0).result.report
@@ -143,16 +145,17 @@ def test_what_is_named_live_acts_in_the_model_that_is_planned_with(bag: Path, tm
 
         # The file of a diagnosis does the same; one that names nothing, or none at all, takes the effect out of the model again.
         file, content = tmp_path / "diagnosis.json", json.loads(report.json)
-        file.write_text(json.dumps(content | {"effects": [{"name": "ghosts", "parameters": {}, "std": {}}]}))
-        assert "no effect of this version" in cell.answer(str(file)).message
-        away = {"x": -0.09, "y": 0.09}
-        file.write_text(json.dumps(content | {"effects": [content["effects"][0] | {"name": "table_tilt", "parameters": away}]}))
-        answer = cell.answer(str(file))
-        assert not answer.success and "pushes of this model show table_tilt" in answer.message
+        away = content["effects"][0] | {"name": "table_tilt", "parameters": {"x": -0.09, "y": 0.09}}
+        for wrong, why in (
+            ({"name": "ghosts", "parameters": {}, "std": {}}, "no effect of this version"),
+            (away, "pushes of this model show table_tilt"),
+        ):
+            file.write_text(json.dumps(content | {"effects": [wrong]}))
+            answer = cell.answer(str(file))
+            assert not answer.success and why in answer.message
         assert "table_tilt" in cell.values("identification_node")[text], "a wrong one changes nothing"
-        assert cell.answer("").success
-        cell.until(lambda: not effects_in_use(posterior_from_msg(cell.models[-1])[1]))
-        file.write_text(json.dumps(content))
-        answer = cell.answer(str(file))
-        assert answer.success and "table_tilt" in answer.message, answer.message
-        cell.until(lambda: len(effects_in_use(posterior_from_msg(cell.models[-1])[1])) == 1)
+        for path, n_effects in (("", 0), (str(file), 1)):
+            file.write_text(json.dumps(content))
+            answer = cell.answer(path)
+            assert answer.success, answer.message
+            cell.until(lambda n=n_effects: len(effects_in_use(posterior_from_msg(cell.models[-1])[1])) == n)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -30,7 +29,7 @@ from push_ident.geometry.se2 import compose, inverse, quaternion_of_yaw, rotatio
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.nodes.base.keep_alive import KeepAlive
 from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_from_msg
-from push_ident.nodes.convert.model import posterior_from_msg, posterior_to_msg
+from push_ident.nodes.convert.model import posterior_to_msg
 from push_ident.nodes.convert.table import EDGE_TOPIC, edge_from_msg
 from push_ident.nodes.goal_pushing.convert_goal import planar_pose_msg
 from push_ident.planning.goal import GoalCode
@@ -50,6 +49,8 @@ OWN: dict[str, object] = {"workspace": [-0.1, 0.2, -0.25, 0.25], "learn_timeout"
 """Parameters of the node; the workspace is that of the executor of these tests."""
 LEARNED, OTHER = 3, 7
 """Pushes that the model of the box has learned, and another one."""
+PATIENCE = 2.0
+"""`arm_timeout` of the executor [s]: no test here is about silence, and a pause of this machine ends no push."""
 REACTION = 0.05
 """Within which a cancellation must have its effect [s], beside what the machine keeps a thread waiting."""
 TRIALS = 3
@@ -152,8 +153,7 @@ def the_goal_cell(domain: int) -> Iterator[GoalCell]:
 
 @pytest.fixture(scope="module")
 def executor(domain: int, the_goal_cell: GoalCell) -> Iterator[subprocess.Popen[str]]:
-    # No test here is about silence: a pause of this machine ends no push.
-    process = start_node(domain, arm_timeout=2.0, tracking_lag=1.0)
+    process = start_node(domain, arm_timeout=PATIENCE, tracking_lag=1.0)
     yield process
     process.kill()
     process.communicate()
@@ -223,17 +223,14 @@ def test_goal_is_reached_by_pushes_of_the_executor(cell: GoalCell) -> None:
     assert np.hypot(*(cell.box[:2] - NEAR[:2])) < 0.02, "the box itself is there"
     assert result.pushes == len(cell.records) >= 1
     assert {int(f.state) for f in sent.feedback} >= {GoalState.OBSERVE, GoalState.PLAN, GoalState.PUSH}
-    pushed = [f for f in sent.feedback if f.state == GoalState.PUSH]
-    assert pushed[0].is_predicted and pushed[0].expected_pose.position.x == pytest.approx(NEAR[0], abs=0.03)
-    assert 0.0 < pushed[0].expected_chance <= 1.0 and pushed[-1].elapsed > 0.0
+    pushed = next(f for f in sent.feedback if f.state == GoalState.PUSH)
+    assert pushed.is_predicted and pushed.expected_pose.position.x == pytest.approx(NEAR[0], abs=0.03) and pushed.expected_chance > 0.0
     # Shown: the goal, the push under way with its chance, and nothing any more at the end.
     wait_for(lambda: cell.drawings and cell.drawings[-1] is None)
     shown = [drawing for drawing in cell.drawings if drawing is not None]
     np.testing.assert_allclose(shown[0].goal.mean(axis=0), transform_points(np.array(NEAR), BOX).mean(axis=0))
-    assert shown[0].object_id == "box" and "20 mm" in shown[0].words
     push = next(drawing for drawing in shown if drawing.tool is not None)
-    assert "push 1: " in push.chance and f"{100 * pushed[0].expected_chance:.0f} %" in push.chance
-    assert push.end is not None and np.ptp(push.tool, axis=0).max() > 0.01
+    assert push.end is not None and "push 1: " in push.chance and f"{100 * pushed.expected_chance:.0f} %" in push.chance
     # A second goal at the same place needs no push.
     again = send(cell, position_tolerance=0.02, yaw_tolerance=0.4).end()
     assert again.error_code == GoalCode.NONE and again.pushes == 0
@@ -246,10 +243,8 @@ def test_path_is_followed_with_corrections_that_the_executor_takes(cell: GoalCel
     sent = send(cell, kind=PushToGoal.Goal.KIND_PATH, path=path, position_tolerance=0.004, yaw_tolerance=0.05)
     result = sent.end(150.0)
     assert result.error_code == GoalCode.NONE, result.error_text
-    # How many depends on how fast this machine decides them; straight pushes are made where they come too late. Nobody learns here what
-    # the box is, so that it moves over by 1 to 4 mm and turns by 0.02 to 0.13 rad (ten runs, quiet and busy); the bounds are far from
-    # that: control was lost. How well paths are followed: `push-ident experiment paths` and `goals-live`.
-    print(f"{1e3 * result.rms_position:.1f} mm, {result.rms_yaw:.3f} rad, {result.corrections} corrections in {result.pushes} pushes")
+    # Nobody learns here what the box is, so that it moves over by 1 to 4 mm and turns by 0.02 to 0.13 rad (ten runs, quiet and busy); the
+    # bounds are far from that: control was lost. How well paths are followed: `push-ident experiment paths`.
     assert result.done == 1.0 and result.corrections >= 1
     assert result.rms_position < 2 * 0.004 and result.rms_yaw < 5 * 0.05
     # A box that came to the end of the path beside its last pose is pushed there.
@@ -259,33 +254,31 @@ def test_path_is_followed_with_corrections_that_the_executor_takes(cell: GoalCel
     # Shown: the path all the time, and the tool as it is steered.
     wait_for(lambda: cell.drawings and cell.drawings[-1] is None)
     shown = [drawing for drawing in cell.drawings[n_shown:] if drawing is not None]
-    ends = [drawing.path[[0, -1]] for drawing in shown if drawing.path is not None]
-    assert len(ends) == len(shown) > 0
-    np.testing.assert_allclose(ends[-1], [first[:2], first[:2] + 0.05 * along[:2]], atol=1e-9)
+    assert shown and all(drawing.path is not None for drawing in shown)
+    np.testing.assert_allclose(shown[-1].path[[0, -1]], [first[:2], last[:2]], atol=1e-9)
     steered = [drawing.tool for drawing in shown if drawing.corridor is not None and drawing.tool is not None]
     assert len({tool.tobytes() for tool in steered}) > 1, "as planned, then as corrected"
 
 
 EDGE = [Point(x=0.12, y=-0.3), Point(x=0.12, y=0.3)]
-WRONG = {  # which messages are no goal at all: `test_convert_goal.py`
-    "another frame": ({"frame": "camera"}, GoalCode.INVALID_GOAL, "table"),
-    "more exploring pushes than pushes": ({"explore": 9, "max_pushes": 3}, GoalCode.INVALID_GOAL, "explore"),
-    "unknown object": ({"object_id": "o9"}, GoalCode.UNKNOWN_OBJECT, "box"),
-    "edge that nobody knows": ({"kind": 1}, GoalCode.EDGE_UNKNOWN, "table_corners"),
-    "edge out of reach": ({"kind": 1, "edge": [Point(x=0.5, y=-0.5), Point(x=0.5, y=0.5)]}, GoalCode.OUTSIDE_WORKSPACE, "another edge"),
-    "edge that cannot hold": ({"kind": 1, "edge": EDGE, "overhang": 0.09}, GoalCode.NOT_HELD, "less overhang"),
-    "outside": ({"pose": (0.19, 0.0, 0.0)}, GoalCode.OUTSIDE_WORKSPACE, "further inside"),
-}
+WRONG = (  # which messages are no goal at all: `test_convert_goal.py`; what else ends a goal: `planning/test_goal_session.py`
+    ({"frame": "camera"}, GoalCode.INVALID_GOAL, "table"),
+    ({"explore": 9, "max_pushes": 3}, GoalCode.INVALID_GOAL, "explore"),
+    ({"object_id": "o9"}, GoalCode.UNKNOWN_OBJECT, "box"),
+    ({"kind": 1}, GoalCode.EDGE_UNKNOWN, "table_corners"),
+    ({"kind": 1, "edge": [Point(x=0.5, y=-0.5), Point(x=0.5, y=0.5)]}, GoalCode.OUTSIDE_WORKSPACE, "another edge"),
+    ({"kind": 1, "edge": EDGE, "overhang": 0.09}, GoalCode.NOT_HELD, "less overhang"),
+    ({"pose": (0.19, 0.0, 0.0)}, GoalCode.OUTSIDE_WORKSPACE, "further inside"),
+)
 
 
 def test_invalid_goals_are_named_and_the_running_one_goes_on(cell: GoalCell) -> None:
     # More exact than one push brings it: the wait for the unknown object, and a slow machine, take as long as a push.
     running = begin(cell, FAR, position_tolerance=0.003, yaw_tolerance=0.02)
-    for name, (fields, code, word) in WRONG.items():
+    for fields, code, word in WRONG:
         result = send(cell, **fields).end(30.0)  # type: ignore[arg-type]
-        assert result.error_code == code, (name, result.error_text)
-        assert word in result.error_text, (name, result.error_text)
-        assert not running.result.done(), name
+        assert result.error_code == code and word in result.error_text, (fields, result.error_text)
+        assert not running.result.done(), fields
     wait_for(lambda: cell.records, 30.0)
     assert cell.records[0].error_code == 0, cell.records[0].error_text
     running.handle.cancel_goal_async()
@@ -301,10 +294,7 @@ def test_the_edge_of_a_goal_is_published_for_who_learns_from_its_pushes(cell: Go
     assert sent.end().error_code == GoalCode.CANCELED
 
 
-def test_goal_that_cannot_be_planned_for_is_named(cell: GoalCell) -> None:
-    # The poses of this cell have a standard deviation of 1 mm.
-    result = send(cell, position_tolerance=0.0005).end()
-    assert result.error_code == GoalCode.TOLERANCE and result.pushes == 0 and "1.4 mm" in result.error_text
+def test_goal_without_a_model_that_fits_is_named_and_text_that_is_none_does_not_replace_one(cell: GoalCell, node: NodeProcess) -> None:
     other = prior_posterior(ObjectShape(cells_in_outline(2 * BOX, 0.02), 2 * BOX))
     wrong_shape = posterior_to_msg(other, "box", cell.get_clock().now().to_msg(), n_pushes=1, is_known=True).model
     try:
@@ -319,6 +309,14 @@ def test_goal_that_cannot_be_planned_for_is_named(cell: GoalCell) -> None:
             assert result.error_code == code and text in result.error_text
     finally:
         cell.publish_model()
+    wait_for(lambda: has_model_of(cell, LEARNED))
+    for text in ("", "{", "[1]", "\x00" * 100):
+        cell.publish_model(model=text, n_pushes=OTHER)
+    wait_for(lambda: "model of object box" in node.output)
+    # It plans with the one before. The poses of this cell have a standard deviation of 1 mm.
+    result = send(cell, position_tolerance=0.0005).end()
+    cell.publish_model()  # for who listens later
+    assert result.error_code == GoalCode.TOLERANCE and result.pushes == 0 and "1.4 mm" in result.error_text
 
 
 def test_cancellation_in_the_middle_of_a_push_holds_the_arm_at_once(cell: GoalCell) -> None:
@@ -344,60 +342,16 @@ def test_cancellation_in_the_middle_of_a_push_holds_the_arm_at_once(cell: GoalCe
     assert any(trial() for _ in range(TRIALS))
 
 
-def test_newer_goal_takes_over_after_the_push_and_a_cancellation_while_it_plans_is_answered_at_once(cell: GoalCell) -> None:
+def test_cancellation_of_a_goal_that_waits_for_the_push_of_another_holds_the_arm(cell: GoalCell) -> None:
     def trial() -> bool:
         cell.reset()
-        first = begin(cell, FAR)
-        canceled: list[float] = []
-
-        def cancel_while_it_plans(msg: PushToGoal.Feedback) -> None:
-            if msg.state == GoalState.PLAN and not canceled:
-                canceled.append(time.monotonic())
-                second.handle.cancel_goal_async()
-
-        with Stalls() as stalls:
-            second = send(cell, NEAR, on_feedback=cancel_while_it_plans)
-            result = first.end()
-            assert result.error_code == GoalCode.PREEMPTED and result.pushes == 1
-            assert len(cell.records) == 1 and cell.records[0].error_code == 0, "the push under way was finished"
-            assert second.end().error_code == GoalCode.CANCELED
-            took = time.monotonic() - canceled[0]
-        print(f"answered after {took:.3f} s; stalls {stalls.worst:.3f} s")
-        # A plan takes some tenths of a second. Where the cancellation was under way for longer, the next push had begun.
-        return len(cell.records) == 1 and took < 2 * REACTION + 3 * stalls.worst
+        first, second = begin(cell, FAR), send(cell, NEAR)
+        wait_for(lambda: second.feedback)
+        second.handle.cancel_goal_async()
+        assert first.end().error_code == GoalCode.PREEMPTED and second.end().error_code == GoalCode.CANCELED
+        return len(cell.holds) > 0  # else the push was over before the cancellation came
 
     assert any(trial() for _ in range(TRIALS))
-
-
-def test_cancellation_of_a_goal_that_waits_for_the_push_of_another_holds_the_arm(cell: GoalCell) -> None:
-    first = begin(cell, FAR)
-    n_holds = len(cell.holds)
-    second = send(cell, NEAR)
-    wait_for(lambda: second.feedback, 5.0)
-    assert second.state is GoalState.OBSERVE and not first.result.done()
-    second.handle.cancel_goal_async()
-    assert first.end().error_code == GoalCode.PREEMPTED
-    assert second.end().error_code == GoalCode.CANCELED
-    assert len(cell.holds) > n_holds
-
-
-def test_models_of_any_content_are_refused_and_the_one_before_is_used(cell: GoalCell, node: NodeProcess) -> None:
-    good = posterior_to_msg(prior_posterior(ObjectShape(cells_in_outline(BOX, 0.01), BOX)), "box", cell.get_clock().now().to_msg(),
-                            n_pushes=1, is_known=True)  # fmt: skip
-    assert posterior_from_msg(good)[1].unknowns.size > 0
-    for text in (
-        "",
-        "{",
-        "[1]",
-        '{"format": 3}',
-        "\x00" * 100,
-        good.model[:-20],
-    ):
-        cell.publish_model(model=text)
-    wait_for(lambda: "refused" in node.output)
-    assert node.runs
-    result = send(cell, position_tolerance=0.02, yaw_tolerance=0.4).end()
-    assert result.error_code == GoalCode.NONE, result.error_text
 
 
 def test_goal_whose_client_falls_silent_is_canceled_and_the_arm_holds(cell: GoalCell) -> None:
@@ -426,47 +380,23 @@ def test_node_that_is_stopped_in_the_middle_of_a_push_holds_the_arm(cell: GoalCe
 
 
 @pytest.mark.long
-def test_executor_that_dies_in_the_middle_of_a_push_is_said(
-    executor: subprocess.Popen[str], the_goal_cell: GoalCell, domain: int, tmp_path: Path
-) -> None:
-    cell = the_goal_cell
-    cell.reset()
-    cell.diagnostics.clear()
-    node = NodeProcess("goal_pushing_node", "push_ident.nodes", OWN, domain, tmp_path)
-    try:
-        wait_for(lambda: any(msg.status[0].message == "ready" for msg in reports(cell, "goal_pushing")), 60.0)
-        sent = begin(cell, FAR)
-        executor.send_signal(signal.SIGKILL)
-        result = sent.end(30.0)
-        assert result.error_code == GoalCode.ARM_SILENT and "push_executor_node" in result.error_text
-    finally:
-        assert node.stop() == 0
-
-
-@pytest.mark.long
 def test_arm_holds_soon_after_the_node_was_killed(
     executor: subprocess.Popen[str], node: NodeProcess, the_goal_cell: GoalCell, domain: int, tmp_path: Path
 ) -> None:
     """It is the client of the executor."""
     cell = the_goal_cell
-    executor.kill()
     node.stop()
     cell.reset()
     cell.diagnostics.clear()
     slow = NodeProcess("goal_pushing_node", "push_ident.nodes", OWN | {"push_speed": 0.02}, domain, tmp_path)
-    own = start_node(domain)  # not as patient as the one before
     try:
         wait_for(lambda: any(msg.status[0].message == "ready" for msg in reports(cell, "goal_pushing")), 60.0)
-        wait_for(lambda: any("objects: box" in summary(msg) for msg in reports(cell, "executor")), 60.0)
         begin(cell, FAR)
         with Stalls() as stalls:
             slow.kill()
             killed = time.monotonic()
             wait_for(lambda: cell.holds)
-        held = cell.holds[0][0] - killed
-        print(f"held {held:.2f} s after SIGKILL")
-        assert held < 1.3 + REACTION + 4 * stalls.worst  # client_timeout, looked at every 0.1 s
     finally:
         slow.kill()
-        own.kill()
-        own.communicate()
+    # Twice the arm timeout of this executor, as that is more than its client_timeout; it looks every 0.1 s.
+    assert cell.holds[0][0] - killed < 2 * PATIENCE + 0.3 + REACTION + 4 * stalls.worst

@@ -13,6 +13,8 @@ from rclpy.parameter import Parameter as RosParameter
 from push_ident.errors import InputError
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.base.parameters import Parameter, Parameters
+from push_ident.nodes.push_executor.parameters import PARAMETERS as EXECUTOR
+from push_ident.nodes.push_executor.parameters import execution_settings
 
 TABLE = (
     Parameter("speed", 0.05, "speed of the push [m/s]", 0.001, 0.5),
@@ -147,3 +149,13 @@ def test_list_with_one_number_for_each_joint_has_any_length_but_none_outside_its
         finally:
             node.destroy_node()
     assert row.fault([]) == "expected at least one value" and row.fault([0.1] * 5 + [7.0]) == "expected -6.3 to 6.3"
+
+
+def test_every_setting_of_the_execution_comes_from_a_parameter():
+    values = {row.name: row.default for row in EXECUTOR}
+    changed = {name: value * 1.001 if isinstance(value, float) else value for name, value in values.items()}
+    settings = execution_settings(changed)
+    assert settings.limits.force_limit == changed["force_limit"] and settings.min_object_turn == changed["min_object_turn"]
+    assert settings.push.cone == changed["random_cone"] and settings.push.distance_range == tuple(values["random_distance"])
+    assert settings.motion.home == tuple(values["home_posture"]) and settings.motion.push_height == changed["push_height"]
+    assert values["arm_timeout"] == 0.1, "the arm is held a tenth of a second after its last joint state"

@@ -1,30 +1,28 @@
-"""perception_node as a real process, with a camera that the test plays."""
+"""perception_node, in the process of the test, with cameras that it plays."""
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
 from visualization_msgs.msg import Marker
 
-from helpers.depth_scene import CAMERA, HAMMER, INTRINSICS, Prism, rectangle, render
-from helpers.executor_cell import Stalls, ask
+from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, INTRINSICS, Prism, rectangle, render
+from helpers.executor_cell import ask
 from helpers.lifecycle import Lifecycle
 from helpers.node_process import Talker
-from helpers.played_camera import POSE, SECOND, THIRD, Camera, send_until, start, wait_for
-from helpers.spinning import spinning
-from push_ident.geometry.outline import polygon_area
+from helpers.played_camera import PARAMETERS, POSE, SECOND, SIDE, THIRD, Camera, send_until, wait_for
+from helpers.spinning import running, spinning
+from push_ident.errors import PerceptionError
+from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.base.network import own_domain
@@ -36,8 +34,9 @@ from push_ident.nodes.convert.messages import (
     stamp_to_msg,
 )
 from push_ident.nodes.convert.refusals import refusals_from_msg
-from push_ident.nodes.perception.perception_node import PerceptionNode
+from push_ident.nodes.perception.perception_node import OlderImages, PerceptionNode
 from push_ident.perception.frame.view import points_in_table
+from push_ident.survey.parameter_file import pose_lines
 
 pytestmark = pytest.mark.live
 
@@ -49,23 +48,10 @@ def camera(domain: int) -> Iterator[Camera]:
 
 
 @pytest.fixture(scope="module")
-def node(domain: int, camera: Camera) -> Iterator[subprocess.Popen[str]]:
-    process = start(domain, "-p", "rest_frames:=4", "-p", "rest_frame:=4")
-    try:
+def node(domain: int, camera: Camera) -> Iterator[PerceptionNode]:
+    with running(PerceptionNode, domain, "rest_frames:=4", file=PARAMETERS) as node:
         wait_for(lambda: camera.diagnostics, 120.0)
-        yield process
-    finally:
-        with Stalls() as stalls:
-            process.send_signal(signal.SIGINT)
-            asked = time.monotonic()
-            try:
-                output, _ = process.communicate(timeout=30.0)
-            finally:
-                process.kill()
-            took = time.monotonic() - asked
-    assert took < 2.0 + 4.0 * stalls.worst
-    assert process.returncode == 0 and "Traceback" not in output, output
-    assert "rest_frame is not one of perception_node and is ignored; did you mean rest_frames?" in output
+        yield node
 
 
 def test_default_extrinsics_are_those_of_the_camera_of_the_tests():
@@ -99,11 +85,6 @@ def test_shape_pose_and_occupancy_are_published_with_the_stamp_of_the_image(came
     wait_for(lambda: "stage_tracked" in camera.values())
 
 
-def test_infos_that_come_before_their_images_are_paired_too(camera, node):
-    before = len(camera.poses)
-    send_until(camera, lambda: len(camera.poses) > before + 2, info_first=True)
-
-
 def await_refusal(camera: Camera, key: str, change: Callable[[Image, CameraInfo], None], text: str) -> None:
     """Until changed images are refused with this text: those of an earlier change may still wait for the node."""
     before = int(camera.values().get(key, 0))
@@ -115,12 +96,8 @@ def await_refusal(camera: Camera, key: str, change: Callable[[Image, CameraInfo]
     send_until(camera, is_refused, change=change)
 
 
-def test_wrong_images_are_counted_by_reason_and_the_node_goes_on(camera, node):
-    def wrong_encoding(image: Image, info: CameraInfo) -> None:
-        image.encoding = "rgb8"
-
-    def cut(image: Image, info: CameraInfo) -> None:
-        image.data = image.data[:-2]
+def test_images_that_are_refused_are_counted_by_reason_and_the_node_goes_on(camera, node):
+    """Which ones are: `test_convert.py`."""
 
     def other_frame(image: Image, info: CameraInfo) -> None:
         info.header.frame_id = "elsewhere"
@@ -128,41 +105,15 @@ def test_wrong_images_are_counted_by_reason_and_the_node_goes_on(camera, node):
     def blind(image: Image, info: CameraInfo) -> None:
         image.data = type(image.data)("B", bytes(len(image.data)))
 
-    def other_size(image: Image, info: CameraInfo) -> None:
-        info.width = 320
-
-    def without_focal_length(image: Image, info: CameraInfo) -> None:
-        info.k, info.p = [0.0] * 9, [0.0] * 12
-
-    def distorted(image: Image, info: CameraInfo) -> None:
-        info.p, info.d = [0.0] * 12, [0.1, -0.2, 0.0, 0.0, 0.0]
-
-    def overflowing(image: Image, info: CameraInfo) -> None:
-        image.width = info.width = image.height = info.height = 2**31
-
-    for change, text in (
-        (wrong_encoding, "'rgb8', expected one of 16UC1, 32FC1"),
-        (cut, "expected step * height"),
-        (other_size, "640 x 480, camera info 320 x 480"),
-        (without_focal_length, "focal lengths > 0"),
-        (distorted, "not rectified"),
-        (overflowing, "pixels, expected 1 to"),
-        (other_frame, "'elsewhere'"),
-    ):
-        await_refusal(camera, "frames_refused", change, text)
-    await_refusal(camera, "frames_without_result", blind, f"0 valid of {INTRINSICS.width * INTRINSICS.height} pixels")
-    before = len(camera.poses)
-    send_until(camera, lambda: len(camera.poses) > before)
-
-
-def test_images_far_from_their_info_are_dropped_with_the_skew(camera, node):
-    # Infos all stand at the last good stamp: a second later nothing belongs together.
-    camera.stamp += 1.0
-
     def old_info(image: Image, info: CameraInfo) -> None:
         info.header.stamp = stamp_to_msg(stamp_from_msg(image.header.stamp) - 0.3)
 
+    await_refusal(camera, "frames_refused", other_frame, "'elsewhere'")
+    await_refusal(camera, "frames_without_result", blind, f"0 valid of {INTRINSICS.width * INTRINSICS.height} pixels")
+    camera.stamp += 1.0  # infos all stand at the last good stamp: a second later nothing belongs together
     await_refusal(camera, "dropped_skew", old_info, "ms apart, expected at most 50 ms")
+    before = len(camera.poses)
+    send_until(camera, lambda: len(camera.poses) > before + 2, info_first=True)
 
 
 def test_what_is_no_object_is_published_with_the_reason_and_its_outline(camera, node):
@@ -176,6 +127,27 @@ def test_what_is_no_object_is_published_with_the_reason_and_its_outline(camera, 
     assert np.linalg.norm(outline[:, :2].mean(axis=0) - (-0.06, 0.38)) < 0.03
     assert [marker.action for marker in camera.refused[-1].markers] == [Marker.DELETEALL, Marker.ADD, Marker.ADD]
     send_until(camera, lambda: not refusals_from_msg(camera.refused[-1]))
+
+
+class Drivers:
+    """How many publish images, and what time it is [s]."""
+
+    def __init__(self) -> None:
+        self.n, self.now = 1, 100.0
+        self.older = OlderImages(lambda: self.n, lambda: self.now)
+
+
+def test_an_older_image_is_of_a_source_that_starts_again_unless_there_is_a_second_driver():
+    drivers = Drivers()
+    drivers.older.check(5.0)
+    drivers.n = 2
+    with pytest.raises(PerceptionError, match=r"2 nodes publish images, and this one is 0\.100 s older"):
+        drivers.older.check(0.1)
+    drivers.n, drivers.now = 1, drivers.now + 0.9
+    with pytest.raises(PerceptionError, match=r"0\.100 s older than the latest: of a node that has just stopped"):
+        drivers.older.check(0.1)
+    drivers.now += 0.2
+    drivers.older.check(0.1)
 
 
 def test_images_of_a_second_camera_driver_are_refused_by_name(camera, node):
@@ -228,14 +200,6 @@ def cut_hammer(pose, rng, is_cut):
     return replace(frame, depth=np.where(end_of_handle, np.float32(np.nan), frame.depth))
 
 
-def take_in_and_move(camera, rng):
-    """A cut hammer is taken in and moved to another place, where all of it is seen."""
-    camera.frames = [cut_hammer(POSE, rng, True)]
-    send_until(camera, lambda: camera.values().get("object_o1") == "tracked")
-    assert area_of_outline(camera) < 0.95 * 0.00712
-    move(camera, rng, POSE, SECOND)
-
-
 def move(camera, rng, begin, end):
     for share in np.linspace(0.1, 1.0, 10):
         camera.frames = [cut_hammer(begin + share * (end - begin), rng, False)]
@@ -259,45 +223,32 @@ def area_of_outline(camera):
     return polygon_area(shape_from_msgs(camera.cells[-1], camera.outlines[-1]).outline)
 
 
-def test_a_better_outline_is_published_once_the_object_rests_elsewhere(camera, node):
-    before, camera.stamp, frames = int(camera.values().get("restarts", 0)), 1.0, camera.frames
+def test_a_better_outline_is_published_once_the_object_rests_elsewhere_also_after_a_pause(domain, camera, node):
+    before, camera.stamp, frames, rng = int(camera.values().get("restarts", 0)), 1.0, camera.frames, np.random.default_rng(0)
     try:
-        camera.frames = [cut_hammer(POSE, np.random.default_rng(1), True)]
-        send_until(camera, lambda: int(camera.values().get("restarts", 0)) > before)
-        take_in_and_move(camera, np.random.default_rng(0))
-        send_until(camera, lambda: camera.values().get("outlines_refined") == "1")
-        wait_for(lambda: area_of_outline(camera) == pytest.approx(0.00712, rel=0.02))
-    finally:
-        camera.frames = frames
-
-
-def test_a_node_stops_while_a_better_outline_is_under_way_and_goes_on_or_begins_anew():
-    domain, rng = own_domain(), np.random.default_rng(0)
-    with spinning(Camera, domain) as camera, Lifecycle.of("perception_node", domain) as lifecycle:
-        process = start(domain, "-p", "rest_frames:=4")
-        try:
+        camera.frames = [cut_hammer(POSE, rng, True)]
+        send_until(camera, lambda: int(camera.values().get("restarts", 0)) > before and camera.values().get("object_o1") == "tracked")
+        assert area_of_outline(camera) < 0.95 * 0.00712
+        move(camera, rng, POSE, SECOND)
+        rest_for_long(camera)
+        assert area_of_outline(camera) < 0.95 * 0.00712, "it is under way"
+        with Lifecycle.of("perception_node", domain) as lifecycle:
             lifecycle.wait()
-            take_in_and_move(camera, rng)
-            rest_for_long(camera)
-            assert area_of_outline(camera) < 0.95 * 0.00712
-            lifecycle.go_to("inactive")
-            lifecycle.go_to("active")
+            for state in ("inactive", "active"):
+                lifecycle.go_to(state)
             send_until(camera, lambda: area_of_outline(camera) == pytest.approx(0.00712, rel=0.02))
+            wait_for(lambda: camera.values().get("outlines_refined") == "1")
             move(camera, rng, SECOND, THIRD)
             rest_for_long(camera)
             for state in ("inactive", "unconfigured", "active"):
                 lifecycle.go_to(state)
             camera.diagnostics.clear()
             send_until(camera, lambda: camera.values().get("object_o1") == "tracked")
-        finally:
-            process.send_signal(signal.SIGINT)
-            output, _ = process.communicate(timeout=30.0)
-        assert process.returncode == 0 and "Traceback" not in output, output
+    finally:
+        camera.frames = frames
 
 
 def test_accuracy_of_the_camera_is_published_and_again_when_it_changes(camera, node):
-    client = camera.create_client(SetParameters, "perception_node/set_parameters")
-
     def stated() -> float:
         return camera_accuracy_from_msg(camera.accuracies[-1]).position if camera.accuracies else np.nan
 
@@ -305,12 +256,10 @@ def test_accuracy_of_the_camera_is_published_and_again_when_it_changes(camera, n
         send_until(camera, lambda: stated() == pytest.approx(accuracy))
 
     def change(accuracy: float) -> None:
-        # The answer is not awaited: a node that has not found the reading end of the client yet drops it.
-        client.call_async(SetParameters.Request(parameters=[Parameter("camera_position_std", value=accuracy).to_parameter_msg()]))
+        assert node.set_parameters([Parameter("camera_position_std", value=accuracy)])[0].successful
         is_stated_as(accuracy)
 
     is_stated_as(0.002)
-    wait_for(client.service_is_ready)
     try:
         change(0.005)
         change(0.0)
@@ -343,7 +292,54 @@ def test_a_publisher_of_another_quality_of_service_is_named_with_the_policy(came
 
 
 def test_a_clock_that_does_not_tick_is_reported():
-    domain, arguments = own_domain(), ["--ros-args", "-p", "use_sim_time:=true"]
-    with spinning(lambda context: PerceptionNode(context=context, cli_args=arguments), domain) as node, Talker(domain) as talker:
+    domain = own_domain()
+    with running(PerceptionNode, domain, "use_sim_time:=true"), Talker(domain) as talker:
         talker.until(lambda: "nothing comes on /clock" in talker.values().get("why_no_pose", ""))
-        node.close()
+
+
+def test_the_node_calibrates_all_its_cameras_and_writes_what_it_found(tmp_path):
+    outline, mark_pose = np.array([(0.0, 0.0), (0.15, 0.0), (0.0, 0.1)]), (0.05, -0.03, 0.7)
+    other = own_domain()
+    file = tmp_path / "camera.yaml"
+    pose = ", ".join(str(value) for value in mark_pose)
+    parameters = (
+        "extrinsics:=calibrate",
+        f"mark_pose:=[{pose}]",
+        "calibration_frames:=6",
+        f"calibration_file:={file}",
+        "extrinsics_timeout:=1.0",
+        "extra_cameras:=[side]",
+    )
+    rng, mark = np.random.default_rng(1), [Prism(outline, 0.03).at(mark_pose)]
+    right, without_mark = [render(mark, rng=rng) for _ in range(4)], [render([], rng=rng)]
+    with spinning(Camera, other) as camera, running(PerceptionNode, other, *parameters, file=PARAMETERS):
+        camera.frames = without_mark
+        camera.add("side", [render(mark, SIDE, rng=rng) for _ in range(4)])
+        send_until(camera, lambda: camera.values().get("why_no_pose", "").startswith("still no extrinsics (calibrate)"))
+        camera.frames = right
+        send_until(camera, lambda: {"note_extrinsics", "note_extrinsics_side"} <= set(camera.values()))
+        assert "outline of the mark 0." in camera.values()["note_extrinsics"]
+    found = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
+    for prefix, truth in (("", CAMERA), ("side.", SIDE)):
+        difference = pose_of_quaternion(found[f"{prefix}camera_position"], found[f"{prefix}camera_quaternion"]) @ np.linalg.inv(truth)
+        assert np.linalg.norm(difference[:3, 3]) < 0.002
+        assert np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)) < np.deg2rad(0.5)
+
+
+def test_a_further_camera_helps_with_the_shape_and_a_missing_one_is_named(tmp_path):
+    other = own_domain()
+    file = tmp_path / "cameras.yaml"
+    # As calibration writes it.
+    lines = [*pose_lines(CAMERA), *pose_lines(SIDE, "side."), *pose_lines(SIDE, "wall."), "extra_cameras: [side, wall]"]
+    file.write_text("/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in lines), encoding="utf-8")
+    rng = np.random.default_rng(3)
+    with spinning(Camera, other) as camera, running(PerceptionNode, other, "rest_frames:=10", file=file):
+        camera.add("side", [render([prism.at(POSE) for prism in HAMMER], SIDE, rng=rng) for _ in range(4)])
+        send_until(camera, lambda: camera.outlines and camera.cells and camera.values().get("side_views_used") == "1")
+        send_until(camera, lambda: int(camera.values().get("wall_silent", 0)) > 0)
+        assert camera.values()["note_camera_wall"].startswith("no depth image on /wall/depth/image_rect (0 publishers)")
+        assert camera.values()["wall_views_left_out"] == "1" and int(camera.values()["side_frames"]) >= 10
+    # The object frame is turned as `table`; its origin is the centroid, 19.9 mm along the handle.
+    origin = (POSE[0] + 0.0199 * np.cos(POSE[2]), POSE[1] + 0.0199 * np.sin(POSE[2]), 0.0)
+    outline = transform_points(origin, shape_from_msgs(camera.cells[-1], camera.outlines[-1]).outline)
+    assert np.abs(signed_distance(outline, transform_points(POSE, HAMMER_OUTLINE))).max() < 0.001

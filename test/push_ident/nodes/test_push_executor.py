@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.node import Node
 from shape_msgs.msg import SolidPrimitive
 from trajectory_msgs.msg import JointTrajectory
@@ -22,7 +21,6 @@ from helpers.executor_cell import (
     RADIUS,
     Cell,
     Stalls,
-    ask,
     begin_push,
     is_hold,
     send,
@@ -31,7 +29,6 @@ from helpers.executor_cell import (
     wait_until_ready,
 )
 from helpers.lifecycle import Lifecycle
-from helpers.wrong_poses import wrong_poses
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.convert.messages import stamp_from_msg
 from push_ident.pushing.push import PushCode
@@ -40,6 +37,7 @@ pytestmark = pytest.mark.alone
 
 NOWHERE = CONTACT | {"object_id": "nothing"}
 """Refused at once for what it names, unless for what comes before."""
+FULL = DiagnosticStatus(level=DiagnosticStatus.ERROR, message="disk full")
 
 
 @pytest.fixture(scope="module")
@@ -73,30 +71,20 @@ def stalls() -> Iterator[Stalls]:
         yield watch
 
 
-def test_dry_run_plans_through_the_contact_and_moves_nothing(cell: Cell) -> None:
-    result = send(cell, dry_run=True, **CONTACT).end()
-    assert result.error_code == 0 and result.error_text == ""
-    contact = transform_points(cell.box, [[0.05, 0.0]])[0]
-    assert (result.contact_point.x, result.contact_point.y) == pytest.approx(contact, abs=1e-6)
-    assert result.direction == pytest.approx(np.pi + 0.3) and result.speed == 0.2
-    path = result.tool_path
-    assert path.header.frame_id == "table" and stamp_from_msg(path.poses[0].header.stamp) == 0.0
-    ends = np.array([[p.pose.position.x, p.pose.position.y] for p in (path.poses[0], path.poses[-1])])
-    heading = np.array([np.cos(result.direction), np.sin(result.direction)])
+def test_push_is_planned_moves_the_object_and_is_recorded(cell: Cell, stalls: Stalls) -> None:
+    before, planned = cell.box.copy(), send(cell, dry_run=True, **CONTACT).end()
+    contact = transform_points(before, [[0.05, 0.0]])[0]
+    heading = np.array([np.cos(planned.direction), np.sin(planned.direction)])
+    ends = np.array([[p.pose.position.x, p.pose.position.y] for p in (planned.tool_path.poses[0], planned.tool_path.poses[-1])])
+    assert planned.error_code == 0 and planned.direction == pytest.approx(np.pi + 0.3)
     assert ends == pytest.approx(contact + np.outer([-RADIUS - 0.03, 0.06 - RADIUS], heading), abs=1e-3)
     time.sleep(0.2)
-    assert cell.commands == [] and cell.records == []
-
-
-def test_push_moves_the_object_and_is_recorded(cell: Cell, stalls: Stalls) -> None:
-    before = cell.box.copy()
+    assert cell.commands == [] and cell.records == [], "a dry run moves nothing"
     call = send(cell, **CONTACT)
     result = call.end()
     assert result.error_code == 0, result.error_text
     assert np.linalg.norm(cell.box[:2] - before[:2]) == pytest.approx(0.06, abs=0.005)
-    assert sorted(set(call.feedback)) == call.feedback[:1] + sorted(set(call.feedback[1:])) == [0, 1, 2, 3, 4]
-    assert call.feedback == sorted(call.feedback)
-
+    assert sorted(set(call.feedback)) == [0, 1, 2, 3, 4] and call.feedback == sorted(call.feedback)
     wait_for(lambda: cell.records)
     record = cell.records[0]
     assert record.push_id == result.push_id and record.object_id == "box" and record.error_code == 0
@@ -114,8 +102,7 @@ def test_push_moves_the_object_and_is_recorded(cell: Cell, stalls: Stalls) -> No
     at_contact = np.array([np.interp(contact, stamps, [getattr(m.pose.position, axis) for m in cell.pusher]) for axis in "xy"])
     touched = np.array([record.contact_point.x, record.contact_point.y])
     assert np.linalg.norm(at_contact - touched) == pytest.approx(RADIUS, abs=0.001)
-    assert min(m.pose.position.z for m in cell.pusher) > 0.01 and max(m.pose.position.z for m in cell.pusher) < 0.02
-    assert len(cell.tool) > 2 * len(cell.pusher)
+    assert all(0.01 < m.pose.position.z < 0.02 for m in cell.pusher) and len(cell.tool) > 2 * len(cell.pusher)
     assert cell.shapes[0].type == SolidPrimitive.CYLINDER and list(cell.shapes[0].dimensions) == [0.08, RADIUS]
     assert_commands_are_those_of_ros2_control(cell)
 
@@ -155,45 +142,20 @@ def test_second_goal_is_refused_during_a_push_and_cancel_holds_within_100_ms(cel
     wait_for(lambda: np.ptp([m.pose.position.x for m in cell.tool[-5:]]) < 1e-9)
 
 
-def fall_silent(cell: Cell) -> None:
-    cell.silent = True
-
-
-def press(cell: Cell) -> None:
-    cell.force = 31.0
-
-
-def stop_measuring(cell: Cell) -> None:
-    cell.feels = False
-
-
-def open_hand(cell: Cell) -> None:
-    cell.fist["g_flt"] = 0x0D
-
-
-def fill_disk(cell: Cell) -> None:
-    cell.recording.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, message="disk full"))
-
-
-def hide(cell: Cell) -> None:
-    cell.sees_box = False
-
-
 @pytest.mark.parametrize(
     ("fail", "code", "text", "within"),
     [
-        (fall_silent, PushCode.ARM_SILENT, "joint_states", ARM_TIMEOUT + 0.2),
-        (press, PushCode.FORCE, "31.0 N", 0.1),
-        (stop_measuring, PushCode.FORCE, "no force that can be trusted on pusher/wrench", 1.0),
-        (open_hand, PushCode.HAND, "0x0D", 1.0),
-        (fill_disk, PushCode.RECORDING, "disk full", 1.0),
-        (hide, PushCode.OBJECT_LOST, "went home", 1.0),
+        (lambda cell: setattr(cell, "silent", True), PushCode.ARM_SILENT, "joint_states", ARM_TIMEOUT + 0.2),
+        (lambda cell: setattr(cell, "force", 31.0), PushCode.FORCE, "31.0 N", 0.1),
+        (lambda cell: cell.fist.update(g_flt=0x0D), PushCode.HAND, "0x0D", 1.0),
+        (lambda cell: cell.recording.publish(FULL), PushCode.RECORDING, "disk full", 1.0),
     ],
+    ids=("arm", "force", "hand", "recorder"),
 )
 def test_input_that_fails_holds_the_arm_once(
     cell: Cell, stalls: Stalls, fail: Callable[[Cell], None], code: PushCode, text: str, within: float
 ) -> None:
-    """What else ends a push: `pushing/test_execution.py`, on a cell in memory."""
+    """What else ends a push: `pushing/test_execution.py`, on a cell in memory, and `make faults`."""
     call = begin_push(cell, distance=0.12, speed=0.1)
     fail(cell)
     failed_at = time.monotonic()
@@ -203,8 +165,8 @@ def test_input_that_fails_holds_the_arm_once(
     assert cell.holds[0][0] - failed_at < within + 2 * stalls.worst
     assert cell.records[0].error_code == code
     time.sleep(0.2)
-    assert len(cell.holds) == 1 and (fail is hide or is_hold(cell.commands[-1][1]))
-    if fail not in (press, hide):
+    assert len(cell.holds) == 1 and is_hold(cell.commands[-1][1])
+    if code != PushCode.FORCE:
         cell.commands.clear()
         assert send(cell, **CONTACT).end().error_code == code and cell.commands == [], "the next push is refused"
     cell.reset()
@@ -215,11 +177,9 @@ def test_input_that_fails_holds_the_arm_once(
 WRONG_GOALS = (
     ({"object_id": "cup"}, PushCode.UNKNOWN_OBJECT, "known: box"),
     ({"frame_id": "camera"}, PushCode.INVALID_GOAL, "frame_id is `camera`"),
-    ({"direction": float("nan")}, PushCode.INVALID_GOAL, "direction"),
     ({"direction": 0.0}, PushCode.INVALID_GOAL, "does not push into"),
     ({"distance": 0.24}, PushCode.LIMIT, "leaves the workspace"),
     ({"speed": 9.0}, PushCode.INVALID_GOAL, "speed is 9.000"),
-    ({"mode": 7}, PushCode.INVALID_GOAL, "mode is 7"),
 )
 
 
@@ -246,36 +206,6 @@ def test_arm_that_another_node_commands_is_not_commanded(cell: Cell) -> None:
         rival.destroy_node()
     assert result.error_code == PushCode.BUSY and "/rival commands the arm" in result.error_text and cell.commands == []
     wait_for(lambda: send(cell, **NOWHERE).end().error_code != PushCode.BUSY)
-
-
-def test_wrong_poses_in_the_middle_of_a_push_are_refused_and_end_neither_push_nor_node(cell: Cell, node: subprocess.Popen[str]) -> None:
-    first, *others = wrong_poses().values()
-    wrong = cell.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
-
-    def values() -> dict[str, str]:
-        return {v.key: v.value for v in cell.diagnostics[-1].status[0].values}
-
-    def n_refused() -> int:
-        return int(values()["refused"])
-
-    def is_heard() -> bool:
-        # A publisher may know its subscriber before that knows it, and is not heard until then.
-        wrong.publish(first)
-        time.sleep(0.2)
-        return n_refused() > before
-
-    try:
-        before = n_refused()
-        wait_for(is_heard)
-        call = begin_push(cell)
-        before = n_refused()
-        for message in others:
-            wrong.publish(message)
-        assert call.end().error_code == 0
-        wait_for(lambda: n_refused() > before)
-    finally:
-        ask(cell, lambda: cell.destroy_publisher(wrong))
-    assert values()["last refusal"].startswith("/objects/box/pose") and node.poll() is None
 
 
 def test_node_that_is_deactivated_in_the_middle_of_a_push_holds_the_arm_first(cell: Cell) -> None:
