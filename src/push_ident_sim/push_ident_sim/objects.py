@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError
 from push_ident.geometry.outline import outline_of_cells, polygon_area
+from push_ident.types import Float64Array
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
@@ -27,17 +27,17 @@ class SimObject:
     name: str
     cell_size: float
     """Edge of a cell [m]."""
-    cells: FloatArray
+    cells: Float64Array
     """Cell centres [m], shape (n_cells, 2)."""
-    height: FloatArray
+    height: Float64Array
     """Height of each cell [m], shape (n_cells,)."""
-    mass: FloatArray
+    mass: Float64Array
     """Cell mass [kg], shape (n_cells,), all > 0."""
-    friction: FloatArray
+    friction: Float64Array
     """Friction coefficient of each cell on the table [-], shape (n_cells,), all >= 0."""
     pusher_friction: float
     """Friction coefficient of the pusher on the outline [-]."""
-    outline: FloatArray = field(init=False)
+    outline: Float64Array = field(init=False)
     """Border of the union of the cells [m], shape (n_vertices, 2), counter-clockwise, not closed."""
 
     def __post_init__(self) -> None:
@@ -65,7 +65,7 @@ def _freeze(owner: object, name: str, value: ArrayLike) -> None:
     object.__setattr__(owner, name, array)
 
 
-def _grid_indices(cells: FloatArray, size: float) -> IntArray:
+def _grid_indices(cells: Float64Array, size: float) -> IntArray:
     """Integer (column, row) of each cell; refuses centres that do not lie on one square grid."""
     steps = (cells - cells.min(axis=0)) / size
     indices = np.rint(steps).astype(np.int64)
@@ -76,7 +76,7 @@ def _grid_indices(cells: FloatArray, size: float) -> IntArray:
     return indices
 
 
-def outline_rectangles(cells: FloatArray, size: float) -> list[tuple[FloatArray, FloatArray]]:
+def outline_rectangles(cells: Float64Array, size: float) -> list[tuple[Float64Array, Float64Array]]:
     """Overlapping rectangles (centre [m], edges [m]) whose union is the cells, with every straight side of the outline on one of them.
 
     A side shared by two rectangles would have a seam on which a sliding pusher catches.
@@ -146,7 +146,7 @@ def object_from_picture(
     return SimObject(name, cell_size, cells - cells.mean(axis=0), height, mass, friction, pusher_friction)
 
 
-def _variation(cells: FloatArray, rng: np.random.Generator | None) -> FloatArray:
+def _variation(cells: Float64Array, rng: np.random.Generator | None) -> Float64Array:
     if rng is None:
         return np.ones(len(cells))
     level = np.clip(rng.lognormal(sigma=0.15), 0.75, 1.35)

@@ -14,11 +14,9 @@ from push_ident.identification.observing.observation import observe_push
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import PusherPath
-from push_ident_sim.code_digest import code_digest, files_behind
+from push_ident_sim.code_digest import CORE, code_digest, code_of
 from push_ident_sim.objects import make_object
-from push_ident_sim.recordings import truth
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, true_model, truth_file
-from push_ident_sim.studies import convergence
 
 FEW = TruthSettings(n_train=2, n_test=1)
 
@@ -80,15 +78,6 @@ def test_pushes_are_seeded_simulated_once_and_a_damaged_file_is_refused_with_a_r
         load_truth(tmp_path, "toolbox", 3, FEW)
 
 
-def test_truth_and_results_depend_on_the_code_that_makes_the_truth() -> None:
-    names = {"bullet_object", "push_world", "cone_friction", "objects", "truth", "true_motion", "sampling"}
-    behind_truth = {path.stem for path in files_behind(Path(truth.__file__))}
-    behind_results = {path.stem for path in files_behind(Path(convergence.__file__))}
-    assert names <= behind_truth <= behind_results
-    # What is shown of the truth, and the model that is fitted to it, leave it as it is.
-    assert not {"figures", "convergence", "identify", "lcp", "rollout"} & behind_truth
-
-
 def test_digest_of_code_changes_with_the_code_but_not_with_what_explains_it(tmp_path: Path) -> None:
     texts = ('"""One."""\nA = 1\n"""Of A."""\n', "# Two.\nA  =  1\n", "A = 2\n")
     files = [tmp_path / f"{i}.py" for i in range(3)]
@@ -96,6 +85,7 @@ def test_digest_of_code_changes_with_the_code_but_not_with_what_explains_it(tmp_
         file.write_text(text)
     first, explained, changed = (code_digest([file]) for file in files)
     assert first == explained != changed
+    assert {"sampling.py", "push.py"} < {file.name for file in code_of(CORE, ("pushing", "types.py"))}
 
 
 def test_camera_adds_seeded_noise_to_the_truth_with_rests_before_and_after(folder: Path) -> None:

@@ -16,14 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError
 from push_ident.limits import plain_text
-from push_ident.types import CameraIntrinsics
+from push_ident.types import CameraIntrinsics, Float64Array
 from push_ident_sim.cell.robot import robot_description
 from push_ident_sim.engines.bullet.bullet_object import TABLE
 from push_ident_sim.objects import SimObject
 
-FloatArray = NDArray[np.float64]
 DepthImage = NDArray[np.float32]
-Mesh = tuple[FloatArray, NDArray[np.int64]]
+Mesh = tuple[Float64Array, NDArray[np.int64]]
 """Vertices [m], shape (n, 3), and the three vertices of each triangle, shape (m, 3)."""
 
 INTRINSICS = CameraIntrinsics(width=640, height=480, fx=600.0, fy=600.0, cx=319.5, cy=239.5)
@@ -32,7 +31,7 @@ ALBEDO = 0.5
 plastic and white paper."""
 
 
-def look_at(position: ArrayLike, target: ArrayLike) -> FloatArray:
+def look_at(position: ArrayLike, target: ArrayLike) -> Float64Array:
     """Pose (4, 4) of an optical frame at `position` that looks at `target`, image upright; both [m], shape (3,)."""
     position = np.asarray(position, dtype=np.float64)
     forward = np.asarray(target, dtype=np.float64) - position
@@ -119,7 +118,7 @@ class _Hits:
 
     scene: Any
     """`open3d.t.geometry.RaycastingScene`."""
-    vertices: list[FloatArray]
+    vertices: list[Float64Array]
     """Of each thing in it [m], shape (n, 3), `table` frame."""
     covered: NDArray[np.bool_]
     """Pixels that a thing may cover, shape (height, width). What follows is of these pixels only."""
@@ -135,7 +134,7 @@ class DepthCamera:
     def __init__(
         self,
         sim_object: SimObject,
-        pose_camera_in_table: FloatArray,
+        pose_camera_in_table: Float64Array,
         intrinsics: CameraIntrinsics = INTRINSICS,
         distortion: float = 0.0,
         description: str | None = None,
@@ -173,7 +172,7 @@ class DepthCamera:
         self._sim_object = thing
         self._meshes.clear()
 
-    def render(self, pose_object: ArrayLike, robot_link_poses: dict[str, FloatArray]) -> DepthImage:
+    def render(self, pose_object: ArrayLike, robot_link_poses: dict[str, Float64Array]) -> DepthImage:
         """Perfect depth along the optical axis [m], shape (height, width), NaN where no surface is.
 
         Args:
@@ -182,14 +181,14 @@ class DepthCamera:
         """
         return self.render_scene([Placed(self._sim_object, pose_object)], robot_link_poses)
 
-    def render_scene(self, items: Sequence[Placed], robot_link_poses: dict[str, FloatArray]) -> DepthImage:
+    def render_scene(self, items: Sequence[Placed], robot_link_poses: dict[str, Float64Array]) -> DepthImage:
         """As `render`, with any number of things on the table."""
         hits = self._cast(self._positioned(items, robot_link_poses))
         depth = self._table.copy()
         depth[hits.covered] = np.fmin(depth[hits.covered], np.where(np.isfinite(hits.depth), hits.depth, np.float32(np.nan)))
         return depth
 
-    def view(self, items: Sequence[Placed], robot_link_poses: dict[str, FloatArray], second: float = 0.0) -> View:
+    def view(self, items: Sequence[Placed], robot_link_poses: dict[str, Float64Array], second: float = 0.0) -> View:
         """All that a model of a sensor needs to know.
 
         Args:
@@ -236,7 +235,7 @@ class DepthCamera:
         directions = self._rays[..., 3:]
         return np.asarray(np.abs(directions[..., 2]) / np.linalg.norm(directions, axis=-1), dtype=np.float32)
 
-    def _positioned(self, items: Sequence[Placed], robot_link_poses: dict[str, FloatArray]) -> list[tuple[Mesh, FloatArray, float]]:
+    def _positioned(self, items: Sequence[Placed], robot_link_poses: dict[str, Float64Array]) -> list[tuple[Mesh, Float64Array, float]]:
         """Mesh, homogeneous pose in `table` and albedo of everything but the table."""
         robot = [(mesh, robot_link_poses[name], ALBEDO) for name, mesh in self._links.items() if name in robot_link_poses]
         return [(self._mesh(placed.item), _homogeneous(placed.pose), placed.albedo) for placed in items] + robot
@@ -249,7 +248,7 @@ class DepthCamera:
             self._meshes[id(item)] = item, _object_mesh(item)
         return self._meshes[id(item)][1]
 
-    def _cast(self, placed: list[tuple[Mesh, FloatArray, float]]) -> _Hits:
+    def _cast(self, placed: list[tuple[Mesh, Float64Array, float]]) -> _Hits:
         import open3d
 
         scene = open3d.t.geometry.RaycastingScene()
@@ -264,7 +263,7 @@ class DepthCamera:
         answer = scene.cast_rays(_tensor(self._rays[covered]))
         return _Hits(scene, corners, covered, answer["t_hit"].numpy(), answer)
 
-    def _window(self, vertices: FloatArray, second: float = 0.0) -> tuple[slice, slice]:
+    def _window(self, vertices: Float64Array, second: float = 0.0) -> tuple[slice, slice]:
         """Rows and columns of the image that hold all of `vertices` [m], shape (n, 3), `table` frame, and their shadow.
 
         Args:
@@ -289,7 +288,7 @@ def _tensor(array: NDArray[Any]) -> Any:
     return open3d.core.Tensor(array)  # type: ignore[call-overload]
 
 
-def _homogeneous(pose: ArrayLike) -> FloatArray:
+def _homogeneous(pose: ArrayLike) -> Float64Array:
     """Of a planar pose (x, y, yaw), or of a homogeneous one, which stays as it is."""
     given = np.asarray(pose, dtype=np.float64)
     if given.shape == (4, 4):
@@ -301,7 +300,7 @@ def _homogeneous(pose: ArrayLike) -> FloatArray:
     return whole
 
 
-def _pixel_rays(pose: FloatArray, intrinsics: CameraIntrinsics, distortion: float) -> DepthImage:
+def _pixel_rays(pose: Float64Array, intrinsics: CameraIntrinsics, distortion: float) -> DepthImage:
     """Origin and direction of the ray through each pixel centre, one metre of depth long, shape (height, width, 6), `table` frame."""
     u, v = np.meshgrid(np.arange(intrinsics.width), np.arange(intrinsics.height))
     x, y = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
 from push_ident.types import CameraAccuracy, CameraIntrinsics, Float64Array
-from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthImage, DepthNoise, FloatArray, Placed, View
+from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthImage, DepthNoise, Placed, View
 from push_ident_sim.cell.sensors import PLAIN, SENSORS, SensorModel, check_name
 from push_ident_sim.objects import SimObject
 
@@ -62,7 +62,7 @@ class Sensor:
         """Of its images in ROS: `16UC1` where whole millimetres hold its depth, else `32FC1`."""
         return "32FC1" if self._model and self._model.depth_unit < 1e-3 else "16UC1"
 
-    def accuracy(self, reported: FloatArray) -> CameraAccuracy:
+    def accuracy(self, reported: Float64Array) -> CameraAccuracy:
         """How well units of this model know where they are over the table, at this pose, shape (4, 4)."""
         if not self._model:
             return CameraAccuracy()
@@ -71,7 +71,7 @@ class Sensor:
         position = float(np.hypot(self._model.translation_std, self._model.rotation_std * distance))
         return CameraAccuracy(position, self._model.rotation_std)
 
-    def table_as_seen(self, camera_in_table: Float64Array, reported: FloatArray) -> Float64Array:
+    def table_as_seen(self, camera_in_table: Float64Array, reported: Float64Array) -> Float64Array:
         """The true table frame in that of perception (x, y, yaw), shape (3,): the error of the extrinsics that is left.
 
         Args:
@@ -84,7 +84,7 @@ class Sensor:
         return np.array([*motion[:2, 3], np.arctan2(motion[1, 0], motion[0, 0])])
 
     def camera(
-        self, sim_object: SimObject, reported: FloatArray, intrinsics: CameraIntrinsics | None = None, description: str | None = None
+        self, sim_object: SimObject, reported: Float64Array, intrinsics: CameraIntrinsics | None = None, description: str | None = None
     ) -> DepthCamera:
         """Camera with the true lens and the true pose of this unit.
 
@@ -99,7 +99,7 @@ class Sensor:
             return DepthCamera(sim_object, reported, pinhole, description=description)
         return DepthCamera(sim_object, reported @ self._model.extrinsics_error(self._seed), pinhole, self._model.distortion, description)
 
-    def look(self, camera: DepthCamera, pose_object: ArrayLike, robot_link_poses: dict[str, FloatArray]) -> View | DepthImage:
+    def look(self, camera: DepthCamera, pose_object: ArrayLike, robot_link_poses: dict[str, Float64Array]) -> View | DepthImage:
         """What lies before `camera`, for `read`: the plain sensor needs no more than depth. Arguments as of `DepthCamera.render`."""
         if not self._model:
             return camera.render(pose_object, robot_link_poses)

@@ -46,8 +46,8 @@ import cv2
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.types import CameraIntrinsics
-from push_ident_sim.cell.camera import INTRINSICS, DepthImage, FloatArray, look_at
+from push_ident.types import CameraIntrinsics, Float64Array
+from push_ident_sim.cell.camera import INTRINSICS, DepthImage, look_at
 
 PLAIN: Final = "plain"
 """Name of the sensor without a model: `DepthNoise` at 600 px."""
@@ -163,7 +163,7 @@ class SensorModel:
         """Mean displacement of an edge [px], positive where the nearer surface grows."""
         return self.fattening * self.window / 2
 
-    def extrinsics_error(self, seed: int) -> FloatArray:
+    def extrinsics_error(self, seed: int) -> Float64Array:
         """True pose of the optical frame in the reported one, shape (4, 4), of the unit with this seed."""
         rng = np.random.default_rng([seed, zlib.crc32(self.name.encode()), 1])
         error = np.eye(4)
@@ -172,7 +172,7 @@ class SensorModel:
         return error
 
 
-def suitable_pose(name: str) -> FloatArray:
+def suitable_pose(name: str) -> Float64Array:
     """Pose in `table`, shape (4, 4), from which the sensor with this name sees the workspace as large as it can, within its range.
 
     Raises:

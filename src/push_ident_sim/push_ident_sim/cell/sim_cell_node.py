@@ -21,7 +21,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
-from numpy.typing import NDArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState
@@ -47,7 +46,7 @@ from push_ident.nodes.convert.messages import (
     stamp_to_msg,
 )
 from push_ident.nodes.convert.table import TABLE_TOPIC, table_to_msg
-from push_ident.types import DepthFrame
+from push_ident.types import DepthFrame, Float64Array
 from push_ident_sim.cell.camera import DepthCamera
 from push_ident_sim.cell.robot import cell_robot
 from push_ident_sim.cell.sensor_unit import Sensor
@@ -112,8 +111,6 @@ class Pace:
             # pieces of 0.08 s would come to their ends, and brake.
             self._wall, self._sim = time.perf_counter(), now
 
-
-FloatArray = NDArray[np.float64]
 
 _EFFECT: Final = "effects."
 _SPAWNED: Final = "; takes effect with ~/spawn"
@@ -183,9 +180,9 @@ class _Snapshot:
     stamp: float
     """Of the image [s]; later than the state under a latency."""
     sim_object: SimObject
-    pose_object: FloatArray
+    pose_object: Float64Array
     """Planar, shape (3,), or homogeneous, shape (4, 4)."""
-    robot_link_poses: dict[str, FloatArray]
+    robot_link_poses: dict[str, Float64Array]
 
 
 class SimCellNode(CellNode):

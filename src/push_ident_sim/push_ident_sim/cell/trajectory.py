@@ -5,22 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from push_ident.errors import InputError
-
-FloatArray = NDArray[np.float64]
+from push_ident.types import Float64Array
 
 
 @dataclass(frozen=True, slots=True)
 class JointTrajectory:
     """Points joined by straight lines, or by cubics where velocities are given; at rest before the first and after the last."""
 
-    time: FloatArray
+    time: Float64Array
     """[s], shape (n_points,), strictly increasing."""
-    position: FloatArray
+    position: Float64Array
     """[rad], shape (n_points, n_joints)."""
-    velocity: FloatArray | None = None
+    velocity: Float64Array | None = None
     """[rad/s], as `position`; None: straight lines."""
 
     def __post_init__(self) -> None:
@@ -36,11 +34,11 @@ class JointTrajectory:
             raise InputError("Times of a trajectory must increase strictly from point to point.")
 
     @classmethod
-    def hold(cls, position: FloatArray) -> JointTrajectory:
+    def hold(cls, position: Float64Array) -> JointTrajectory:
         """Stay at `position` [rad], shape (n_joints,)."""
         return cls(np.zeros(1), np.array(position, dtype=np.float64)[None, :])
 
-    def from_state(self, now: float, position: FloatArray, velocity: FloatArray, start: float | None = None) -> JointTrajectory:
+    def from_state(self, now: float, position: Float64Array, velocity: Float64Array, start: float | None = None) -> JointTrajectory:
         """The same delayed by `start` [s], or by `now`, going on from the state commanded `now`; points not after `now` are dropped.
 
         Raises InputError when it ends before `now`.
@@ -52,7 +50,7 @@ class JointTrajectory:
         velocities = None if self.velocity is None else np.vstack([velocity, self.velocity[ahead]])
         return JointTrajectory(np.append(now, time[ahead]), np.vstack([position, self.position[ahead]]), velocities)
 
-    def sample(self, time: float) -> tuple[FloatArray, FloatArray]:
+    def sample(self, time: float) -> tuple[Float64Array, Float64Array]:
         """Position [rad] and velocity [rad/s] at `time` [s], each shape (n_joints,)."""
         if time < self.time[0] or time >= self.time[-1]:
             at = 0 if time < self.time[0] else -1

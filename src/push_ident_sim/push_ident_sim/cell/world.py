@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pybullet as bullet
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
+from push_ident.physics.support import GRAVITY
+from push_ident.types import Float64Array
 from push_ident_sim.cell.robot import CONTACT_LINK, CellRobot, bullet_description, iiwa_with_hand
 from push_ident_sim.engines.bullet.bullet_object import (
     ARM_GROUP,
@@ -31,8 +33,6 @@ from push_ident_sim.injected.actuation import ToolErrors
 from push_ident_sim.injected.shared import bearing_torque, restitution
 from push_ident_sim.objects import SimObject
 
-FloatArray = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True)
 class WorldConfig:
@@ -40,18 +40,9 @@ class WorldConfig:
 
     time_step: float = 1.0 / 240.0
     """[s]"""
-    solver_iterations: int = 50
-    gravity: float = 9.81
-    """[m/s^2]"""
-    position_gain: float = 0.3
-    """Share of the joint position error that the arm corrects in one time step."""
-    joint_effort: float = 300.0
-    """[N m], largest motor torque."""
     table: tuple[float, float, float, float] = TABLE
     """x_min, x_max, y_min, y_max of the table [m]. With another one than the default, the object is one rigid body that may tilt and fall,
     and no effects can be injected."""
-    pause: float = 0.5
-    """A push is over when the pusher has not touched the object for this long [s]."""
     effects: InjectedEffects = field(default_factory=InjectedEffects)
     """Injected effects; those on the camera act in `camera.py`."""
 
@@ -86,7 +77,7 @@ class CellWorld:
         self.joint_names = self.robot.joint_names
         self._start_pose = checked_pose(pose)
         effects = self.config.effects
-        self._client = connect(self.config.time_step, self.config.solver_iterations, self.config.gravity, effects)
+        self._client = connect(self.config.time_step, GRAVITY, effects)
         self._table = add_table(self._client, self.config.table)
         self._add_robot()
         self._tool = _DrivenTool(effects, self.config.time_step, self.robot) if ToolErrors.needed(effects) else None
@@ -150,10 +141,10 @@ class CellWorld:
         self._count_pushes()
 
     def _count_pushes(self) -> None:
-        """Count a push when it is over."""
+        """Count a push when it is over: when the pusher has not touched the object for half a second."""
         if self._force.any():
             self._last_touch = self.time
-        elif np.isfinite(self._last_touch) and self.time - self._last_touch > self.config.pause:
+        elif np.isfinite(self._last_touch) and self.time - self._last_touch > 0.5:
             self._last_touch = -np.inf
             self._n_pushes += 1
             self._body.set_pushes_done(self._n_pushes)
@@ -164,7 +155,7 @@ class CellWorld:
 
     # --- arm -----------------------------------------------------------------------------------------------------------
 
-    def joint_state(self) -> tuple[FloatArray, FloatArray]:
+    def joint_state(self) -> tuple[Float64Array, Float64Array]:
         """Positions [rad] and velocities [rad/s] that the arm reports, each shape (n_joints,), in the order of `joint_names`."""
         states = self._client.getJointStates(self._robot, self._arm_joints)
         position, velocity = np.array([s[0] for s in states]), np.array([s[1] for s in states])
@@ -185,21 +176,21 @@ class CellWorld:
             bullet.POSITION_CONTROL,
             targetPositions=(position - velocity * self.config.time_step).tolist(),
             targetVelocities=velocity.tolist(),
-            positionGains=[self.config.position_gain] * n_joints,
+            positionGains=[0.3] * n_joints,  # of the error, in one time step
             velocityGains=[1.0] * n_joints,
-            forces=[self.config.joint_effort] * n_joints,
+            forces=[300.0] * n_joints,  # the largest torque [N m],
         )
 
-    def tool_tip(self) -> FloatArray:
+    def tool_tip(self) -> Float64Array:
         """True position of the tool tip [m], shape (3,)."""
         return np.array(self._client.getLinkState(self._robot, self._tip_link, computeForwardKinematics=1)[4])
 
-    def robot_link_poses(self) -> dict[str, FloatArray]:
+    def robot_link_poses(self) -> dict[str, Float64Array]:
         """Pose of each robot link's frame, homogeneous (4, 4), by link name."""
         states = self._client.getLinkStates(self._robot, range(len(self._link_names)), computeForwardKinematics=1)
         return {name: self._homogeneous(state[4], state[5]) for name, state in zip(self._link_names, states, strict=True)}
 
-    def _homogeneous(self, position: Sequence[float], quaternion: Sequence[float]) -> FloatArray:
+    def _homogeneous(self, position: Sequence[float], quaternion: Sequence[float]) -> Float64Array:
         pose = np.eye(4)
         pose[:3, :3] = np.reshape(self._client.getMatrixFromQuaternion(quaternion), (3, 3))
         pose[:3, 3] = position
@@ -209,23 +200,23 @@ class CellWorld:
 
     def _new_body(self, sim_object: SimObject) -> BulletObject | RigidObject:
         if self.config.is_rigid:
-            return RigidObject(self._client, sim_object, self._table, self.config.gravity)
-        return BulletObject(self._client, sim_object, self.config.gravity, self.config.effects)
+            return RigidObject(self._client, sim_object, self._table)
+        return BulletObject(self._client, sim_object, GRAVITY, self.config.effects)
 
     @property
     def has_fallen(self) -> bool:
         """Whether the object tips over an edge of the table, or lies below it."""
-        return isinstance(self._body, RigidObject) and self._body.has_fallen
+        return self._body.has_fallen
 
-    def object_transform(self) -> FloatArray:
+    def object_transform(self) -> Float64Array:
         """True pose of the object frame, homogeneous, shape (4, 4); of one that cannot tilt, planar, shape (3,)."""
-        return self._body.transform() if isinstance(self._body, RigidObject) else self._body.pose()
+        return self._body.transform()
 
-    def object_pose(self) -> FloatArray:
+    def object_pose(self) -> Float64Array:
         """True (x, y, yaw) [m, m, rad] of the object frame, shape (3,); yaw is not wrapped."""
         return self._body.pose()
 
-    def object_velocity(self) -> FloatArray:
+    def object_velocity(self) -> Float64Array:
         """True (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,)."""
         return self._body.velocity()
 
@@ -263,11 +254,11 @@ class CellWorld:
 
     # --- forces --------------------------------------------------------------------------------------------------------
 
-    def cell_loads(self) -> FloatArray:
+    def cell_loads(self) -> Float64Array:
         """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
         return self._body.cell_loads(self._table)
 
-    def take_pusher_force(self) -> FloatArray:
+    def take_pusher_force(self) -> Float64Array:
         """Force of the pusher on the object [N], shape (3,): mean over the steps since the last call."""
         force = self._impulse / (max(self._impulse_steps, 1) * self.config.time_step)
         self._impulse = np.zeros(3)
@@ -285,7 +276,7 @@ class _DrivenTool:
         self._bend = self._bend_rate = np.zeros(len(robot.joint_names))
         """True minus reported joint positions [rad], and its rate of change [rad/s]."""
 
-    def driven(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def driven(self, position: Float64Array, velocity: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Targets [rad], [rad/s] of the motors where the arm commands those given; called once per time step."""
         tip = self._kinematics.forward(position)[:3, 3]
         # Below the first height the effects on the position of the tool act in full, above the second not at all [m].
@@ -299,6 +290,6 @@ class _DrivenTool:
         self._bend = bend
         return position + bend, velocity + self._bend_rate
 
-    def reported(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def reported(self, position: Float64Array, velocity: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Reported positions [rad] and velocities [rad/s] of joints whose true ones are given."""
         return position - self._bend, velocity - self._bend_rate

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from push_ident.physics.effect import OnPusherPath
+from push_ident.types import Float64Array
 from push_ident_sim.injected.effects import InjectedEffects
 from push_ident_sim.injected.equations import acts_by_equation, driven_position
-
-FloatArray = NDArray[np.float64]
 
 _ACTING = ("pusher_lag", "pusher_speed_scale", "tool_offset", "pusher_wobble")
 
@@ -40,7 +39,7 @@ class ToolErrors:
         self._lagged = self._start.copy()
         self._reported_path = [self._start.copy()]
 
-    def true_position(self, reported: FloatArray) -> FloatArray:
+    def true_position(self, reported: Float64Array) -> Float64Array:
         """Where the tool is at the end of a time step at whose end the arm reports `reported`."""
         self._n_steps += 1
         if self._by_equation:

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from push_ident.physics.effect import (
     Body,
@@ -27,13 +26,12 @@ from push_ident.physics.effect import (
     OnTimes,
 )
 from push_ident.physics.effects import EFFECTS
+from push_ident.types import Float64Array
 from push_ident_sim.injected.effects import INJECTED, InjectedEffects
 from push_ident_sim.objects import SimObject
 
-FloatArray = NDArray[np.float64]
 
-
-def _injected(effects: InjectedEffects, kind: type) -> Iterator[tuple[Effect, FloatArray]]:
+def _injected(effects: InjectedEffects, kind: type) -> Iterator[tuple[Effect, Float64Array]]:
     """Effects that act in one way and have no law of their own in the engines, with their values."""
     for name, values in effects.values:
         if not INJECTED[name].has_own_law and isinstance(EFFECTS[name].acts, kind):
@@ -62,7 +60,7 @@ def pusher_friction(effects: InjectedEffects, coefficient: float) -> float:
     return coefficient
 
 
-def driven_position(effects: InjectedEffects, time_step: float, reported: FloatArray) -> FloatArray:
+def driven_position(effects: InjectedEffects, time_step: float, reported: Float64Array) -> Float64Array:
     """Where the tool is at the end of a path.
 
     Args:
@@ -84,36 +82,32 @@ def driven_position(effects: InjectedEffects, time_step: float, reported: FloatA
 # --- sensors
 
 
-def reported_poses(effects: InjectedEffects, pose: FloatArray) -> FloatArray:
+def _changed(effects: InjectedEffects, kind: type, method: str, given: Float64Array) -> Float64Array:
+    """What effects of one kind make of numbers by a method of theirs."""
+    for effect, values in _injected(effects, kind):
+        change = getattr(effect.acts, method)
+        given = np.ascontiguousarray(change(values.astype(np.complex128), given.astype(np.complex128)).real)
+    return given
+
+
+def reported_poses(effects: InjectedEffects, pose: Float64Array) -> Float64Array:
     """What is reported of true poses (x, y, yaw), shape (n, 3), under such effects."""
-    for effect, values in _injected(effects, OnPoses):
-        assert isinstance(effect.acts, OnPoses)
-        pose = np.ascontiguousarray(effect.acts.report(values.astype(np.complex128), pose.astype(np.complex128)).real)
-    return pose
+    return _changed(effects, OnPoses, "report", pose)
 
 
-def reported_forces(effects: InjectedEffects, force: FloatArray) -> FloatArray:
+def reported_forces(effects: InjectedEffects, force: Float64Array) -> Float64Array:
     """What is reported of true forces [N], shape (n, 2), table frame, under such effects."""
-    for effect, values in _injected(effects, OnForces):
-        assert isinstance(effect.acts, OnForces)
-        force = np.ascontiguousarray(effect.acts.report(values.astype(np.complex128), force.astype(np.complex128)).real)
-    return force
+    return _changed(effects, OnForces, "report", force)
 
 
-def times_of_poses(effects: InjectedEffects, time: FloatArray) -> FloatArray:
+def times_of_poses(effects: InjectedEffects, time: Float64Array) -> Float64Array:
     """When the poses were measured that are reported for `time` [s], shape (n,), under such effects."""
-    for effect, values in _injected(effects, OnTimes):
-        assert isinstance(effect.acts, OnTimes)
-        time = np.ascontiguousarray(effect.acts.move(values.astype(np.complex128), time.astype(np.complex128)).real)
-    return time
+    return _changed(effects, OnTimes, "move", time)
 
 
-def times_of_forces(effects: InjectedEffects, time: FloatArray) -> FloatArray:
+def times_of_forces(effects: InjectedEffects, time: Float64Array) -> Float64Array:
     """When the forces were measured that are reported for `time` [s], shape (n,), under such effects."""
-    for effect, values in _injected(effects, OnForceTimes):
-        assert isinstance(effect.acts, OnForceTimes)
-        time = np.ascontiguousarray(effect.acts.move(values.astype(np.complex128), time.astype(np.complex128)).real)
-    return time
+    return _changed(effects, OnForceTimes, "move", time)
 
 
 # --- table
@@ -123,11 +117,11 @@ def times_of_forces(effects: InjectedEffects, time: FloatArray) -> FloatArray:
 class TableChange:
     """What such effects do between table and object during one time step."""
 
-    factor: FloatArray
+    factor: Float64Array
     """Of the friction limit of each cell, shape (n_cells,)."""
-    skew: FloatArray
+    skew: Float64Array
     """(a, b) of E = [[a, b], [b, -a]] in friction -f (I + E) v/|v|, object axes, shape (2,)."""
-    wrench: FloatArray
+    wrench: Float64Array
     """(fx, fy) [N], axes of the table, and torque about the centre of mass [N m], shape (3,)."""
 
 
@@ -149,7 +143,7 @@ class TableEquations:
         """A push begins: no effect remembers the one before."""
         self._memory = [np.zeros(0 if effect.memory is None else effect.memory.size) for effect, _ in self._acting]
 
-    def advance(self, pose: FloatArray, velocity: FloatArray, limit: FloatArray, time_step: float, pushes_done: int) -> TableChange:
+    def advance(self, pose: Float64Array, velocity: Float64Array, limit: Float64Array, time_step: float, pushes_done: int) -> TableChange:
         """The next time step.
 
         Args:
@@ -176,7 +170,7 @@ class TableEquations:
                 effect.memory.remember(values, body, time_step, memory, self._memory[i])
         return TableChange(np.maximum(factor, 0.0), skew, wrench)
 
-    def _factor(self, acts: OnTable, values: FloatArray, body: Body, memory: FloatArray, limit: FloatArray) -> FloatArray:
+    def _factor(self, acts: OnTable, values: Float64Array, body: Body, memory: Float64Array, limit: Float64Array) -> Float64Array:
         """Factor of the friction limit of each cell, shape (n_cells,)."""
         factor = np.ones(len(limit))
         if acts.load is not None:

@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError
-from push_ident.types import CameraIntrinsics
+from push_ident.types import CameraIntrinsics, Float64Array
 from push_ident_sim.injected.effects import INJECTED, InjectedEffects
 from push_ident_sim.injected.equations import reported_poses, times_of_poses
 
-FloatArray = NDArray[np.float64]
 
-
-def measured_at(effects: InjectedEffects, stamp: FloatArray) -> FloatArray:
+def measured_at(effects: InjectedEffects, stamp: Float64Array) -> Float64Array:
     """When the poses stamped `stamp` [s], shape (n,), were measured."""
     (delta,) = effects["pose_latency"]
     return times_of_poses(effects, stamp - delta)
@@ -28,7 +26,7 @@ def stamp_delay(effects: InjectedEffects, time: float) -> float:
     return delta + (time - float(times_of_poses(effects, np.array([time]))[0]))
 
 
-def observed_poses(effects: InjectedEffects, pose: FloatArray) -> FloatArray:
+def observed_poses(effects: InjectedEffects, pose: Float64Array) -> Float64Array:
     """Poses (x, y, yaw) in `table`, shape (n, 3), as a camera with wrong extrinsics or a wrong scale reports them."""
     (angle,), shift, (kappa,) = effects["camera_rotation"], effects["camera_translation"], effects["camera_scale"]
     observed = pose.copy()
@@ -38,7 +36,7 @@ def observed_poses(effects: InjectedEffects, pose: FloatArray) -> FloatArray:
     return reported_poses(effects, observed)
 
 
-def true_camera(effects: InjectedEffects, reported: FloatArray, intrinsics: CameraIntrinsics) -> tuple[FloatArray, CameraIntrinsics]:
+def true_camera(effects: InjectedEffects, reported: Float64Array, intrinsics: CameraIntrinsics) -> tuple[Float64Array, CameraIntrinsics]:
     """True pose in `table`, shape (4, 4), and true intrinsics of a camera that reports `reported` and `intrinsics`."""
     (angle,), shift, (kappa,) = effects["camera_rotation"], effects["camera_translation"], effects["camera_scale"]
     error = np.eye(4)
@@ -56,7 +54,7 @@ def kept_frames(effects: InjectedEffects, n_frames: int, rng: np.random.Generato
     return kept
 
 
-def flipped(effects: InjectedEffects, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
+def flipped(effects: InjectedEffects, pose: Float64Array, rng: np.random.Generator) -> Float64Array:
     """Poses, shape (n, 3), some of them turned by half a turn."""
     (share,) = effects["pose_flips"]
     turned = pose.copy()
@@ -64,7 +62,7 @@ def flipped(effects: InjectedEffects, pose: FloatArray, rng: np.random.Generator
     return turned
 
 
-def correlated(effects: InjectedEffects, noise: FloatArray) -> FloatArray:
+def correlated(effects: InjectedEffects, noise: Float64Array) -> Float64Array:
     """Standard noise, one row a frame, made to correlate with the frame before at the same standard deviation."""
     (rho,) = effects["noise_correlation"]
     if rho == 0.0:
@@ -78,16 +76,16 @@ def correlated(effects: InjectedEffects, noise: FloatArray) -> FloatArray:
 class PoseSensor:
     """Reports poses one after another, as a camera does."""
 
-    def __init__(self, effects: InjectedEffects, std: FloatArray, rng: np.random.Generator) -> None:
+    def __init__(self, effects: InjectedEffects, std: Float64Array, rng: np.random.Generator) -> None:
         """`std` of x, y [m] and yaw [rad], shape (3,)."""
         self._effects = effects
         self._std = std
         self._rng, self._frame_rng = rng, rng.spawn(1)[0]
-        self._noise: FloatArray | None = None
-        self._delayed: deque[tuple[float, FloatArray]] = deque()
+        self._noise: Float64Array | None = None
+        self._delayed: deque[tuple[float, Float64Array]] = deque()
         (self._dropped,), (self._rho,) = effects["dropped_frames"], effects["noise_correlation"]
 
-    def measure(self, time: float, pose: FloatArray) -> list[tuple[float, FloatArray]]:
+    def measure(self, time: float, pose: Float64Array) -> list[tuple[float, Float64Array]]:
         """Take in `pose` (x, y, yaw) at `time` [s]; returns stamps [s] and poses (x, y, yaw) of the frames that arrive until then."""
         fresh = self._rng.standard_normal(3)
         before, self._noise = self._noise, fresh
@@ -109,5 +107,5 @@ def check_rendered(effects: InjectedEffects) -> None:
         raise InputError(f"Effect {on_poses[0]} acts on poses and needs a cell without camera; a rendered camera can have {known}.")
 
 
-def _rotation(angle: float) -> FloatArray:
+def _rotation(angle: float) -> Float64Array:
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from push_ident.errors import InputError
+from push_ident.types import Float64Array
 from push_ident_sim.injected.effects import InjectedEffects
 from push_ident_sim.injected.equations import contact_quantity, pusher_friction
 from push_ident_sim.objects import SimObject
@@ -32,9 +32,6 @@ def bearing_torque(effects: InjectedEffects) -> float:
     return 0.02 * (1.0 - ease)
 
 
-FloatArray = NDArray[np.float64]
-
-
 def mean_friction(sim_object: SimObject) -> float:
     """Friction coefficient of the whole object, each cell under its own weight."""
     return float(sim_object.friction @ sim_object.mass / sim_object.mass.sum())
@@ -49,7 +46,7 @@ def push_height(effects: InjectedEffects, sim_object: SimObject) -> float:
     return lever / mean_friction(sim_object) if lever else 0.0
 
 
-def tether_anchor(effects: InjectedEffects, first_centre: FloatArray) -> FloatArray:
+def tether_anchor(effects: InjectedEffects, first_centre: Float64Array) -> Float64Array:
     """Place on the table where the spring of a tether is relaxed [m], shape (2,).
 
     Args:

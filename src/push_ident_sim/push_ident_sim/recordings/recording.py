@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from push_ident.bags.records import write_records
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import InputError
 from push_ident.pushing.push import PushSettings
-from push_ident.types import PushRecord
+from push_ident.types import Float64Array, PushRecord
 from push_ident_sim.cell.robot import PUSHER_LENGTH, PUSHER_RADIUS
 from push_ident_sim.cell.sensor_unit import Sensor
 from push_ident_sim.cell.sensors import PLAIN, check_name, suitable_pose
@@ -24,8 +23,6 @@ from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.sensing import check_rendered, kept_frames, stamp_delay, true_camera
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, make_pushes, observe_motion, true_model
-
-FloatArray = NDArray[np.float64]
 
 _TIP_HEIGHT = 0.012
 """Height of the filmed tool above the table [m]."""
@@ -152,7 +149,7 @@ def _film(
             start += end + noise.rest + pause
 
 
-def standing_tool(tool: FloatArray) -> FloatArray:
+def standing_tool(tool: Float64Array) -> Float64Array:
     """Pose, shape (4, 4), of the pusher's link, which points down, with its tip over `tool` (x, y) [m]."""
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = [*tool, _TIP_HEIGHT + PUSHER_LENGTH]

@@ -14,22 +14,20 @@ from typing import Protocol
 from zipfile import BadZipFile
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
 from push_ident.files import replaced
 from push_ident.physics.effect_folders import extra_effect_files
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
-from push_ident.types import CellGrid, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
-from push_ident_sim.code_digest import code_digest, files_behind
+from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
+from push_ident_sim.code_digest import CORE, SIM, code_digest, code_of
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.equations import reported_forces, times_of_forces
 from push_ident_sim.injected.sensing import correlated, flipped, kept_frames, measured_at, observed_poses
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
-
-FloatArray = NDArray[np.float64]
 
 _LARGE_TABLE = (-0.6, 0.6, -0.6, 0.6)
 _ARRAYS = ("time", "pose", "pusher", "force")
@@ -144,7 +142,7 @@ def _make_each(engine: Engine, sim_object: SimObject, seed: Sequence[int], setti
 
 
 def _one_push(
-    world: Engine, shape: ObjectShape, seed: Sequence[int], number: int, settings: TruthSettings, pose: FloatArray | None
+    world: Engine, shape: ObjectShape, seed: Sequence[int], number: int, settings: TruthSettings, pose: Float64Array | None
 ) -> TrueMotion:
     rng = np.random.default_rng(seed)
     while True:
@@ -186,7 +184,8 @@ def truth_file(folder: Path, name: str, seed: int, settings: TruthSettings | Non
         np.array([sim_object.cell_size, sim_object.pusher_friction]),
     ]
     by_equation = {file for file in extra_effect_files() if settings is not None and file.stem in settings.effects.as_dict()}
-    code = code_digest(files_behind(Path(__file__)) | by_equation)
+    of_sim = code_of(SIM, ("engines", "injected", "objects.py", "recordings/truth.py"))
+    code = code_digest(of_sim | code_of(CORE, ("geometry", "physics", "pushing")) | by_equation)
     content = json.dumps([code, asdict(settings or TruthSettings())], sort_keys=True).encode() + b"".join(v.tobytes() for v in values)
     return folder / f"{name}-{seed:04d}-{hashlib.sha256(content).hexdigest()[:12]}.npz"
 
@@ -261,7 +260,7 @@ def observe_motion(
     clock = np.concatenate([[0.0], rest + motion.time, [2 * rest + end]])
     hold = np.r_[0, 0 : len(motion.time), len(motion.time) - 1]
 
-    def at(time: FloatArray, values: FloatArray) -> FloatArray:
+    def at(time: Float64Array, values: Float64Array) -> Float64Array:
         return np.column_stack([np.interp(time, clock, column) for column in values[hold].T])
 
     frames = np.arange(0.0, clock[-1], 1.0 / noise.rate)

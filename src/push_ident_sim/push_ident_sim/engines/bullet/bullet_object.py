@@ -13,17 +13,16 @@ from enum import IntEnum
 
 import numpy as np
 import pybullet as bullet
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-untyped]
 
 from push_ident.errors import InputError
+from push_ident.types import Float64Array
 from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
 from push_ident_sim.engines.bullet.support import SupportEffects
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.shared import friction_of_pusher, outline_growth, restitution
 from push_ident_sim.objects import SimObject, outline_rectangles
-
-FloatArray = NDArray[np.float64]
 
 TABLE = (-0.8, 0.8, -0.7, 0.7)
 """x_min, x_max, y_min, y_max of the table [m]."""
@@ -48,14 +47,14 @@ _FOOT_RADIUS = 0.004
 """A cell rests on one point below its centre [m]: on a flat base its four corners share the load in a way that turns a sliding disc."""
 
 
-def connect(time_step: float, solver_iterations: int, gravity: float, effects: InjectedEffects = _NONE) -> BulletClient:
+def connect(time_step: float, gravity: float, effects: InjectedEffects = _NONE) -> BulletClient:
     """A new engine of its own, with the settings that Coulomb friction needs; `disconnect()` frees it."""
     client = BulletClient(connection_mode=bullet.DIRECT)
     along = np.sin(effects["table_tilt"])
     client.setGravity(*(gravity * along).tolist(), -_normal_gravity(gravity, effects))
     client.setPhysicsEngineParameter(
         fixedTimeStep=time_step,
-        numSolverIterations=solver_iterations,
+        numSolverIterations=50,
         # With the default pyramid, friction is stronger along some directions of the table than along others.
         enableConeFriction=1,
         # Contacts at rest would otherwise bounce at very low speed.
@@ -86,7 +85,7 @@ def add_table(client: BulletClient, bounds: Sequence[float] = TABLE) -> int:
     return table
 
 
-def checked_pose(pose: ArrayLike) -> FloatArray:
+def checked_pose(pose: ArrayLike) -> Float64Array:
     """`pose` (x, y, yaw) as an array; raises InputError unless it is three finite numbers."""
     pose = np.array(pose, dtype=np.float64)
     if pose.shape != (3,) or not np.all(np.isfinite(pose)):
@@ -120,15 +119,48 @@ def outline_shape(client: BulletClient, sim_object: SimObject, growth: float) ->
     return shape
 
 
-class BulletObject:
-    """A `SimObject` standing on the table of one engine; all poses in the `table` frame."""
+class BulletBody:
+    """What the two kinds of an object have in common; all poses in the `table` frame."""
+
+    body: int
+    """The engine's number of it."""
+    outline_link: int
+    """Link that the pusher touches."""
+    first_cell: int
+    """Link of the first cell."""
+    has_fallen = False
+    """Whether it tips over an edge, or lies below the table."""
+
+    def __init__(self, client: BulletClient, sim_object: SimObject) -> None:
+        self._client, self._sim_object = client, sim_object
+
+    def cell_loads(self, table: int) -> Float64Array:
+        """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
+        loads = np.zeros(len(self._sim_object))
+        for contact in self._client.getContactPoints(self.body, table):
+            loads[contact[3] - self.first_cell] += contact[9]
+        return loads
+
+    def force_of(self, pusher: int, link: int) -> Float64Array:
+        """Force on the outline of one link of the body `pusher` in the last step [N], shape (3,)."""
+        force = np.zeros(3)
+        for contact in self._client.getContactPoints(self.body, pusher, self.outline_link, link):
+            force += contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11]) + contact[12] * np.array(contact[13])
+        return force
+
+    def touches(self, pusher: int, link: int) -> bool:
+        """Whether the outline overlaps a link of the body `pusher`."""
+        return bool(self._client.getClosestPoints(pusher, self.body, 0.0, link, self.outline_link))
+
+
+class BulletObject(BulletBody):
+    """A `SimObject` standing on the table of one engine."""
+
+    outline_link, first_cell = Link.OUTLINE, Link.FIRST_CELL
 
     def __init__(self, client: BulletClient, sim_object: SimObject, gravity: float, effects: InjectedEffects = _NONE) -> None:
         """Put the object at (0, 0, 0), at rest. `gravity` [m/s^2], `client` from `connect` with the same gravity and effects."""
-        self.body: int
-        """The engine's number of the chain."""
-        self._client = client
-        self._sim_object = sim_object
+        super().__init__(client, sim_object)
         gravity = _normal_gravity(gravity, effects)
         self._limit = sim_object.friction * sim_object.mass * gravity
         self._support = SupportEffects(sim_object, effects, gravity) if SupportEffects.needed(effects) else None
@@ -170,15 +202,17 @@ class BulletObject:
         )
         client.setCollisionFilterGroupMask(self.body, Link.OUTLINE, OUTLINE_GROUP, PUSHER_GROUP)
 
-    def pose(self) -> FloatArray:
+    def pose(self) -> Float64Array:
         """True (x, y, yaw) [m, m, rad] of the object frame, shape (3,); yaw is not wrapped."""
         return np.array([s[0] for s in self._client.getJointStates(self.body, range(Link.OUTLINE))])
 
-    def velocity(self) -> FloatArray:
+    transform = pose
+
+    def velocity(self) -> Float64Array:
         """True (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,)."""
         return np.array([s[1] for s in self._client.getJointStates(self.body, range(Link.OUTLINE))])
 
-    def place(self, pose: FloatArray, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+    def place(self, pose: Float64Array, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate), even where something is in its place."""
         for joint, speed in enumerate(np.asarray(velocity, dtype=np.float64)):
             self._client.resetJointState(self.body, joint, pose[joint], speed)
@@ -193,7 +227,7 @@ class BulletObject:
         if self._support is not None:
             self._support.n_pushes = n_pushes
 
-    def prepare_step(self, push_force: FloatArray, time_step: float) -> None:
+    def prepare_step(self, push_force: Float64Array, time_step: float) -> None:
         """Apply, for the next time step, the correction of Bullet's cone friction to Coulomb's law, and the effects on table and object.
 
         `push_force` is that of the pusher on the object in the last step [N], shape (2,); `time_step` [s].
@@ -217,7 +251,7 @@ class BulletObject:
             self._client.setJointMotorControlArray(self.body, cells, bullet.TORQUE_CONTROL, forces=(-action.load).tolist())
         self._client.setJointMotorControlArray(self.body, range(Link.OUTLINE), bullet.TORQUE_CONTROL, forces=wrench.tolist())
 
-    def _set_cells(self, friction: FloatArray, mass: FloatArray) -> None:
+    def _set_cells(self, friction: Float64Array, mass: Float64Array) -> None:
         if not np.array_equal(mass, self._mass):
             self._mass = mass
             for link, value in enumerate(mass.tolist(), start=Link.FIRST_CELL):
@@ -227,21 +261,3 @@ class BulletObject:
             self._friction = friction
             for link, value in enumerate(friction.tolist(), start=Link.FIRST_CELL):
                 self._client.changeDynamics(self.body, link, lateralFriction=value)
-
-    def cell_loads(self, table: int) -> FloatArray:
-        """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
-        loads = np.zeros(len(self._sim_object))
-        for contact in self._client.getContactPoints(self.body, table):
-            loads[contact[3] - Link.FIRST_CELL] += contact[9]
-        return loads
-
-    def force_of(self, pusher: int, link: int) -> FloatArray:
-        """Force on the outline of one link of the body `pusher` in the last step [N], shape (3,)."""
-        force = np.zeros(3)
-        for contact in self._client.getContactPoints(self.body, pusher, Link.OUTLINE, link):
-            force += contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11]) + contact[12] * np.array(contact[13])
-        return force
-
-    def touches(self, pusher: int, link: int) -> bool:
-        """Whether the outline overlaps a link of the body `pusher`."""
-        return bool(self._client.getClosestPoints(pusher, self.body, 0.0, link, Link.OUTLINE))

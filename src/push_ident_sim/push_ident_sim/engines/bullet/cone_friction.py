@@ -9,21 +9,20 @@ Where D_x = D_y, in the middle of the object, both are the same; at the ends of 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from push_ident.types import Float64Array
 
 
 def cone_friction_correction(
-    arms: FloatArray,
-    mass: FloatArray,
+    arms: Float64Array,
+    mass: Float64Array,
     cell_size: float,
-    limit: FloatArray,
-    velocity: FloatArray,
+    limit: Float64Array,
+    velocity: Float64Array,
     *,
-    anisotropy: FloatArray | None = None,
+    anisotropy: Float64Array | None = None,
     lowest_speed: float = 1e-4,
-) -> FloatArray:
+) -> Float64Array:
     """Coulomb friction minus what Bullet applies on sliding cells: (fx, fy) [N] and torque about the frame origin [N m], shape (3,).
 
     Args:

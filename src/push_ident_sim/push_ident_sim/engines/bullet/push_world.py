@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pybullet as bullet
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from push_ident.physics.support import GRAVITY
-from push_ident.types import PusherPath
+from push_ident.types import Float64Array, PusherPath
 from push_ident_sim.engines.bullet.bullet_object import OUTLINE_GROUP, PUSHER_GROUP, BulletObject, add_table, checked_pose, connect
 from push_ident_sim.engines.bullet.rigid_object import RigidObject
 from push_ident_sim.engines.true_motion import TrueMotion
@@ -17,8 +17,6 @@ from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.actuation import ToolErrors
 from push_ident_sim.injected.shared import bearing_torque, restitution
 from push_ident_sim.objects import SimObject
-
-FloatArray = NDArray[np.float64]
 
 _FAR_AWAY = np.array([10.0, 10.0])
 """Far from any object [m]."""
@@ -33,7 +31,6 @@ class PushWorld:
         pusher_radius: float,
         *,
         time_step: float = 1.0 / 240.0,
-        solver_iterations: int = 50,
         effects: InjectedEffects | None = None,
         pusher_height: float | None = None,
         rigid: bool = False,
@@ -44,7 +41,6 @@ class PushWorld:
             sim_object: the object.
             pusher_radius: [m], > 0.
             time_step: [s].
-            solver_iterations: of the engine.
             effects: that act; those on poses and camera do not act here.
             pusher_height: of the contact above the table [m]; half the height of the object by default.
             rigid: one body that may tilt and fall, without effects, instead of cells that each rest on their own weight.
@@ -52,13 +48,12 @@ class PushWorld:
         effects = effects or InjectedEffects()
         self.pusher_radius = pusher_radius
         self.time_step = time_step
-        self._client = connect(time_step, solver_iterations, GRAVITY, effects)
+        self._client = connect(time_step, GRAVITY, effects)
         self._table = add_table(self._client)
         self._object: BulletObject | RigidObject
-        if rigid:
-            self._object = RigidObject(self._client, sim_object, self._table, GRAVITY)
-        else:
-            self._object = BulletObject(self._client, sim_object, GRAVITY, effects)
+        self._object = (
+            RigidObject(self._client, sim_object, self._table) if rigid else BulletObject(self._client, sim_object, GRAVITY, effects)
+        )
         self._tool = ToolErrors(effects, time_step) if ToolErrors.needed(effects) else None
         self._add_pusher(float(sim_object.height.max()) / 2 if pusher_height is None else pusher_height, effects)
         # An object on springs may only be reversing.
@@ -148,7 +143,7 @@ class PushWorld:
         return TrueMotion(time, np.array(poses), pusher, reported, np.array(forces))
 
     def begin(
-        self, pose_object_in_table: ArrayLike, tool: FloatArray, *, velocity: ArrayLike = (0.0, 0.0, 0.0), pushes_done: int = 0
+        self, pose_object_in_table: ArrayLike, tool: Float64Array, *, velocity: ArrayLike = (0.0, 0.0, 0.0), pushes_done: int = 0
     ) -> None:
         """Place the object and the pusher, for a push that `advance` makes step by step.
 
@@ -173,7 +168,7 @@ class PushWorld:
         self._object.set_pushes_done(pushes_done)
         self._at = self._pusher_position()
 
-    def advance(self, tool: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def advance(self, tool: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """One time step, at the end of which the arm reports the pusher at `tool` [m], shape (2,).
 
         Returns:
@@ -196,24 +191,24 @@ class PushWorld:
         speed = np.abs(self._object.velocity())
         return bool(speed[:2].max() < rest_speed and speed[2] < 10 * rest_speed)
 
-    def cell_loads(self) -> FloatArray:
+    def cell_loads(self) -> Float64Array:
         """Normal force of the table on each cell in the last time step [N], shape (n_cells,)."""
         return self._object.cell_loads(self._table)
 
-    def object_velocity(self) -> FloatArray:
+    def object_velocity(self) -> Float64Array:
         """(vx, vy, yaw rate) of the object frame [m/s, m/s, rad/s], shape (3,)."""
         return self._object.velocity()
 
     @property
     def has_fallen(self) -> bool:
         """Whether the object tips over the edge of the table, or lies beside it; only a rigid one can."""
-        return isinstance(self._object, RigidObject) and self._object.has_fallen
+        return self._object.has_fallen
 
     def close(self) -> None:
         """Free the engine."""
         self._client.disconnect()
 
-    def _step(self, target: FloatArray, velocity: FloatArray) -> None:
+    def _step(self, target: Float64Array, velocity: Float64Array) -> None:
         effort = 1e4  # [N]: the object cannot hold the pusher back
         self._client.setJointMotorControlArray(
             self._pusher, range(2), bullet.VELOCITY_CONTROL, targetVelocities=velocity.tolist(), forces=[effort] * 2
@@ -222,7 +217,7 @@ class PushWorld:
         self._client.stepSimulation()
         self._force = self._object.force_of(self._pusher, self._pusher_link)[:2]
 
-    def _begin(self, reported: FloatArray) -> FloatArray:
+    def _begin(self, reported: Float64Array) -> Float64Array:
         """True position of the tool when a path begins at `reported`."""
         self._force = np.zeros(2)
         if self._tool is None:
@@ -230,9 +225,9 @@ class PushWorld:
         self._tool.start(reported)
         return self._tool.true_position(reported)
 
-    def _place_pusher(self, position: FloatArray) -> None:
+    def _place_pusher(self, position: Float64Array) -> None:
         for joint in range(2):
             self._client.resetJointState(self._pusher, joint, float(position[joint]), 0.0)
 
-    def _pusher_position(self) -> FloatArray:
+    def _pusher_position(self) -> Float64Array:
         return np.array([s[0] for s in self._client.getJointStates(self._pusher, range(2))])

@@ -8,32 +8,34 @@ from __future__ import annotations
 
 import numpy as np
 import pybullet as bullet
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-untyped]
 
-from push_ident_sim.engines.bullet.bullet_object import CELL_GROUP, OUTLINE_GROUP, PUSHER_GROUP, TABLE_GROUP, outline_shape
+from push_ident.types import Float64Array
+from push_ident_sim.engines.bullet.bullet_object import CELL_GROUP, OUTLINE_GROUP, PUSHER_GROUP, TABLE_GROUP, BulletBody, outline_shape
 from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
 from push_ident_sim.objects import SimObject
 
-FloatArray = NDArray[np.float64]
 
+class RigidObject(BulletBody):
+    """A `SimObject` standing on the table of one engine, as `BulletObject`."""
 
-class RigidObject:
-    """A `SimObject` standing on the table of one engine, as `BulletObject`; all poses in the `table` frame."""
+    outline_link, first_cell = -1, 0
 
-    def __init__(self, client: BulletClient, sim_object: SimObject, table: int, gravity: float) -> None:
+    def __init__(self, client: BulletClient, sim_object: SimObject, table: int) -> None:
         """Put the object at (0, 0, 0), at rest."""
-        self._client, self._sim_object, self._table, self._gravity = client, sim_object, table, gravity
+        super().__init__(client, sim_object)
+        self._table = table
         total = float(sim_object.mass.sum())
         self._height = float(sim_object.mass @ sim_object.height / total) / 2
-        self._centre: FloatArray = sim_object.mass @ sim_object.cells / total
+        self._centre: Float64Array = sim_object.mass @ sim_object.cells / total
         arms = sim_object.cells - self._centre
         across = sim_object.mass @ (arms**2 + sim_object.cell_size**2 / 12.0)
         upright = float(sim_object.mass @ sim_object.height**2) / 12.0
         radius = 0.002  # of a foot [m]
         foot = client.createCollisionShape(bullet.GEOM_SPHERE, radius=radius)
         n = len(sim_object)
-        self.body: int = client.createMultiBody(
+        self.body = client.createMultiBody(
             baseMass=total,
             baseCollisionShapeIndex=outline_shape(client, sim_object, 0.0),
             baseInertialFramePosition=[*self._centre, self._height],
@@ -63,22 +65,22 @@ class RigidObject:
             client.changeDynamics(self.body, link, lateralFriction=friction, restitution=0.0, localInertiaDiagonal=[1e-12] * 3)
             client.setCollisionFilterGroupMask(self.body, link, CELL_GROUP, TABLE_GROUP)
 
-    def _state(self) -> tuple[FloatArray, FloatArray]:
+    def _state(self) -> tuple[Float64Array, Float64Array]:
         position, turn = self._client.getBasePositionAndOrientation(self.body)
         return np.array(position), np.reshape(self._client.getMatrixFromQuaternion(turn), (3, 3))
 
-    def pose(self) -> FloatArray:
+    def pose(self) -> Float64Array:
         """True (x, y, yaw) of the object frame, shape (3,)."""
         centre, turn = self._state()
         return np.array([*(centre - turn @ [*self._centre, self._height])[:2], np.arctan2(turn[1, 0], turn[0, 0])])
 
-    def velocity(self) -> FloatArray:
+    def velocity(self) -> Float64Array:
         """True (vx, vy, yaw rate) of the object frame, shape (3,)."""
         linear, angular = self._client.getBaseVelocity(self.body)
         arm = -self._state()[1][:2, :2] @ self._centre
         return np.array([linear[0] - angular[2] * arm[1], linear[1] + angular[2] * arm[0], angular[2]])
 
-    def transform(self) -> FloatArray:
+    def transform(self) -> Float64Array:
         """Of the object frame in the table frame, homogeneous, shape (4, 4)."""
         centre, turn = self._state()
         pose = np.eye(4)
@@ -86,17 +88,13 @@ class RigidObject:
         return pose
 
     @property
-    def lean(self) -> float:
-        """Angle between the object's and the table's normal [rad]."""
-        return float(np.arccos(np.clip(self._state()[1][2, 2], -1.0, 1.0)))
-
-    @property
-    def has_fallen(self) -> bool:
+    def has_fallen(self) -> bool:  # type: ignore[override]
         """Whether it tips over an edge, or lies below the table."""
+        centre, turn = self._state()
         # While it is held it leans by less than 0.01 rad.
-        return self.lean > 0.1 or float(self._state()[0][2]) < 0.0
+        return float(np.arccos(np.clip(turn[2, 2], -1.0, 1.0))) > 0.1 or float(centre[2]) < 0.0
 
-    def place(self, pose: FloatArray, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+    def place(self, pose: Float64Array, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate)."""
         cosine, sine = np.cos(pose[2]), np.sin(pose[2])
         arm = np.array([[cosine, -sine], [sine, cosine]]) @ self._centre
@@ -111,7 +109,7 @@ class RigidObject:
     def set_pushes_done(self, n_pushes: int) -> None:
         """No effects act here."""
 
-    def prepare_step(self, push_force: FloatArray, time_step: float) -> None:
+    def prepare_step(self, push_force: Float64Array, time_step: float) -> None:
         """Apply, for the next time step, the correction of Bullet's cone friction to Coulomb's law."""
         sim_object = self._sim_object
         centre, turn = self._state()
@@ -122,21 +120,3 @@ class RigidObject:
         wrench = cone_friction_correction(arms, sim_object.mass, sim_object.cell_size, limit, velocity)
         self._client.applyExternalForce(self.body, -1, [wrench[0], wrench[1], 0.0], centre.tolist(), bullet.WORLD_FRAME)
         self._client.applyExternalTorque(self.body, -1, [0.0, 0.0, wrench[2]], bullet.WORLD_FRAME)
-
-    def cell_loads(self, table: int) -> FloatArray:
-        """Normal force of the table on each cell in the last step [N], shape (n_cells,)."""
-        loads = np.zeros(len(self._sim_object))
-        for contact in self._client.getContactPoints(self.body, table):
-            loads[contact[3]] += contact[9]
-        return loads
-
-    def force_of(self, pusher: int, link: int) -> FloatArray:
-        """Force on the outline of one link of the body `pusher` in the last step [N], shape (3,)."""
-        force = np.zeros(3)
-        for contact in self._client.getContactPoints(self.body, pusher, -1, link):
-            force += contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11]) + contact[12] * np.array(contact[13])
-        return force
-
-    def touches(self, pusher: int, link: int) -> bool:
-        """Whether the outline overlaps a link of the body `pusher`."""
-        return bool(self._client.getClosestPoints(pusher, self.body, 0.0, link, -1))

@@ -9,16 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from push_ident.physics.effect import OnTable
+from push_ident.types import Float64Array
 from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.equations import TableEquations, acts_by_equation
 from push_ident_sim.injected.shared import push_height, tether_anchor
 from push_ident_sim.objects import SimObject
-
-FloatArray = NDArray[np.float64]
 
 _MIN_SHARE = 0.05
 """Of its friction, load or mass that a cell keeps under any effect."""
@@ -28,22 +26,22 @@ _MIN_SHARE = 0.05
 class _CellMotion:
     """The cells at one moment; `table` axes."""
 
-    position: FloatArray
+    position: Float64Array
     """[m], shape (n_cells, 2)."""
-    slip: FloatArray
+    slip: Float64Array
     """Velocity on the table [m/s], shape (n_cells, 2)."""
-    speed: FloatArray
+    speed: Float64Array
     """[m/s], shape (n_cells,)."""
     n_pushes: int
     """Pushes that are over."""
 
 
-def _stribeck(values: FloatArray, cells: _CellMotion) -> FloatArray:
+def _stribeck(values: Float64Array, cells: _CellMotion) -> Float64Array:
     strength, speed = values
     return np.asarray(1.0 + strength * np.exp(-((cells.speed / speed) ** 2)))
 
 
-_FRICTION_FACTORS: dict[str, Callable[[FloatArray, _CellMotion], FloatArray]] = {
+_FRICTION_FACTORS: dict[str, Callable[[Float64Array, _CellMotion], Float64Array]] = {
     "position_dependent_friction": lambda gradient, cells: 1.0 + cells.position @ gradient,
     "speed_dependent_friction": lambda b, cells: 1.0 + b * np.log((cells.speed + 0.01) / 0.11),
     "stribeck_friction": _stribeck,
@@ -65,13 +63,13 @@ _ACTING = (
 class SupportAction:
     """What the engine needs before a time step."""
 
-    friction: FloatArray
+    friction: Float64Array
     """Friction coefficient of each cell, shape (n_cells,)."""
-    mass: FloatArray
+    mass: Float64Array
     """Of each cell [kg], shape (n_cells,)."""
-    load: FloatArray
+    load: Float64Array
     """Downward force on each cell in addition to its weight [N], shape (n_cells,)."""
-    wrench: FloatArray
+    wrench: Float64Array
     """(fx, fy) [N] and torque about the frame origin [N m] on the object, shape (3,), axes of the table."""
 
 
@@ -97,7 +95,7 @@ class SupportEffects:
         """Whether any effect acts between table and object."""
         return any(name in effects for name in _ACTING) or acts_by_equation(effects, OnTable)
 
-    def start(self, pose: FloatArray) -> None:
+    def start(self, pose: Float64Array) -> None:
         """The object was placed at `pose` (x, y, yaw)."""
         self._anchor = tether_anchor(self._effects, pose[:2] + _rotation(pose[2]) @ self._centre)
         self._equations.start()
@@ -105,7 +103,7 @@ class SupportEffects:
         self._push_force = np.zeros(2)
         self._shear = np.zeros((len(self._sim_object), 2))
 
-    def advance(self, pose: FloatArray, velocity: FloatArray, push_force: FloatArray, time_step: float) -> SupportAction:
+    def advance(self, pose: Float64Array, velocity: Float64Array, push_force: Float64Array, time_step: float) -> SupportAction:
         """The next time step.
 
         Args:
@@ -153,7 +151,7 @@ class SupportEffects:
             wrench[2] += change.wrench[2]
         return SupportAction(friction, mass, load, wrench)
 
-    def _moved_mass(self, turn: FloatArray, velocity: FloatArray, time_step: float) -> FloatArray:
+    def _moved_mass(self, turn: Float64Array, velocity: Float64Array, time_step: float) -> Float64Array:
         """Masses after the contents have slid back against the motion of the object."""
         mass = self._sim_object.mass
         if "moving_contents" not in self._effects:
@@ -165,7 +163,7 @@ class SupportEffects:
             self._contents += (1.0 - np.exp(-time_step / lag)) * (behind - self._contents)
         return _tilted(mass, self._sim_object.cells, self._contents)
 
-    def _lean(self, arms: FloatArray, mass: FloatArray, push_force: FloatArray, time_step: float) -> FloatArray:
+    def _lean(self, arms: Float64Array, mass: Float64Array, push_force: Float64Array, time_step: float) -> Float64Array:
         """Load that a push above the table moves from the near to the far side."""
         if "push_height" not in self._effects:
             return np.zeros(len(mass))
@@ -174,7 +172,7 @@ class SupportEffects:
         weight = mass * self._gravity
         return _tilted(weight, arms, self._height / weight.sum() * self._push_force) - weight
 
-    def _sheared(self, slip: FloatArray, limit: FloatArray, mass: FloatArray, travel: float, time_step: float) -> FloatArray:
+    def _sheared(self, slip: Float64Array, limit: Float64Array, mass: Float64Array, travel: float, time_step: float) -> Float64Array:
         """Force of the table's surface on each cell: a spring that follows once it is stretched by `travel`."""
         self._shear += time_step * slip
         length = np.hypot(self._shear[:, 0], self._shear[:, 1])
@@ -186,7 +184,7 @@ class SupportEffects:
         return np.asarray(force * np.minimum(1.0, limit / np.maximum(size, 1e-12))[:, None])
 
 
-def _tilted(values: FloatArray, arms: FloatArray, shift: FloatArray) -> FloatArray:
+def _tilted(values: Float64Array, arms: Float64Array, shift: Float64Array) -> Float64Array:
     """`values` on cells at `arms`, changed linearly across them so that their centre moves by `shift`.
 
     Their sum stays, and none falls below a twentieth.
@@ -197,15 +195,15 @@ def _tilted(values: FloatArray, arms: FloatArray, shift: FloatArray) -> FloatArr
     return np.asarray(changed * (values.sum() / changed.sum()))
 
 
-def _sum(arms: FloatArray, force: FloatArray) -> FloatArray:
+def _sum(arms: Float64Array, force: Float64Array) -> Float64Array:
     """Wrench (3,) about the frame origin of a force on each cell."""
     return np.array([*force.sum(axis=0), np.sum(arms[:, 0] * force[:, 1] - arms[:, 1] * force[:, 0])])
 
 
-def _traceless(e1: float, e2: float) -> FloatArray:
+def _traceless(e1: float, e2: float) -> Float64Array:
     return np.array([[e1, e2], [e2, -e1]])
 
 
-def _rotation(yaw: float) -> FloatArray:
+def _rotation(yaw: float) -> Float64Array:
     cosine, sine = np.cos(yaw), np.sin(yaw)
     return np.array([[cosine, -sine], [sine, cosine]])

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError, PushIdentError
 from push_ident.physics.support import GRAVITY
-from push_ident.types import PusherPath
+from push_ident.types import Float64Array, PusherPath
 from push_ident_sim.engines.planar.integrator import Body, Clock, Path, State, StepChange, advance, bed_loads, new_state
 from push_ident_sim.engines.planar.laws import Laws, laws_of
 from push_ident_sim.engines.true_motion import TrueMotion
@@ -17,8 +17,6 @@ from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.actuation import ToolErrors
 from push_ident_sim.injected.equations import TableEquations
 from push_ident_sim.objects import SimObject
-
-FloatArray = NDArray[np.float64]
 
 
 class PlanarWorld:
@@ -109,7 +107,7 @@ class PlanarWorld:
 
     def _integrate(
         self, laws: Laws, path: Path, start: tuple[State, bool], clock: Clock, n_rows: int, pushes_done: int
-    ) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
+    ) -> tuple[Float64Array, Float64Array, Float64Array, bool]:
         """Rows of pose of the centre of mass, pusher and force until the push is over, and whether the object stood all the time."""
         state, stands = start
         n_cells = len(self._sim_object)
@@ -131,7 +129,7 @@ class PlanarWorld:
             forces.append(force)
         return np.concatenate(poses), np.concatenate(positions), np.concatenate(forces), stands
 
-    def _true_path(self, path: PusherPath) -> tuple[FloatArray, FloatArray]:
+    def _true_path(self, path: PusherPath) -> tuple[Float64Array, Float64Array]:
         """True path of the tool: times from 0 [s], shape (n,), and positions [m], shape (n, 2)."""
         since = path.time - path.time[0]
         if not ToolErrors.needed(self._effects):
@@ -144,7 +142,7 @@ class PlanarWorld:
         reported = np.column_stack([np.interp(clock, since, path.position[:, axis]) for axis in (0, 1)])
         return clock, np.array([tool.true_position(position) for position in reported])
 
-    def cell_loads(self) -> FloatArray:
+    def cell_loads(self) -> Float64Array:
         """Normal force of the table on each cell at rest and without effects [N], shape (n_cells,)."""
         bears, load = np.array(self._sim_object.friction) > 0.0, np.empty(len(self._sim_object))
         weight = self._body.mass * GRAVITY
@@ -155,13 +153,13 @@ class PlanarWorld:
         """Nothing to free; as in `PushWorld`."""
 
 
-def _checked_triple(values: ArrayLike, name: str) -> FloatArray:
+def _checked_triple(values: ArrayLike, name: str) -> Float64Array:
     array = np.array(values, dtype=np.float64)
     if array.shape != (3,) or not np.all(np.isfinite(array)):
         raise InputError(f"`{name}` is {array}, expected three finite numbers (x, y, yaw).")
     return array
 
 
-def _turned(point: FloatArray, yaw: float) -> FloatArray:
+def _turned(point: Float64Array, yaw: float) -> Float64Array:
     cos, sin = np.cos(yaw), np.sin(yaw)
     return np.array([cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]])

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-import push_ident
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
 from push_ident.files import write_whole
@@ -21,7 +20,7 @@ from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.effects import CAUSES
 from push_ident.types import PushRecord
-from push_ident_sim.code_digest import code_digest
+from push_ident_sim.code_digest import CORE, code_digest, code_of
 from push_ident_sim.engines.planar import OUTSIDE, PlanarWorld
 from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
 from push_ident_sim.injected.shared import mean_friction
@@ -248,8 +247,7 @@ def decision_hashes() -> dict[str, str]:
 
 @cache
 def _code_sha256() -> str:
-    core = Path(push_ident.__file__).parent
-    return code_digest({path for package in DECIDING_PACKAGES for path in (core / package).rglob("*.py")})
+    return code_digest(code_of(CORE, DECIDING_PACKAGES))
 
 
 def seal_cases(cases: Sequence[Case], folder: Path) -> Json:

@@ -15,10 +15,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import push_ident
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.fitting.budget import Budget
-from push_ident_sim.code_digest import code_digest, files_behind
+from push_ident_sim.code_digest import CORE, SIM, code_digest, code_of
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, truth_file
 from push_ident_sim.studies.common.study import Benchmark, Case, CaseResult, CaseSettings, Experiment, Json, Settings, read_json, write_json
 from push_ident_sim.workers import describe_machine, single_threads
@@ -26,9 +25,11 @@ from push_ident_sim.workers import describe_machine, single_threads
 Progress = Callable[[str, int, int], None]
 """Called with the part in progress, the number of finished parts and the number of all."""
 
-_CORE = Path(push_ident.__file__).parent
-_PRESENTATION = ("push_ident_sim.studies.common.tables",)
-"""Modules that only present results."""
+_OF_ALL = (
+    *("cell", "engines", "injected", "objects.py", "recordings"),
+    *(f"studies/common/{name}.py" for name in ("measuring", "objects", "pushed", "study")),
+)
+"""Code of push_ident_sim that results of any study may depend on; what runs studies and presents results is left out."""
 _Calls = Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]
 
 
@@ -227,8 +228,10 @@ def _digest(experiment: Experiment, settings: CaseSettings) -> str:
         values.append({"recordings": str(settings.recordings.resolve())})
     if experiment.counts_goals:
         values.append({"goals": settings.goals})
-    files = files_behind(Path(experiment.run.__code__.co_filename), _PRESENTATION)
-    files |= {path for stage in experiment.stages for path in (_CORE / stage).rglob("*.py")}
+    own = Path(experiment.run.__code__.co_filename).relative_to(SIM)
+    files = code_of(SIM, (*_OF_ALL, str(own if len(own.parts) == 2 else own.parent))) | code_of(
+        CORE, ("types.py", "geometry", "physics", "pushing", *experiment.stages)
+    )
     return hashlib.sha256(f"{json.dumps(values, sort_keys=True)} {code_digest(files)}".encode()).hexdigest()[:10]
 
 
