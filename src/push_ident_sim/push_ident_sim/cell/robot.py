@@ -16,8 +16,6 @@ from push_ident.pushing.robot.robot_file import read_robot
 JOINT_NAMES = tuple(f"lbr_iiwa_joint_{i}" for i in range(1, 8))
 BASE_POSITION = (-0.44, 0.0, 0.43)
 """Base of the arm in `table` [m]: on a pedestal, so that the elbow limits leave all of the workspace within reach."""
-FLANGE_OFFSET = 0.045
-"""From the last joint frame to the mounting face of the iiwa [m]."""
 PUSHER_RADIUS = 0.018
 """Of the cylinder that pushes, as in `hand.urdf` [m]."""
 PUSHER_LENGTH = 0.080
@@ -112,7 +110,8 @@ def robot_description() -> str:
     _fixed_joint(robot, "pedestal_joint", "table", "pedestal", f"{x} {y} 0")
     _fixed_joint(robot, "base_joint", "pedestal", "lbr_iiwa_link_0", f"0 0 {z}")
     robot.extend(arm)
-    _fixed_joint(robot, "hand_joint", "lbr_iiwa_link_7", "hand_palm", f"0 0 {FLANGE_OFFSET}")
+    # From the last joint frame to the mounting face of the iiwa.
+    _fixed_joint(robot, "hand_joint", "lbr_iiwa_link_7", "hand_palm", "0 0 0.045")
     robot.extend(hand)
     return ET.tostring(robot, encoding="unicode", xml_declaration=True)
 

@@ -13,7 +13,7 @@ from push_ident.identification.results.result import Checkpoint
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.types import Float64Array, ObjectModel, PushRecord
 from push_ident_sim.recordings.truth import load_truth
-from push_ident_sim.studies.common.measuring import error_row, fit_errors, grouped, micrometres
+from push_ident_sim.studies.common.measuring import N_TRAIN, error_row, fit_errors, grouped, micrometres
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import (
     COLOURS,
@@ -26,21 +26,18 @@ from push_ident_sim.studies.common.tables import (
     save,
 )
 
-_N_TRAIN: Final = 4
 _AXES: Final = {"n_simulations": "simulations of a push", "time_s": "time [s]"}
 _MOMENTS: Final = (0.1, 1.0, 10.0, 30.0)
 """At which the table gives the error [s]."""
 _PAPER_ERROR: Final = 0.015
 """Error of the paper within 30 s [m]."""
-_MOST_POINTS: Final = 30
-"""Of one learning curve."""
 _GRID: Final = 60
 """Points of the mean curves."""
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, sim_object = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
-    result, values = fit_errors(train[:_N_TRAIN], test, sim_object, case.variant, settings)
+    result, values = fit_errors(train[:N_TRAIN], test, sim_object, case.variant, settings)
     # The end of a solve may be more than its last model: `gauss_newton` averages over several fits.
     end = Checkpoint(result.n_simulations, result.time_s, result.cost, result.model)
     return values | {"curve": _learning_curve([*result.history, end], result.uniform, test)}
@@ -48,7 +45,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
 
 def _learning_curve(history: Sequence[Checkpoint], uniform: ObjectModel, test: Sequence[PushRecord]) -> Json:
     """Mean error on `test` of the best model so far against simulations and seconds; it begins with equal cells of nominal values."""
-    chosen = np.unique(np.geomspace(1, len(history), _MOST_POINTS).round().astype(int)) - 1
+    chosen = np.unique(np.geomspace(1, len(history), 30).round().astype(int)) - 1  # points of a learning curve, at most
     points = [history[i] for i in chosen]
     return {
         "n_simulations": [0, *(p.n_simulations for p in points)],

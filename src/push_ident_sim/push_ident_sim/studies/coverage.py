@@ -20,12 +20,10 @@ from push_ident.identification.unknowns.mechanics import model_at
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array, ObjectModel, PushRecord, SolveStatus
 from push_ident_sim.recordings.truth import load_truth, true_model
-from push_ident_sim.studies.common.measuring import fit_errors, grouped, root_mean_square
+from push_ident_sim.studies.common.measuring import N_TRAIN, fit_errors, grouped, root_mean_square
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import label_below, markdown_table, millimetres, new_figure, save
 
-_N_TRAIN: Final = 4
-_N_SAMPLES: Final = 500
 _LEVELS: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 _NOMINAL: Final = 0.9
 _QUANTITIES: Final = {
@@ -45,7 +43,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, sim_object = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
     exact = replace(settings.noise, position_std=1e-9, yaw_std=1e-9)
     _, clean, _ = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, exact)
-    result, values = fit_errors(train[:_N_TRAIN], test, sim_object, DEFAULT_SOLVER, settings)
+    result, values = fit_errors(train[:N_TRAIN], test, sim_object, DEFAULT_SOLVER, settings)
     truth, posterior = true_model(sim_object), result.posterior
     predicted = [_predicted_end(posterior, record, true.poses.pose[-1]) for record, true in zip(test, clean, strict=True)]
     ends = [end for end in predicted if end is not None]
@@ -80,7 +78,7 @@ def _predicted_end(posterior: ModelPosterior, record: PushRecord, true_end: Floa
 
 
 def _samples(posterior: ModelPosterior, rng: np.random.Generator) -> list[ObjectModel]:
-    z = rng.multivariate_normal(posterior.z, posterior.covariance, size=_N_SAMPLES, method="eigh")
+    z = rng.multivariate_normal(posterior.z, posterior.covariance, size=500, method="eigh")
     return [model_at(posterior.unknowns, row) for row in z]
 
 
@@ -162,7 +160,7 @@ STUDY = Experiment(
     name="coverage",
     title="Is the stated uncertainty right?",
     question=(
-        f"How often the truth lies within the 90 % region of the posterior of {_N_TRAIN} pushes: the end pose of a held-out push, "
+        f"How often the truth lies within the 90 % region of the posterior of {N_TRAIN} pushes: the end pose of a held-out push, "
         "the centre of friction, the friction of the pusher, and mass times friction of each cell as a share of the mean cell. "
         "The region of a cell is that of a logarithm: a cell without load, as in the handle of the wrench, lies outside. Errors "
         "are root mean squares of the cell error."

@@ -17,8 +17,6 @@ from push_ident_sim.studies.common.measuring import grouped
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import markdown_table, millimetres
 
-_TIMEOUT: Final = 900.0
-"""Of one demo [s]: it takes two minutes where it has two cores for itself."""
 _FAR: Final = 3.0
 """Expected errors from which on a push counts as badly predicted [1]."""
 
@@ -29,9 +27,9 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         arguments = ("demo", "--object", case.object_name, "--seed", case.model, "--out", folder, "--json", file)
         command = [sys.executable, "-m", "push_ident.cli", *map(str, arguments)]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=_TIMEOUT)
+            done = subprocess.run(command, capture_output=True, text=True, timeout=900.0)  # two minutes where it has two cores for itself
         except subprocess.TimeoutExpired:
-            raise PushIdentError(f"the demo was not over after {_TIMEOUT:.0f} s") from None
+            raise PushIdentError("the demo was not over after 900 s") from None
         if done.returncode != 0:
             raise PushIdentError(f"the demo ended with exit code {done.returncode}: {done.stderr.strip()[-300:]}")
         result: Json = json.loads(file.read_text(encoding="utf-8"))

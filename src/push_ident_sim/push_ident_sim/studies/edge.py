@@ -34,11 +34,6 @@ _ON_TABLE: Final = replace(_PUSHES, workspace=(0.2, 0.75, -0.5, 0.5))
 """Of random pushes beside the edge."""
 _NOT_KNOWN: Final = (f"refused: {GoalCode.NOT_HELD.name}", PlanStatus.UNHELD.name)
 """Ends after which the object is explored by one more push."""
-_DISTANCE: Final = (0.05, 0.2)
-"""Between the outline and the edge at the start [m]."""
-_ASIDE: Final = 0.2
-"""Largest distance of the start from the middle, along the edge [m]."""
-_MOST_PUSHES: Final = 20
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
@@ -55,8 +50,8 @@ def _run(case: Case, settings: CaseSettings) -> Json:
 
 def _random_start(outline: Float64Array, rng: np.random.Generator) -> Float64Array:
     """A pose on the table near its edge, in any heading, shape (3,)."""
-    pose = np.array([0.0, rng.uniform(-_ASIDE, _ASIDE), rng.uniform(-np.pi, np.pi)])
-    pose[0] = _EDGE.offset - rng.uniform(*_DISTANCE) - np.max(transform_points(pose, outline)[:, 0])
+    pose = np.array([0.0, rng.uniform(-0.2, 0.2), rng.uniform(-np.pi, np.pi)])
+    pose[0] = _EDGE.offset - rng.uniform(0.05, 0.2) - np.max(transform_points(pose, outline)[:, 0])  # [m] between outline and edge
     return pose
 
 
@@ -104,7 +99,7 @@ def _push_there(pushed: PushedObject, goal: Goal, hold: EdgeHold, outcome: Json,
         plan = pushed.planner.plan(pushed.belief, *pushed.observe(), goal, hold=hold)
         if outcome["pushes"] == 0:
             outcome["first_plan_s"] = round(spent + time.process_time() - begun, 4)
-        if plan.plan is None or outcome["pushes"] >= _MOST_PUSHES:
+        if plan.plan is None or outcome["pushes"] >= 20:
             break
         _count(pushed, pushed.push(plan.plan, _EDGE), outcome)
         if pushed.has_fallen:

@@ -12,11 +12,10 @@ from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.types import Float64Array, ObjectModel
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import load_truth, true_model
-from push_ident_sim.studies.common.measuring import fit_errors, grouped
+from push_ident_sim.studies.common.measuring import N_TRAIN, fit_errors, grouped
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import markdown_table, millimetres, new_figure, save
 
-_N_TRAIN: Final = 4
 _COLUMNS: Final = {
     "correlation": "correlation",
     "share_error": "error of a cell's share",
@@ -35,7 +34,7 @@ def _shares(model: ObjectModel) -> Float64Array:
 
 def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, sim_object = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
-    result, values = fit_errors(train[:_N_TRAIN], test, sim_object, DEFAULT_SOLVER, settings)
+    result, values = fit_errors(train[:N_TRAIN], test, sim_object, DEFAULT_SOLVER, settings)
     truth, learned = true_model(sim_object), result.model
     true_share, share = _shares(truth), _shares(learned)
     centre = truth.centre_of_friction
@@ -94,14 +93,14 @@ def _draw(summary: Json, folder: Path) -> dict[str, str]:
             ax.set_axis_off()
             ax.set_title(f"{name}: {what}", fontsize=9)
     save(figure, folder / "maps.svg")
-    return {"maps.svg": f"Mass times friction of each cell over the mean of all cells: the truth, and learned from {_N_TRAIN} pushes."}
+    return {"maps.svg": f"Mass times friction of each cell over the mean of all cells: the truth, and learned from {N_TRAIN} pushes."}
 
 
 STUDY = Experiment(
     name="maps",
     title="Where are mass and friction?",
     question=(
-        f"The paper's Fig. 4 a: mass times friction of each cell, learned from {_N_TRAIN} pushes, as a share (a cell over the mean "
+        f"The paper's Fig. 4 a: mass times friction of each cell, learned from {N_TRAIN} pushes, as a share (a cell over the mean "
         "of all), since poses do not determine the weight. The error of a share is the mean over the cells."
     ),
     variants=("four-pushes",),

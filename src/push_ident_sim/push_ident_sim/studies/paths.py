@@ -35,22 +35,12 @@ _LINE, _RADIUS = 0.25, 0.08
 """Length of the lines, and radius of the circle and of both loops of the eight [m]."""
 _MOST_CONTACTS: Final = 60
 _ANGLES: Final = np.linspace(0.0, 2 * np.pi, 200)
-_AHEAD: Final = 0.02
-"""How far along the path the object may come between two poses of the engine [m]: many times what it does."""
 _PERIOD: Final = 1.0 / 30.0
 """Of the camera [s]."""
-_TOLERANCE: Final = 0.003, float(np.radians(2.0))
-"""Errors that are aimed at [m], [rad]."""
-_SLOWEST: Final = 4.0
-"""A contact may take so many times as long as the path at its speed [1]."""
-_HALF: Final = 0.5
-"""Share of the path after which the object is displaced [1]."""
 _EVERY: Final = 4
 """Only every so many poses of the engine are measured."""
 _ASIDE, _TURN = 0.040, 0.117
 """Of a displacement [m], [rad]."""
-_BACK: Final = np.array([0.005, np.radians(4.0)])
-"""Nearer to the path than this the object is back [m, rad]."""
 
 
 def named_path(name: str, speed: float = SPEED) -> PathGoal:
@@ -136,7 +126,7 @@ def follow_steered(
     pushed: PushedObject, planner: PathSteps, name: str, speed: float, displacement: Displacement | None = None
 ) -> PathOutcome:
     """Push an object, put at the start of a path, along it as a goal of the cell is pursued."""
-    path = replace(named_path(name, speed), position=_TOLERANCE[0], yaw=_TOLERANCE[1])
+    path = replace(named_path(name, speed), position=0.003, yaw=float(np.radians(2.0)))
     run, steers = _Run(pushed, path, PathOutcome(name, speed), displacement), True
     pushed.pose = path.poses[0].copy()
     while True:
@@ -161,7 +151,7 @@ def _push_steered(run: _Run, plan: CurvedPush, follower: PathFollower) -> None:
     pushed.touch(plan.tool[0])
     now = np.ceil(plan.time[1] / _PERIOD) * _PERIOD
     pushed.lead(plan.time, plan.tool, now)
-    last = now + _SLOWEST * path.length / path.speed
+    last = now + 4.0 * path.length / path.speed  # no contact takes longer
     while now < last:
         frame = pushed.frame()
         begun = time.perf_counter()
@@ -172,7 +162,7 @@ def _push_steered(run: _Run, plan: CurvedPush, follower: PathFollower) -> None:
             break
         now += _PERIOD
         pushed.lead(correction.time, correction.tool, now)
-        is_due = displacement is not None and displacement.pending and run.done > _HALF * path.length
+        is_due = displacement is not None and displacement.pending and run.done > 0.5 * path.length
         beside = _pose_beside(run, correction.tool[1]) if is_due else None
         if displacement is not None and beside is not None:
             displacement.pending, displacement.at = False, run.outcome.time_s + REST + now
@@ -185,7 +175,7 @@ def _push_steered(run: _Run, plan: CurvedPush, follower: PathFollower) -> None:
 def _push_straight(run: _Run, plan: PathPush) -> None:
     pushed, displacement = run.pushed, run.displacement
     assert plan.plan is not None
-    if displacement is not None and displacement.pending and run.done > _HALF * run.path.length:
+    if displacement is not None and displacement.pending and run.done > 0.5 * run.path.length:
         # Between two contacts: the tool is away.
         beside = _pose_beside(run, None)
         assert beside is not None, "no tool is in the way"
@@ -210,7 +200,7 @@ def _note_return(run: _Run, now: float, pose: Float64Array) -> None:
     if displacement is None or displacement.pending or np.isfinite(displacement.back):
         return
     _, error = run.path.error(pose, run.done, 0.1)
-    if np.all(error < _BACK):
+    if np.all(error < np.array([0.005, np.radians(4.0)])):  # [m, rad]
         displacement.back = run.outcome.time_s + REST + now
 
 
@@ -237,7 +227,7 @@ def _measured(run: _Run, end: str) -> PathOutcome:
     if run.displacement is not None and np.isfinite(run.displacement.back):
         outcome.back_s = run.displacement.back - run.displacement.at
     for pose in np.concatenate(run.poses) if run.poses else ():
-        place, error = run.path.error(pose, places[-1], _AHEAD)
+        place, error = run.path.error(pose, places[-1], 0.02)  # [m] between two poses of the engine: many times what it does
         places.append(max(places[-1], float(place)))
         errors.append(error)
     moved = np.diff(places)

@@ -133,12 +133,6 @@ class Game:
 
 _STIFFNESS, _DAMPING, _STEP = 100.0, 20.0, 0.01
 """Of the controller [1/s^2, 1/s], and its time step [s]."""
-_SETTLING: Final = 2
-"""Ticks beyond those at the mean speed: fewer than two cannot end at rest."""
-_MARGIN: Final = 0.004
-"""Between disc and block on ways around it [m]."""
-_SAMPLES: Final = 0.004
-"""Distance of places on a way at which the gap is measured [m]."""
 
 
 def _tick() -> tuple[Float64Array, Float64Array]:
@@ -171,7 +165,7 @@ def actions(start: Float64Array, end: Float64Array, speed: float) -> Float64Arra
 
     `speed` is that of the mean, apart from two ticks to start and to stop [m/s].
     """
-    n = int(np.ceil(float(np.linalg.norm(end - start)) / (speed * TICK))) + _SETTLING
+    n = int(np.ceil(float(np.linalg.norm(end - start)) / (speed * TICK))) + 2  # fewer than two more cannot end at rest
     return np.asarray(start + _profile(n)[:, None] * (end - start))
 
 
@@ -180,7 +174,7 @@ def way_around(outline: Float64Array, start: Float64Array, end: Float64Array) ->
 
     `outline` is that of the block, shape (n_vertices, 2). A disc that touches it leaves it first. The last corner is `end`.
     """
-    gap = RADIUS + _MARGIN
+    gap = RADIUS + 0.004  # [m] more than the disc needs
     first = _away(outline, start, gap)
     corners = _corners(outline, gap)
     x_min, x_max, y_min, y_max = WORKSPACE
@@ -233,7 +227,7 @@ def _corners(outline: Float64Array, gap: float) -> Float64Array:
 def _is_clear(outline: Float64Array, start: Float64Array, end: Float64Array, gap: float) -> bool:
     """Whether the disc can drive along a line with the gap, or with that of its start where a wall leaves less there."""
     length = float(np.linalg.norm(end - start))
-    places = start + np.linspace(0.0, 1.0, max(2, int(np.ceil(length / _SAMPLES)) + 1))[:, None] * (end - start)
+    places = start + np.linspace(0.0, 1.0, max(2, int(np.ceil(length / 0.004)) + 1))[:, None] * (end - start)
     distance = signed_distance(places, outline)
     return bool(np.all(distance >= min(gap, float(distance[0])) - 1e-4))
 
@@ -248,12 +242,6 @@ SETTINGS: Final = PushSettings(
     cone=float(np.radians(40.0)),
     edge_margin=0.02,
 )
-_WAY_SPEED: Final = 0.4
-"""Of the disc where it pushes nothing [m/s]."""
-_LEARNED: Final = 12
-"""Pushes from which the block is identified."""
-_A_START: Final = 3
-"""Of them, pushes of one start."""
 _HELD_OUT: Final = 4
 """Of them, pushes that judge the laws of friction before all of them count."""
 LAWS: Final = {"dry": SimulationSettings(), "viscous": SimulationSettings(quasi_static=True, smoothing_speed=1.0)}
@@ -265,8 +253,6 @@ _EXACT: Final = np.array([3e-4, 3e-4, 3e-3])
 """Standard deviations of a pose [m, m, rad]: the game states it exactly, and lets bodies overlap by some tenths of a millimetre."""
 _TOLERANCES: Final = ((0.0025, 0.03), (0.0015, 0.02), (0.0008, 0.012))
 """Of position [m] and yaw [rad], one after the other until the game is won: 2.6 mm or 3.6 degrees alone leave 5 % of the goal bare."""
-_AT_START: Final = 2
-"""Ticks that the disc waits at a start: bodies that were put into one another come apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,7 +299,7 @@ def push(game: Game, plan: PushPlan2D) -> PushRecord | None:
     if way is None:
         return None
     for corner in way:
-        drive(game, actions(game.disc, corner, _WAY_SPEED))
+        drive(game, actions(game.disc, corner, 0.4))  # [m/s], where the disc pushes nothing
     before = [(game.disc, game.pose)]
     return record_of(before + drive(game, actions(game.disc, plan.tool_end, plan.speed)))
 
@@ -330,9 +316,9 @@ def record_of(states: Sequence[tuple[Float64Array, Float64Array]]) -> PushRecord
 def learn(game: Game, seed: int) -> Knowledge:
     """Identify the block from random pushes of several starts, under the law of friction that predicts held-out pushes best."""
     rng, records = np.random.default_rng(seed), list[PushRecord]()
-    while len(records) < _LEARNED:
+    while len(records) < 12:
         _begin(game, int(rng.integers(2**31)))
-        for _ in range(_A_START):
+        for _ in range(3):  # pushes of one start
             try:
                 record = push(game, sample_push(BLOCK, game.pose, rng, SETTINGS))
             except PlanningError:
@@ -358,7 +344,7 @@ def nothing_known() -> Knowledge:
 
 def _begin(game: Game, seed: int) -> None:
     game.start(seed)
-    drive(game, np.tile(game.disc, (_AT_START, 1)))
+    drive(game, np.tile(game.disc, (2, 1)))  # bodies that were put into one another come apart
 
 
 def play(game: Game, seed: int, known: Knowledge, planner: GoalPlanner) -> Played:
@@ -395,18 +381,12 @@ def _to_the_middle(game: Game, failed: Sequence[PushPlan2D]) -> PushPlan2D | Non
     return next((push for push in recentring_pushes(BLOCK, game.pose, SETTINGS) if not around.has_failed(push)), None)
 
 
-_FIRST_START: Final = 100_000
-"""Seed of the first start in the game: those below are for tuning."""
-_LEARNING: Final = 7
-"""Second seed of the pushes that the block is identified from."""
-
-
 def _run(case: Case, settings: CaseSettings) -> Json:
     game = Game.new()
     try:
-        known = learn(game, case.model * 1000 + _LEARNING) if case.variant == IDENTIFIED else nothing_known()
+        known = learn(game, case.model * 1000 + 7) if case.variant == IDENTIFIED else nothing_known()
         planner = GoalPlanner(BLOCK, SETTINGS)
-        first = _FIRST_START + case.model * settings.goals
+        first = 100_000 + case.model * settings.goals  # starts of the game below this seed are for tuning
         starts = [{"seed": seed} | play(game, seed, known, planner).values() for seed in range(first, first + settings.goals)]
     finally:
         game.close()

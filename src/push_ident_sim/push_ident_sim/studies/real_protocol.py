@@ -12,14 +12,13 @@ from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, 
 from push_ident_sim.studies.common.tables import markdown_table, mean_millimetres, millimetres
 
 _N_TRAIN: Final = 2
-_N_TEST: Final = 5
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, sim_object = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
     first = _N_TRAIN * int(case.variant.removeprefix("pair-"))
     pair = [ends_of(record) for record in train[first : first + _N_TRAIN]]
-    return fit_errors(pair, test[:_N_TEST], sim_object, DEFAULT_SOLVER, settings)[1]
+    return fit_errors(pair, test[:5], sim_object, DEFAULT_SOLVER, settings)[1]
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:

@@ -147,8 +147,6 @@ _DIAGNOSED: Final[dict[str, tuple[int, bool, bool]]] = {
 """Variants of a diagnosis: number of pushes, whether only their ends are known, and whether measured forces are used."""
 _PREDICTED: Final[dict[str, int]] = {"predict-2": 2, "predict-5": 5, "predict-10": 10}
 """Variants in which all other pushes are predicted from some: how many."""
-_MOST_PUSHES: Final = 100
-"""Of a set that is predicted; some have thousands."""
 _MODELS: Final = ("identified", "scalar", "uniform")
 
 
@@ -156,7 +154,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     rng = np.random.default_rng([case.model])
     recorded = find_sets(settings.recordings)[case.object_name]
     if case.variant in _PREDICTED:
-        return _predict(draw_pushes(recorded, _MOST_PUSHES, rng), _PREDICTED[case.variant], rng)
+        return _predict(draw_pushes(recorded, 100, rng), _PREDICTED[case.variant], rng)  # some sets have thousands
     n, ends_only, with_forces = _DIAGNOSED[case.variant]
     # All variants draw the same pushes, as far as they take as many.
     drawn = draw_pushes(recorded, n, rng, ends_only=ends_only, with_forces=with_forces)

@@ -38,16 +38,8 @@ _PUSHES: Final = PushSettings(pusher_radius=PUSHER_RADIUS)
 """Of the pushes that are drawn."""
 _RATE: Final = 30.0
 """Frames a second."""
-_EXACT_STD: Final = 1e-4
-"""Standard deviation that exact poses are given, for the fit [m, rad]."""
-_AWAY: Final = 10
-"""Frames without the object while it is put back."""
 _PATIENCE: Final = 60
 """Frames in which an object must be found."""
-_NEAR_EDGE: Final = 0.09
-"""An object further from the middle than this is put back [m]."""
-_TURNED: Final = 0.5
-"""Largest turn when it is put back by hand [rad]."""
 
 
 class FilmedObject:
@@ -121,7 +113,7 @@ class FilmedObject:
         reported = motion.reported[np.r_[0, 0 : len(motion.time), len(motion.time) - 1]]
         record = PushRecord("o1", self.shape, PoseTrack(time, pose, covariance, self._accuracy), PusherPath(rest, reported, PUSHER_RADIUS))
         self.exact.append(replace(record, poses=self._exact_track(time, np.array(exact))))
-        if np.hypot(*self.true_pose[:2]) > _NEAR_EDGE:
+        if np.hypot(*self.true_pose[:2]) > 0.09:
             self._put_back()
         return record
 
@@ -152,7 +144,7 @@ class FilmedObject:
 
     def _exact_track(self, time: Float64Array, pose: Float64Array) -> PoseTrack:
         """Without an error of their own."""
-        return PoseTrack(time, pose, np.broadcast_to(_EXACT_STD**2 * np.eye(3), (len(pose), 3, 3)), self._accuracy)
+        return PoseTrack(time, pose, np.broadcast_to(1e-4**2 * np.eye(3), (len(pose), 3, 3)), self._accuracy)
 
     def _look(self, true_pose: Float64Array, tool: Float64Array | None) -> dict[str, tuple[Float64Array, Float64Array]]:
         """One frame; pose and covariance of the objects that perception tracks."""
@@ -178,9 +170,9 @@ class FilmedObject:
         After half a turn a wrench or a box looks the same to a depth camera.
         """
         away = np.array([5.0, 0.0, 0.0])
-        for _ in range(_AWAY):
+        for _ in range(10):  # frames
             self._look(away, None)
-        yaw = self.true_pose[2] + self._places.uniform(-_TURNED, _TURNED)
+        yaw = self.true_pose[2] + self._places.uniform(-0.5, 0.5)
         self.true_pose = np.array([*self._somewhere()[:2], yaw])
         for _ in range(_PATIENCE):
             if "o1" in self._look(self.true_pose, None):
@@ -202,8 +194,6 @@ N_PUSHES: Final = 4
 N_TEST: Final = 8
 _REST: Final = 20
 """Frames before and after each push: long enough for a better outline."""
-_SPACING: Final = 5e-4
-"""Of points along an outline [m]."""
 
 
 def unit_of(object_name: str, seed: int) -> int:
@@ -256,7 +246,7 @@ def outline_errors(outline: Float64Array, truth: Float64Array) -> Json:
 def _points_along(polygon: Float64Array) -> Float64Array:
     parts = []
     for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        n = max(1, int(np.linalg.norm(b - a) / _SPACING))
+        n = max(1, int(np.linalg.norm(b - a) / 5e-4))
         parts.append(a + np.linspace(0.0, 1.0, n, endpoint=False)[:, None] * (b - a))
     return np.concatenate(parts)
 

@@ -28,8 +28,6 @@ _CELLS_ALONG: Final = (4, 10, 32, 100)
 _GROWTH_FROM: Final = 1000
 """The exponent is fitted from this number of cells on; below, the cost of a step that does not depend on the cells is larger."""
 _MEMORY_CELLS_ALONG: Final = (200, 400)
-_LINEAR: Final = 1.1
-"""Memory counts as linear in the cells up to this factor: the system allocates pages."""
 _STEPS: Final = (1 / 60, 1 / 240, 1 / 960)
 _FINEST_STEP: Final = 1 / 15360
 _STEP_CELLS_ALONG: Final = 10
@@ -195,7 +193,7 @@ def _targets(summary: Json) -> list[Target]:
         few, many = summary["memory"]
         growth, more = max(many[f"{what}_b"] / few[f"{what}_b"] for what in ("gradient", "jacobian")), many["cells"] / few["cells"]
         of = f"growth of the memory of gradient and Jacobian from {few['cells']} to {many['cells']} cells"
-        targets.append(Target(of, f"≤ {_LINEAR * more:.1f} times", f"{growth:.1f} times", growth <= _LINEAR * more))
+        targets.append(Target(of, f"≤ {1.1 * more:.1f} times", f"{growth:.1f} times", growth <= 1.1 * more))
     return targets
 
 

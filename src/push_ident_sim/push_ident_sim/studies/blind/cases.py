@@ -42,11 +42,6 @@ FIRST_REPORT_MODEL = 1000
 """Ground truths from this seed on are scored once; those below are there to set thresholds."""
 _SIZES = (0.15, 0.5, 1.2, 3.0)
 """Times the typical size."""
-_JITTER = 0.2
-"""Deviation of the logarithm of a size."""
-_N_NULLS = 20
-"""Of each engine, in one round of the plan."""
-_N_PAIRS = 12
 _HARDLY_DETECTABLE = ("restitution", "stribeck_friction", "wear", "speed_dependent_friction", "tether", "camera_translation")
 _PAIRABLE = tuple(name for name in CAUSES if name not in _HARDLY_DETECTABLE)
 """Effects that slow pushes show, one of each pair of exact twins."""
@@ -105,10 +100,10 @@ def _plan() -> tuple[Scenario, ...]:
     plan: list[Scenario] = []
     rng = np.random.default_rng(20)
     for engine in ("bullet", "planar"):
-        plan += [Scenario(engine, "null")] * _N_NULLS
+        plan += [Scenario(engine, "null")] * 20
         # Bullet's spring is anchored anew at every push: no tether of the catalogue, which has one place on the table.
         plan += [Scenario(engine, "single", (name,), s) for name in CAUSES for s in _SIZES if (engine, name) != ("bullet", "tether")]
-        for _ in range(_N_PAIRS):
+        for _ in range(12):
             first, second = rng.choice(len(_PAIRABLE), 2, replace=False)
             plan.append(Scenario(engine, "pair", (_PAIRABLE[first], _PAIRABLE[second]), 1.5))
         plan += [Scenario(engine, "outside", (name,), s) for name in _ELSEWHERE for s in (1.0, 3.0)]
@@ -128,7 +123,7 @@ def draw_truth(object_name: str, model: int, *, filmed: bool = False) -> Truth:
     values: dict[str, tuple[float, ...]] = {}
     outside: list[tuple[str, float]] = []
     for name in scenario.names:
-        size = scenario.size * float(np.exp(_JITTER * rng.normal()))
+        size = scenario.size * float(np.exp(0.2 * rng.normal()))
         if name in OUTSIDE:
             (parameter,) = OUTSIDE[name].parameters
             outside.append((name, min(size * parameter.typical, parameter.highest)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +29,6 @@ from push_ident_sim.studies.common.study import Json
 
 MakePush = Callable[[PlannedPush, int], PushRecord | None]
 """Makes a requested push after a number of others; None where that is not possible."""
-
-_MOST_REQUESTED: Final = 2
-"""Pushes that a diagnosis may request to resolve its confusion set."""
 
 
 def twins_of(name: str) -> tuple[str, ...]:
@@ -125,7 +121,7 @@ def _is_open(diagnosis: Diagnosis) -> bool:
 def _resolve(diagnosis: Diagnosis, records: list[PushRecord], settings: DiagnosisSettings, make_push: MakePush) -> Json:
     """Make the pushes that the diagnosis requests until its confusion set is resolved."""
     n_requested = 0
-    while _is_open(diagnosis) and n_requested < _MOST_REQUESTED and diagnosis.next_push is not None:
+    while _is_open(diagnosis) and n_requested < 2 and diagnosis.next_push is not None:
         more = make_push(diagnosis.next_push.push, len(records))
         if more is None:
             break

@@ -34,11 +34,7 @@ from push_ident_sim.studies.blind.scoring import MakePush, score_case
 from push_ident_sim.studies.blind.summary import CHOSEN, MOST_PUSHES, answer, summarise_cases, tables
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 
-_N_RANDOM: Final = 3
-"""Random pushes before the diagnosis chooses: the fewest that it takes."""
 _N_PUSHES: Final = {MOST_PUSHES: 14, CHOSEN: 6, CAMERA: 8}
-_N_COMPARED: Final = 3
-"""Pushes on which engines are compared."""
 
 
 # --- one case
@@ -71,7 +67,7 @@ def _choose(random: Sequence[PushRecord], make_push: MakePush) -> list[PushRecor
 
     Where it proposes none, or the camera cannot make it, the next random one is made.
     """
-    records = list(random[:_N_RANDOM])
+    records = list(random[:3])  # the fewest that a diagnosis takes
     while len(records) < len(random):
         diagnosis, number = diagnose(records, DiagnosisSettings()), len(records)
         push = diagnosis.first_push if diagnosis.next_push is None else diagnosis.next_push.push
@@ -83,7 +79,7 @@ def _choose(random: Sequence[PushRecord], make_push: MakePush) -> list[PushRecor
 def _compare_engines(case: Case) -> Json:
     """Cell errors [m] at the ends of the same pushes without any effect: the distance between the engines without effects."""
     sim_object = make_object(case.object_name, case.model)
-    settings = TruthSettings(n_train=_N_COMPARED, n_test=0)
+    settings = TruthSettings(n_train=3, n_test=0)
     radius = settings.pushes.pusher_radius
     model, planar = true_model(sim_object), PlanarWorld(sim_object, radius, time_step=settings.time_step)
     errors: dict[str, list[float]] = {"model and Bullet": [], "model and planar engine": [], "planar engine and Bullet": []}

@@ -21,8 +21,6 @@ CHOSEN: Final = "6-chosen"
 """Variant of as many pushes, most of which the diagnosis chose."""
 _Z90: Final = 1.6449
 """Standard normal quantile: between minus this and this lie 90 %."""
-_NINE_OF_TEN: Final = 1.2816
-"""A normal deviate is larger than minus this nine times out of ten."""
 _DETECTABLE: Final = 5.0
 """An effect is detectable where its true size increases the log evidence by this on average [nat]; odds of 150 to 1."""
 _PLAIN: Final = 25.0
@@ -32,7 +30,6 @@ _SIZED: Final = (
     "camera_scale", "pusher_friction", "table_anisotropy", "base_anisotropy",
 )  # fmt: skip
 """Effects whose law is the same in the engines and in the model."""
-_N_BOOTSTRAP: Final = 2000
 _SURE: Final = 0.9
 """Probability from which a cause counts as stated [1]."""
 _PROBABILITIES: Final = (0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 1.0 + 1e-9)
@@ -112,7 +109,8 @@ def _in_nine_of_ten(detectability: Json) -> float:
     The square root of twice the log likelihood ratio is normal with unit variance.
     """
     root = float(np.sqrt(detectability["alone"] or 0.0))
-    return (detectability["gain"] or 0.0) - 0.5 * (root**2 - max(0.0, root - _NINE_OF_TEN) ** 2)
+    # A normal deviate is larger than minus 1.2816 nine times out of ten.
+    return (detectability["gain"] or 0.0) - 0.5 * (root**2 - max(0.0, root - 1.2816) ** 2)
 
 
 def interval(hits: int, n: int) -> Json:
@@ -135,7 +133,7 @@ def _statistic(values: Sequence[Any], of: Callable[..., Any] = np.median) -> Jso
     if not len(values):
         return {"value": None, "n": 0, "low": None, "high": None}
     rows, rng = np.array(values, dtype=np.float64), np.random.default_rng(0)
-    drawn = [of(rows[i], axis=0) for i in rng.integers(len(rows), size=(_N_BOOTSTRAP, len(rows)))]
+    drawn = [of(rows[i], axis=0) for i in rng.integers(len(rows), size=(2000, len(rows)))]
     low, high = np.quantile(drawn, [0.05, 0.95])
     return {"value": float(of(rows, axis=0)), "n": len(rows), "low": float(low), "high": float(high)}
 

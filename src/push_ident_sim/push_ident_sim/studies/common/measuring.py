@@ -22,8 +22,8 @@ from push_ident_sim.studies.common.study import CaseResult, CaseSettings, Json
 
 MODELS: Final = ("identified", "scalar", "uniform", "truth")
 """Whose predictions are compared: the identified maps, equal cells with fitted scalars, equal cells with nominal values, the true maps."""
-_OUTSIDE: Final = 0.05
-"""Probability that the true share lies outside its interval [1]."""
+N_TRAIN: Final = 4
+"""Pushes that the studies of the paper's figures identify from."""
 
 
 def micrometres(values: ArrayLike) -> list[float | None]:
@@ -83,8 +83,8 @@ def share(successes: Iterable[bool]) -> Json:
     """`n`, `successes`, and the interval of Clopper and Pearson in which the true share lies at 95 % (`low`, `high`)."""
     outcomes = [bool(success) for success in successes]
     n, k = len(outcomes), sum(outcomes)
-    low = float(betaincinv(k, n - k + 1, _OUTSIDE / 2)) if k else 0.0
-    high = float(betaincinv(k + 1, n - k, 1 - _OUTSIDE / 2)) if k < n else 1.0
+    low = float(betaincinv(k, n - k + 1, 0.025)) if k else 0.0
+    high = float(betaincinv(k + 1, n - k, 1 - 0.025)) if k < n else 1.0
     return {"n": n, "successes": k, "share": round(k / n, 4) if n else None, "low": round(low, 4), "high": round(high, 4)}
 
 

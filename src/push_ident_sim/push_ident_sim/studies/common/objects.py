@@ -12,8 +12,7 @@ from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, P
 from push_ident_sim.objects import SimObject
 
 _SIDE = 0.12
-_LEVER = 0.05
-"""Turns angles into lengths: about the distance of a cell from the middle [m]."""
+"""Of the plate [m]."""
 _PUSHES = PushSettings(
     workspace=(-0.6, 0.6, -0.6, 0.6),
     pusher_radius=0.008,
@@ -57,7 +56,7 @@ def plate_pushes(n: int, seed: int) -> list[PusherPath]:
 
 def distance_to(target: Float64Array) -> PoseLoss:
     """Half the sum of squared differences to poses, an angle taken at a lever of 5 cm [m²]; `target` of shape (n_frames, 3)."""
-    weight = np.array([1.0, 1.0, _LEVER**2])
+    weight = np.array([1.0, 1.0, 0.05**2])
 
     def loss(poses: Float64Array) -> tuple[float, Float64Array]:
         error = poses - target

@@ -26,19 +26,11 @@ TABLE: Final = np.array([0.8, 0.7])
 """Half the sides of the table [m]."""
 _EXPLORING: Final = 3
 """Random pushes before the first goal."""
-_MOST_EXPLORING: Final = 6
-"""Random pushes of one object."""
-_MOST_LEARNED: Final = 10
-"""Pushes that identification learns from: later ones add little to what is known."""
 _SYSTEMATIC_STD: Final = np.array([7e-4, 7e-4, 6e-3])
 """Standard deviation of the errors of a pose at rest that no further frame lessens [m, m, rad]: perception in the simulated cell
 (`CameraPolicy.floor_position`, `floor_yaw`)."""
 REST: Final = 0.4
 """Before and after each push [s]."""
-_LONGEST_REST: Final = 1.0
-"""For which the tool stands after a steered push [s]."""
-_LONGEST_LEARNED: Final = 5.0
-"""Of a steered push [s]: longer ones take long to learn from."""
 
 
 class PushedObject:
@@ -77,7 +69,7 @@ class PushedObject:
 
     def explore(self, pushes: PushSettings) -> TrueMotion | None:
         """Make one more random push, and learn from it; None where all that are allowed were made, or nothing is learned."""
-        if self._kind != IDENTIFIED or self._explored >= _MOST_EXPLORING:
+        if self._kind != IDENTIFIED or self._explored >= 6:
             return None
         self._explored += 1
         motion = self._move(sample_push(self.truth.shape, self.pose, self._rng, pushes))
@@ -134,13 +126,13 @@ class PushedObject:
 
     def let_go(self) -> TrueMotion:
         """The tool stands until the object rests; what it did since `touch`. Learns from it, unless it was displaced or took too long."""
-        tool, last = self._steered[-1][1], self.clock + _LONGEST_REST
+        tool, last = self._steered[-1][1], self.clock + 1.0
         while not self._world.is_still() and self.clock < last:
             self._steered.append(self._world.advance(tool))
         pose, pusher, force = (np.array(column) for column in zip(*self._steered, strict=True))
         motion = TrueMotion(np.arange(len(pose)) * np.float64(self._truth_settings.time_step), pose, pusher, pusher, force)
         self.pose = pose[-1]
-        if not self._displaced and self.clock < _LONGEST_LEARNED:
+        if not self._displaced and self.clock < 5.0:  # longer ones take long to learn from
             self._record_and_learn(motion)
         return motion
 
@@ -165,7 +157,7 @@ class PushedObject:
         return motion
 
     def _record_and_learn(self, motion: TrueMotion) -> None:
-        if self._kind == IDENTIFIED and len(self._records) < _MOST_LEARNED:
+        if self._kind == IDENTIFIED and len(self._records) < 10:  # later ones add little to what is known
             self._record(motion)
             self._learn()
 
