@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -19,8 +19,6 @@ from push_ident.limits import plain_text
 
 __all__ = ["CheckedContent", "Listed", "Numbers", "Points", "Rows", "parse_checked", "read_checked"]
 
-_MOST_NAMES: Final = 1_000
-"""Names of one JSON object: the largest of this package, the effects of a diagnosis, has some 50."""
 
 _Item = TypeVar("_Item")
 _Content = TypeVar("_Content", bound=BaseModel)
@@ -63,11 +61,11 @@ def parse_checked(
     raise error(f"{refusal}: {plain_text(why)}; {remedy}.")
 
 
-def _with_unique_names(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Readers differ in which value of a repeated name counts."""
+def _with_unique_names(pairs: list[tuple[str, Any]], most: int = 1_000) -> dict[str, Any]:
+    """Readers differ in which value of a repeated name counts. The largest object of this package has some 50 names."""
     names = dict(pairs)
-    if len(pairs) > _MOST_NAMES:
-        raise ValueError(f"an object has {len(pairs)} names, expected at most {_MOST_NAMES}")
+    if len(pairs) > most:
+        raise ValueError(f"an object has {len(pairs)} names, expected at most {most}")
     if len(names) < len(pairs):
         (name, n), *_ = Counter(name for name, _ in pairs).most_common(1)
         raise ValueError(f"the name `{name}` is there {n} times in one object, expected once")

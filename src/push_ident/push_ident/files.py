@@ -23,10 +23,6 @@ from push_ident.limits import LIMITS, plain_text
 
 __all__ = ["finite", "json_text", "make_folder", "open_log", "open_new", "read_regular", "replaced", "write_whole"]
 
-_PRIVATE_FILE: Final = 0o600
-_PRIVATE_FOLDER: Final = 0o700
-_SHARED_FILE: Final = 0o666
-"""As any program has it: the umask of the user takes away from it."""
 _NO_LINK: Final = os.O_NOFOLLOW | os.O_CLOEXEC
 
 
@@ -64,7 +60,7 @@ def replaced(
     part = path.with_name(f".{secrets.token_hex(8)}.part")
     try:
         make_folder(path.parent, private=private)
-        with _created(part, _PRIVATE_FILE if private else _SHARED_FILE) as file:
+        with open_new(part, private=private) as file:
             try:
                 yield file
                 file.flush()
@@ -83,12 +79,13 @@ def replaced(
 
 def open_new(path: Path, *, private: bool = False) -> IO[bytes]:
     """Create a file that grows while it is written, such as a bag. Raises OSError where anything of that name exists, a link too."""
-    return _created(path, _PRIVATE_FILE if private else _SHARED_FILE)
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK
+    return os.fdopen(os.open(path, flags, 0o600 if private else 0o666), "wb")  # less what the umask of the user takes away
 
 
 def open_log(path: Path) -> IO[str]:
     """Append to a file of text, or create it. Raises OSError where the name is a link."""
-    number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | _NO_LINK, _SHARED_FILE)
+    number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | _NO_LINK, 0o666)
     return os.fdopen(number, "a", encoding="utf-8", errors="replace")
 
 
@@ -99,7 +96,7 @@ def make_folder(path: Path, *, private: bool = False) -> None:
         return
     for folder in reversed([path, *path.parents]):
         with suppress(FileExistsError):
-            folder.mkdir(mode=_PRIVATE_FOLDER)
+            folder.mkdir(mode=0o700)
     if not path.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path))
 
@@ -137,10 +134,6 @@ def finite(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value
-
-
-def _created(path: Path, mode: int) -> IO[bytes]:
-    return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK, mode), "wb")
 
 
 def _sync_folder(path: Path) -> None:

@@ -114,10 +114,14 @@ class LIMITS:
     EXPANSION: Final = Limit(
         10, "times the size of the file, and 1 GB", "content uncompressed is", "depth images and joint states compress 2 to 6 times"
     )
+    UNCOMPRESSED: Final = Limit(1_000_000_000, "bytes", "content uncompressed is", "what a file of any size may have")
     TOPICS: Final = Limit(2_000, "topics", "number of topics is", "a large robot has 300")
     SCHEMA: Final = Limit(
         262_144, "characters", "length of a message definition is", "the largest of ROS 2 Jazzy, with all it uses, has 20,000"
     )
+    NESTING: Final = Limit(20, "levels", "nesting of message types is", "those of ROS have up to 8")
+    ARRAY: Final = Limit(10_000, "messages", "length of a fixed array is", "the decoder is compiled with one line for each")
+    FIELDS: Final = Limit(10_000, "fields", "number of fields of a type and of those it uses is", "the largest of ROS has some hundred")
     METADATA: Final = Limit(1_048_576, "bytes", "size of metadata.yaml is", "0.7 kB a topic, 0.3 kB a file: 1000 topics and 1000 files")
     FILES: Final = Limit(10_000, "files", "number of storage files is", "a bag that is split each minute for a week")
     SUMMARY: Final = Limit(67_108_864, "bytes", "size of the index of a bag is", "0.2 kB for a chunk of 0.8 MB: enough for 250 GB")

@@ -37,17 +37,13 @@ Float64Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 
-_LONG = 3
-"""Length from which the text of a tuple or a list is its length only."""
-
-
 def short_repr(owner: Any) -> str:
-    """`repr` of a dataclass on one line: of arrays the shape, of long sequences and mappings the length, of other results the name."""
+    """`repr` of a dataclass on one line: of arrays the shape, of more than three items their number, of other results the name."""
 
     def text(value: Any) -> str:
         if isinstance(value, np.ndarray):
             return f"array{list(value.shape)}"
-        if isinstance(value, tuple | list | dict) and (len(value) > _LONG or any(hasattr(v, "__dataclass_fields__") for v in value)):
+        if isinstance(value, tuple | list | dict) and (len(value) > 3 or any(hasattr(v, "__dataclass_fields__") for v in value)):
             return f"<{len(value)}>"
         if isinstance(value, Enum):
             return value.name

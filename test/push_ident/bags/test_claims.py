@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -128,7 +129,9 @@ def test_pipes_are_refused_and_not_waited_for(tmp_path: Path) -> None:
     assert "not a regular file" in bag_error(tmp_path / "pipe.mcap")
 
 
-def test_a_file_in_zstd_is_read_and_a_bomb_of_one_refused(tmp_path: Path) -> None:
+def test_a_file_in_zstd_is_read_and_a_bomb_of_one_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LIMITS, "UNCOMPRESSED", replace(LIMITS.UNCOMPRESSED, value=10_000_000))  # a gigabyte takes seconds
+
     def compressed(information: dict[str, Any]) -> None:
         information["compression_format"], information["compression_mode"] = "zstd", "file"
         information["relative_file_paths"] = ["bag.mcap.zstd"]
@@ -137,7 +140,7 @@ def test_a_file_in_zstd_is_read_and_a_bomb_of_one_refused(tmp_path: Path) -> Non
     raw = claims.zstd.compress((bag / "bag.mcap").read_bytes())
     (bag / "bag.mcap.zstd").write_bytes(raw)
     assert len(read_bag(bag).pusher) == 31
-    (bag / "bag.mcap.zstd").write_bytes(claims.zstd.compress(bytes(1_100_000_000), level=1))
+    (bag / "bag.mcap.zstd").write_bytes(claims.zstd.compress(bytes(11_000_000)))
     assert "content uncompressed" in bag_error(bag)
 
 

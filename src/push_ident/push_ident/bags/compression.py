@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
 
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
@@ -15,15 +14,10 @@ except ImportError:
 
 __all__ = ["check_expansion", "uncompress_file", "uncompressed_message", "zstd_claim"]
 
-_FREE: Final = 1_000_000_000
-"""Uncompressed content that any file may have [bytes]."""
-_BLOCK: Final = 1 << 20
-"""[bytes]"""
-
 
 def check_expansion(total: int, file_size: int, what: str) -> None:
     """Raise BagError for more uncompressed content than an honest file of this size can have [bytes]: a decompression bomb."""
-    if total > _FREE + LIMITS.EXPANSION.value * file_size:
+    if total > LIMITS.UNCOMPRESSED.value + LIMITS.EXPANSION.value * file_size:
         raise BagError(
             f"{what}: {LIMITS.EXPANSION.meaning} over {total / 1e9:.2g} GB in a file of {file_size / 1e6:.3g} MB, "
             f"expected at most {LIMITS.EXPANSION.value} {LIMITS.EXPANSION.unit}. Record without compression, or split the bag."
@@ -47,14 +41,14 @@ def uncompressed_message(data: bytes) -> bytes:
 
 def uncompress_file(path: Path, target: Path) -> None:
     """Uncompress a file in zstd. Raises BagError for one that is cut, or is a decompression bomb."""
-    size, total = path.stat().st_size, 0
+    size, total, most = path.stat().st_size, 0, 1 << 20
     with path.open("rb") as file, target.open("xb") as out:
         decompressor = zstd.ZstdDecompressor()
         while not decompressor.eof:
-            block = file.read(_BLOCK) if decompressor.needs_input else b""
+            block = file.read(most) if decompressor.needs_input else b""
             if decompressor.needs_input and not block:
                 raise BagError(f"{path.name} is cut short.")
-            data = decompressor.decompress(block, max_length=_BLOCK)
+            data = decompressor.decompress(block, max_length=most)
             total += len(data)
             check_expansion(total, size, path.name)
             out.write(data)

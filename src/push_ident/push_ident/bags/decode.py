@@ -32,14 +32,8 @@ __all__ = [
 DEFAULT_COVARIANCE: Final = np.diag([1e-3**2, 1e-3**2, np.radians(0.5) ** 2])
 """Covariance of (x, y, yaw) where a bag has none: 1 mm and 0.5 degrees."""
 
-_OCCUPIED: Final = 50
-"""Least occupancy [percent] of a cell that belongs to the object; the contract writes 100."""
 _PLANAR: Final = (0, 1, 5)
 """Rows of x, y and yaw in a 6 x 6 covariance."""
-_CYLINDER: Final = 3
-"""SolidPrimitive.CYLINDER"""
-_CYLINDER_RADIUS: Final = 1
-"""SolidPrimitive.CYLINDER_RADIUS, an index of `dimensions`."""
 
 
 def stamp_ns(stamp: Any) -> int:
@@ -69,8 +63,10 @@ def covariance_of(covariance: Any) -> Float64Array | None:
     return planar if planar.trace() < LIMITS.COORDINATE.value**2 else np.full((3, 3), np.nan)
 
 
-def cells_of(grid: Any) -> tuple[CellGrid, float]:
+def cells_of(grid: Any, occupied: int = 50) -> tuple[CellGrid, float]:
     """Cells of a nav_msgs/OccupancyGrid, and the yaw of its lattice in the object frame [rad].
+
+    `occupied`: least occupancy of a cell that belongs to the object [percent]; the contract writes 100.
 
     Raises BagError for a grid without cells, or whose sizes do not fit its data.
     """
@@ -84,10 +80,10 @@ def cells_of(grid: Any) -> tuple[CellGrid, float]:
     origin = planar_pose_of(info.origin)
     if not (np.isfinite(size) and size > 0 and np.isfinite(origin).all()):
         raise BagError(f"occupancy grid has resolution {size} m and origin {origin}, expected a positive length and a finite pose.")
-    rows, columns = np.nonzero(data.reshape(info.height, info.width) >= _OCCUPIED)
+    rows, columns = np.nonzero(data.reshape(info.height, info.width) >= occupied)
     LIMITS.CELLS.check(len(rows), "occupancy grid", error=BagError, remedy="Record coarser cells.")
     if len(rows) == 0:
-        raise BagError(f"occupancy grid of {info.width} x {info.height} has no cell of at least {_OCCUPIED}; the object's cells are 100.")
+        raise BagError(f"occupancy grid of {info.width} x {info.height} has no cell of at least {occupied}; the object's cells are 100.")
     centres = transform_points(origin, np.column_stack([columns + 0.5, rows + 0.5]) * size)
     check_coordinates(centres, "occupancy grid", error=BagError)
     return CellGrid(centres, size), float(origin[2])
@@ -135,9 +131,8 @@ def traced_outline(cells: CellGrid, yaw: float) -> Float64Array:
 
 def cylinder_radius_of(primitive: Any) -> float | None:
     """Radius [m] of a shape_msgs/SolidPrimitive, as it is given; None unless it is a cylinder."""
-    if primitive.type != _CYLINDER or len(primitive.dimensions) <= _CYLINDER_RADIUS:
-        return None
-    return float(primitive.dimensions[_CYLINDER_RADIUS])
+    cylinder, radius = 3, 1  # SolidPrimitive.CYLINDER and CYLINDER_RADIUS; the class comes from the schema in the bag
+    return float(primitive.dimensions[radius]) if primitive.type == cylinder and len(primitive.dimensions) > radius else None
 
 
 def homogeneous_of(transform: Any) -> Float64Array:

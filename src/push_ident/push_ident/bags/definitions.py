@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 from rosbags.interfaces import Nodetype
 
@@ -11,27 +11,20 @@ from push_ident.limits import LIMITS
 
 __all__ = ["check_definitions"]
 
-_DEPTH: Final = 20
-"""Deepest nesting of message types; those of ROS have up to 8."""
-_ELEMENTS: Final = 10_000
-"""Longest fixed array of messages; the decoder is compiled with one line for each."""
-_FIELDS: Final = 10_000
-"""Largest number of fields of a message and of those it uses."""
-
 
 def check_definitions(types: dict[str, Any], topic: str) -> None:
     """Raise BagError for types that would cost without bound: recursive ones, giant arrays, arrays of what takes no byte."""
     sizes: dict[str, int] = {}
     for name in types:
         _least_size(name, types, sizes, 0, topic)
-    if (total := sum(len(fields) for _, fields in types.values())) > _FIELDS:
-        raise BagError(f"the message types of {topic} have {total} fields, expected at most {_FIELDS}; the bag is damaged.")
+    if (total := sum(len(fields) for _, fields in types.values())) > LIMITS.FIELDS.value:
+        raise BagError(f"the message types of {topic} have {total} fields, expected at most {LIMITS.FIELDS.value}; the bag is damaged.")
 
 
 def _least_size(name: str, types: dict[str, Any], sizes: dict[str, int], depth: int, topic: str) -> int:
     """Least serialised size of a message [bytes]."""
-    if depth > _DEPTH:
-        raise BagError(f"type {name[:100]} of {topic} is nested deeper than {_DEPTH}, or contains itself; the bag is damaged.")
+    if depth > (most := LIMITS.NESTING.value):
+        raise BagError(f"type {name[:100]} of {topic} is nested deeper than {most}, or contains itself; the bag is damaged.")
     if name not in sizes:
         fields = types[name][1] if name in types else ()
         sizes[name] = sum(_field_size(kind, types, sizes, depth, topic) for _, kind in fields)
@@ -50,7 +43,7 @@ def _field_size(kind: Any, types: dict[str, Any], sizes: dict[str, int], depth: 
         raise BagError(f"a type of {topic} has an array of messages without content, which could be endless; the bag is damaged.")
     if node == Nodetype.SEQUENCE:
         return 4
-    most = _ELEMENTS if element[0] == Nodetype.NAME else LIMITS.MESSAGE.value
+    most = LIMITS.ARRAY.value if element[0] == Nodetype.NAME else LIMITS.MESSAGE.value
     if not 0 < count <= most or count * size > LIMITS.MESSAGE.value:
         raise BagError(f"a type of {topic} has an array of {count} elements, expected 1 to {most}; the bag is damaged.")
     return int(count * size)

@@ -17,8 +17,6 @@ __all__ = ["BagFolder", "read_folder"]
 
 _SUFFIXES: Final = {"mcap": ".mcap", "sqlite3": ".db3"}
 _VERSIONS: Final = range(1, 10)
-_DEPTH: Final = 32
-"""Deepest nesting of metadata.yaml; rosbag2 writes 7. The parser of libyaml ends the process at some thousands."""
 _REMEDY: Final = "remove metadata.yaml, and name the storage file"
 
 
@@ -54,13 +52,14 @@ def read_folder(folder: Path) -> BagFolder:
     return BagFolder(_files(folder, information), _SUFFIXES[storage], _compression(information), _promised(information))
 
 
-def _check_depth(text: str) -> None:
+def _check_depth(text: str, most: int = 32) -> None:
+    """Raise BagError for a deeper nesting; rosbag2 writes 7, and the parser of libyaml ends the process at some thousands."""
     depth = 0
     for event in yaml.parse(text, Loader=yaml.CSafeLoader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         # Aliases of aliases can make a document of gigabytes; recorders write none.
-        if isinstance(event, yaml.AliasEvent) or depth > _DEPTH:
-            raise BagError(f"metadata.yaml has aliases or is nested deeper than {_DEPTH}; {_REMEDY}.")
+        if isinstance(event, yaml.AliasEvent) or depth > most:
+            raise BagError(f"metadata.yaml has aliases or is nested deeper than {most}; {_REMEDY}.")
 
 
 def _files(folder: Path, information: dict[str, Any]) -> list[Path]:

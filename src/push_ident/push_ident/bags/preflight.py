@@ -25,15 +25,9 @@ __all__ = ["check_claims"]
 
 _TAIL: Final = struct.Struct("<BQQQI8s")
 """Footer and magic at the end of an MCAP file."""
-_CHUNK_BEGIN: Final = 128
-"""Bytes that are read of an MCAP chunk: its header and that of zstd have 62."""
 _ROSBAG1: Final = b"#ROSBAG V2.0\n"
 _TABLES: Final = ("schema", "metadata", "topics", "messages", "message_definitions")
 """Of sqlite3 bags."""
-_STEPS: Final = 100_000
-"""Steps of sqlite's machine between two looks at their number."""
-_STEPS_PER_BYTE: Final = 4
-"""Most steps for one byte of a file: a row has at least 12 bytes and takes some 10 steps."""
 
 _Chunk = tuple[int, int, int]
 """Where a chunk starts and ends in the file, and its uncompressed size [bytes]."""
@@ -91,7 +85,8 @@ def _listed_chunk(file: BinaryIO, entry: ChunkIndex, end: int) -> _Chunk:
 
 
 def _claimed_by_chunk(file: BinaryIO, start: int, end: int) -> int:
-    return int(chunk_of(file, start, min(end, start + _CHUNK_BEGIN)).uncompressed_size)
+    """Uncompressed size [bytes], from the first 128 bytes of a chunk: its header and that of zstd have 62."""
+    return int(chunk_of(file, start, min(end, start + 128)).uncompressed_size)
 
 
 def _rosbag1_chunks(file: BinaryIO) -> list[_Chunk]:
@@ -136,9 +131,11 @@ def _check_sqlite(path: Path, size: int) -> None:
             computed = database.execute("SELECT 1 FROM pragma_table_xinfo(?) WHERE hidden", (table,)).fetchone()
             if computed or any(kind != "table" or "VIRTUAL" in str(text).upper() for kind, text in kinds):
                 raise BagError(f"`{table}` computes its rows or columns, expected a plain table; not a bag of rosbag2.")
-        looks = iter(range(1 + _STEPS_PER_BYTE * size // _STEPS))
+        # Steps of sqlite's machine between two looks at their number; a row has at least 12 bytes and takes some 10 steps.
+        steps = 100_000
+        looks = iter(range(1 + 4 * size // steps))
         # A true result interrupts the statement. In a damaged file, pages can be their own children, and a table or its index has no end.
-        database.set_progress_handler(lambda: next(looks, None) is None, _STEPS)
+        database.set_progress_handler(lambda: next(looks, None) is None, steps)
         (largest,) = database.execute("SELECT max(length(data)) FROM messages NOT INDEXED").fetchone()
         LIMITS.MESSAGE.check(largest or 0, "a message", error=BagError)
         database.execute("SELECT count(timestamp) FROM messages").fetchone()

@@ -21,8 +21,6 @@ from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, Float
 
 __all__ = ["BagContents", "DepthRecording", "ObjectTrack", "Samples", "read_bag", "read_depth"]
 
-_MAX_JUMP_BACK: Final = 1_000_000_000
-"""Stamps may run backwards by less than this [ns] (late delivery); a larger jump means that a clock was reset."""
 _STAMPED: Final = frozenset({Role.POSE, Role.PUSHER, Role.WRENCH})
 _LAST_COUNTS: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.CAMERA_ACCURACY})
 """Latched topics: a newer message replaces the previous one."""
@@ -246,10 +244,13 @@ def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[Topic
 
 
 def _clean(path: Path, role: TopicRole, record: _Recorded, notes: list[str]) -> _Stamped:
-    """Stamps and planar values of a topic in order of time, without values that are not finite and repeated stamps."""
+    """Stamps and planar values of a topic in order of time, without values that are not finite and repeated stamps.
+
+    Stamps may run backwards by less than a second (late delivery); a larger jump means that a clock was reset.
+    """
     stamps = np.array(record.stamps, dtype=np.int64)
     back = int(np.min(np.diff(stamps), initial=0))
-    if back < -_MAX_JUMP_BACK:
+    if back < -(10**9):
         raise BagError(f"{path}: the time of `{role}` jumps back by {-back * 1e-9:.3g} s; the clock was reset, cut the bag there.")
     values = np.array(record.values)
     most = LIMITS.FORCE if role.role is Role.WRENCH else LIMITS.COORDINATE

@@ -12,11 +12,9 @@ from push_ident.bags.writer import BagWriter
 from push_ident.errors import InputError
 from push_ident.types import PushRecord
 
-__all__ = ["write_records"]
+__all__ = ["FIRST_STAMP", "write_records"]
 
-_CLEARANCE: Final = 2.0
-"""Least pause between pushes [s]."""
-_FIRST: Final = 1.0
+FIRST_STAMP: Final = 1.0
 """Earliest stamp written [s]; a stamp of zero would mean that there is none."""
 
 
@@ -36,14 +34,15 @@ def write_records(path: Path, records: Sequence[PushRecord]) -> None:
         shape = shapes[record.object_id]
         if not (np.array_equal(shape.outline, record.shape.outline) and np.array_equal(shape.cells.centres, record.shape.cells.centres)):
             raise InputError(f"records of object {record.object_id} differ in its shape; a bag has one shape for each object.")
+    clearance = 2.0  # [s]
     with BagWriter(path) as writer:
-        writer.write_pusher_shape(_FIRST, radii[0])
+        writer.write_pusher_shape(FIRST_STAMP, radii[0])
         for object_id, shape in sorted(shapes.items()):
-            writer.write_shape(object_id, shape, _FIRST)
-        end = _FIRST - _CLEARANCE
+            writer.write_shape(object_id, shape, FIRST_STAMP)
+        end = FIRST_STAMP - clearance
         for push_id, push in enumerate(_by_push(records), start=1):
             first = min(min(record.poses.time[0], record.pusher.time[0]) for record in push)
-            shift = max(0.0, end + _CLEARANCE - first)
+            shift = max(0.0, end + clearance - first)
             end = _write_push(writer, push_id, push, shift)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from push_ident.bags.contract import role_of, size_limit
 from push_ident.bags.mcap_records import Channel, IntactRecords, Message, Schema
@@ -15,11 +14,6 @@ from push_ident.errors import BagError
 from push_ident.limits import LIMITS
 
 __all__ = ["SalvageReport", "count_recoverable", "salvage"]
-
-_CHEAP: Final = 2**28
-"""Largest file that is read only to count the recoverable messages [bytes]."""
-_COUNTED: Final = 200_000
-"""Largest number of records that are read only to count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +37,14 @@ class SalvageReport:
 
 
 def count_recoverable(path: Path) -> int | None:
-    """Number of messages that `salvage` would recover from an .mcap file; None for one too large to be read for that."""
+    """Number of messages that `salvage` would recover from an .mcap file; None for one of too many bytes or records to be read for that."""
     try:
-        if path.stat().st_size > _CHEAP:
+        if path.stat().st_size > 2**28:
             return None
         count = 0
         for number, record in enumerate(IntactRecords(path)):
             count += isinstance(record, Message)
-            if number > _COUNTED:
+            if number > 200_000:
                 return None
         return count
     except (OSError, BagError):

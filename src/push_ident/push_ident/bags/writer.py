@@ -27,16 +27,8 @@ from push_ident.types import BoolArray, CameraAccuracy, CameraIntrinsics, CellGr
 
 __all__ = ["BagWriter"]
 
-_CHUNK_SIZE: Final = 256 * 1024
-"""Size at which a chunk is written [bytes]."""
-_FLUSH_PERIOD: Final = 1.0
-"""Longest time between writes to the disk [s]."""
 _PLANAR: Final = (0, 1, 5)
 """Rows of x, y and yaw in a 6 x 6 covariance."""
-_FIXED_VARIANCE: Final = 1e-6
-"""Variance of z [m^2], roll and pitch [rad^2] of an object that lies on the table: small, never zero."""
-_LATTICE_TOLERANCE: Final = 0.02
-"""Largest distance of a cell from the lattice, in cells."""
 
 
 class BagWriter:
@@ -49,7 +41,7 @@ class BagWriter:
     Stamps are in seconds. Every method raises BagError when a write fails.
     """
 
-    def __init__(self, path: Path, *, chunk_size: int = _CHUNK_SIZE) -> None:
+    def __init__(self, path: Path, *, chunk_size: int = 256 * 1024) -> None:
         self.path = Path(path)
         self._chunk_size = chunk_size
         self._file: IO[bytes] | None = None
@@ -124,7 +116,7 @@ class BagWriter:
             channel = self._channel(topic, msgtype, definition)
             self._writer.add_message(channel, stamp_ns, bytes(data), stamp_ns if publish_ns is None else publish_ns, self._counts[channel])
             now = time.monotonic()
-            if now - self._flushed > _FLUSH_PERIOD:
+            if now - self._flushed > 1.0:
                 self._writer.flush()
                 self._flushed = now
         except OSError as error:
@@ -136,7 +128,7 @@ class BagWriter:
     def write_pose(self, object_id: str, stamp: float, pose: ArrayLike, covariance: ArrayLike) -> None:
         """Pose (x, y, yaw) of the object frame in `table` [m, m, rad] and its covariance, shape (3, 3)."""
         x, y, yaw = (float(value) for value in np.asarray(pose, dtype=np.float64))
-        full = np.eye(6) * _FIXED_VARIANCE
+        full = np.eye(6) * 1e-6  # of z [m^2], roll and pitch [rad^2] of an object that lies on the table: small, never zero
         full[np.ix_(_PLANAR, _PLANAR)] = np.asarray(covariance, dtype=np.float64)
         body = self._new("geometry_msgs/msg/PoseWithCovariance", self._pose(x, y, 0.0, yaw), full.ravel())
         self._write(Role.POSE, stamp, self._header(stamp, TABLE_FRAME), body, object_id=object_id)
@@ -305,7 +297,7 @@ def _lattice(cells: CellGrid) -> tuple[Float64Array, BoolArray]:
     low = cells.centres.min(axis=0)
     exact = (cells.centres - low) / cells.size
     indices = np.rint(exact).astype(np.int64)
-    if np.abs(exact - indices).max() > _LATTICE_TOLERANCE:
+    if np.abs(exact - indices).max() > 0.02:
         raise BagError(f"cells do not lie on a lattice of {cells.size:g} m along the object's axes; an occupancy grid cannot hold them.")
     width, height = (int(n) + 1 for n in indices.max(axis=0))
     occupied = np.zeros((height, width), dtype=np.bool_)

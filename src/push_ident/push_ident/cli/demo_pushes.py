@@ -29,13 +29,6 @@ if TYPE_CHECKING:
 __all__ = ["DemoPush", "DemoPushes"]
 
 _OK, _NO_CONTACT = 0, -5
-_STARTUP: Final = 30.0
-"""For the executor to know the object, and its arm to answer [s]."""
-_MAX_REFUSALS: Final = 10
-_DRAWS: Final = 10
-"""Random pushes that are drawn for one: a tenth of a second each, where pushing an object back takes as long as a push."""
-_LEARN: Final = 30.0
-"""For a push to be learned [s]; a solve takes a second."""
 _PHASES: Final = ("planning", "approach", "pushing, identifying", "rest", "retreat", "re-centring")
 
 
@@ -77,12 +70,12 @@ class DemoPushes:
         self._due = 0  # pushes that will be learned once identification has caught up
         self.made: list[DemoPush] = []
 
-    def await_executor(self) -> None:
+    def await_executor(self, patience: float = 30.0) -> None:
         """Wait until the executor knows the object and its arm answers. Raises PushIdentError where no push can be planned."""
-        deadline = time.monotonic() + _STARTUP
+        deadline = time.monotonic() + patience
         while (result := self._execute("RANDOM", dry_run=True)).error_code != _OK:
             if time.monotonic() > deadline:
-                raise PushIdentError(f"no push can be planned {_STARTUP:.0f} s after the start: {result.error_text}")
+                raise PushIdentError(f"no push can be planned {patience:.0f} s after the start: {result.error_text}")
             time.sleep(0.5)
 
     def make(self, n: int) -> list[DemoPush]:
@@ -112,7 +105,7 @@ class DemoPushes:
     def _planned(self) -> ExecutePush.Result | None:
         """A random push that the arm can make, one that ends away from the edge if there is; None where the arm refused one."""
         first = None
-        for _ in range(_DRAWS):
+        for _ in range(10):  # a tenth of a second each, where pushing an object back takes as long as a push
             seed = int(np.random.SeedSequence([self._seed, self._asked]).generate_state(1)[0])
             self._asked += 1
             planned = self._execute("RANDOM", seed=seed, dry_run=True)
@@ -177,7 +170,7 @@ class DemoPushes:
         from push_ident.nodes.client.cell_client import CellTimeout
 
         try:
-            self._client.wait_for_map(self._object_id, n, _LEARN)
+            self._client.wait_for_map(self._object_id, n, 30.0)  # a solve takes a second
         except CellTimeout as error:
             self._due = 0
             say(f"the push was not learned: {error}", style="yellow")
@@ -189,7 +182,7 @@ class DemoPushes:
     def _refused(self, result: ExecutePush.Result) -> None:
         say(f"push not executed: {result.error_text}", style="yellow")
         self._refusals += 1
-        if self._refusals > _MAX_REFUSALS:
+        if self._refusals > 10:
             raise PushIdentError(f"{self._refusals} pushes could not be executed; the last error: {result.error_text}")
         # The arm may have hidden the object: there is no next push before it is seen anew.
         self._client.pose_at_rest(self._object_id, after=self._client.poses(self._object_id)[-1][0])

@@ -34,7 +34,6 @@ from push_ident.offline.loading import load_pushes
 __all__ = ["diagnose_command"]
 
 _NOMINAL = Prior()
-_N_RANKED = 8
 
 
 def diagnose_command(
@@ -102,13 +101,13 @@ def _describe_push(proposal: SeparatingPush) -> str:
 
 
 def _ranking(selection: Selection) -> Table:
-    """The most promising effects of the first step."""
+    """The eight most promising effects of the first step."""
     first = selection.steps[0]
     refitted = {c.name: c.log_bayes_factor for c in first.candidates}
     numbers = (Column(heading, justify="right") for heading in ("log Bayes factor [nat]", "smallest detectable size"))
     table = Table("effect", *numbers, "", title="effects beside the base model")
     ranked = sorted(first.scores, key=lambda s: -refitted.get(s.name, s.expected_log_bayes_factor))
-    for score in ranked[:_N_RANKED]:
+    for score in ranked[:8]:
         value = refitted.get(score.name, score.expected_log_bayes_factor)
         smallest = detectable_size(score) or "none"
         table.add_row(score.name, f"{value:.1f}", smallest, "found" if score.name in selection.selected else "")

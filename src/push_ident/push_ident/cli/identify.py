@@ -73,8 +73,6 @@ TrainOption = Annotated[
     str,
     typer.Option(metavar="0,2,5-7", help="Pushes of the fit, counted from 0 over all bags; the others are held out. Default: all."),
 ]
-_SHOWN_PROBABILITY = 0.01
-"""Priors that are less probable stand in the report and the JSON only [-]."""
 _RecordOption = Annotated[
     bool, typer.Option("--record", help="In the report: each push predicted from those before it; about a second a push.")
 ]
@@ -196,7 +194,7 @@ def _show_errors(loaded: LoadedPushes, fitted: PushErrors, held_out: PushErrors)
 
 
 def _show_identifiability(result: Identification) -> None:
-    """Print which quantities the pushes determine, and how the solve ended."""
+    """Print which quantities the pushes determine, and how the solve ended; priors below 1 % stand in the report and the JSON only."""
     known = identifiability(result.posterior)
     numbers = (Column(heading, justify="right") for heading in ("value", "before"))
     table = Table("quantity", *numbers, "identifiability", title="identifiability from these pushes")
@@ -205,7 +203,7 @@ def _show_identifiability(result: Identification) -> None:
     console.print(table)
     say(f"maps: {known.n_pinned} of {len(known.combinations)} combinations of the cells pinned down, {known.n_open} hardly constrained")
     if result.candidates:
-        likely = [c for c in sorted(result.candidates, key=lambda c: -c.probability) if c.probability >= _SHOWN_PROBABILITY]
+        likely = [c for c in sorted(result.candidates, key=lambda c: -c.probability) if c.probability >= 0.01]
         odds = ", ".join(f"{c.name} {c.probability:.0%}" for c in likely)
         say(f"priors: {odds}")
     for label, value, std in zip(

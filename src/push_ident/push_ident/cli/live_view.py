@@ -20,9 +20,6 @@ __all__ = ["ADDRESS", "ViewOption", "show_view"]
 
 ViewOption = Annotated[bool, typer.Option("--view", help="Serve a live view for browsers, and open it.")]
 ADDRESS: Final = f"http://localhost:{VIEWER.web_port}"
-_SERVED_WITHIN: Final = 60.0
-"""Time for the viewer to listen [s]."""
-_POLL: Final = 0.2
 
 
 def show_view(wanted: bool) -> None:
@@ -31,13 +28,13 @@ def show_view(wanted: bool) -> None:
         threading.Thread(target=_await_and_open, name="view", daemon=True).start()
 
 
-def _await_and_open() -> None:
-    deadline = time.monotonic() + _SERVED_WITHIN
+def _await_and_open(patience: float = 60.0) -> None:
+    deadline = time.monotonic() + patience
     while not _is_served():
         if time.monotonic() > deadline:
-            warn(f"the live view is not served after {_SERVED_WITHIN:.0f} s; see the log of viewer_node")
+            warn(f"the live view is not served after {patience:.0f} s; see the log of viewer_node")
             return
-        time.sleep(_POLL)
+        time.sleep(0.2)
     say(f"live view: {ADDRESS}")
     # Without a screen Python would start a browser for text in the terminal of the cell.
     if sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):

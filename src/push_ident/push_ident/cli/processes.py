@@ -23,11 +23,8 @@ from push_ident.nodes.base.lifetime import LIFELINE, stop_signals_blocked
 
 __all__ = ["LAST_LINES", "NodeCommand", "NodeExit", "NodeProcess"]
 
-_TAIL_LINES: Final = 12
 LAST_LINES: Final = 0.5
 """Longest wait for the last lines of a process that has ended [s]."""
-_UNREAD_OUTPUT: Final = 1 << 20
-"""Output of a process that waits while this one is stopped or its terminal is [bytes]; beyond it the process would wait, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +63,7 @@ class NodeProcess:
 
     def __init__(self, command: NodeCommand, lifeline: int, log: Path | None, console: Console | None, prefix: Text) -> None:
         self.command = command
-        self._tail: deque[str] = deque(maxlen=_TAIL_LINES)
+        self._tail: deque[str] = deque(maxlen=12)
         self._gone = False
         self._log, self._console, self._prefix = log, console, prefix
         self._started = time.monotonic()
@@ -84,8 +81,9 @@ class NodeProcess:
                 pass_fds=(lifeline,),
             )
         assert self._popen.stdout is not None
+        # Room for output while this process or its terminal is stopped, beyond which the other one would wait, too.
         with suppress(OSError):  # refused where the user has many such pipes: the usual size then
-            fcntl.fcntl(self._popen.stdout, fcntl.F_SETPIPE_SZ, _UNREAD_OUTPUT)
+            fcntl.fcntl(self._popen.stdout, fcntl.F_SETPIPE_SZ, 1 << 20)
         self._reader = threading.Thread(target=self._read, args=(self._popen.stdout,), name=f"output of {command.name}", daemon=True)
         self._reader.start()
 

@@ -95,8 +95,6 @@ TimeLimitOption = Annotated[float, typer.Option("--time-limit", min=1.0, callbac
 ObjectOption = Annotated[str, typer.Option("--object", metavar="ID", help="The object. Default: the only one.", show_default=False)]
 
 
-_TO_WRITE = 15.0
-"""From Ctrl-C to the end by force [s]: for the arm to be held, 1 s, and for results and page, 1 s on an idle machine."""
 _STATES = ("looking", "exploring push", "planning", "pushing", "learning")
 """What is under way, by the state in the feedback of action/PushToGoal."""
 
@@ -224,7 +222,7 @@ def _pursue(goals: Sequence[PushToGoal.Goal], reports: list[GoalReport]) -> None
     from push_ident.nodes.base.lifetime import LIFETIME
     from push_ident.nodes.client.cell_client import CellClient
 
-    LIFETIME.patience = _TO_WRITE
+    LIFETIME.patience = 15.0  # [s] from Ctrl-C to the end by force: the arm is held in 1 s, results written in 1 s on an idle machine
     with CellClient() as client, console.status("looking for the cell") as status:
         for number, goal in enumerate(goals, 1):
             prefix = f"goal {number} of {len(goals)}: " if len(goals) > 1 else ""

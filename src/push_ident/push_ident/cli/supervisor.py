@@ -35,9 +35,6 @@ _TERMINATE_AFTER: Final = 2.0
 _KILL_AFTER: Final = 1.0
 """Time from SIGTERM to SIGKILL [s]."""
 
-_COULD_NOT_START: Final = 1
-"""Exit code of a node that could not start; see `push_ident.nodes.base.run`, which imports ROS."""
-
 _SIM_NODES: Final = ("sim_cell_node", "sim_hand_node")
 """Nodes of the package push_ident_sim; the others belong to push_ident."""
 _NODES: Final[Mapping[Kind, tuple[str, ...]]] = {
@@ -52,8 +49,6 @@ _PACED: Final[Mapping[str, dict[str, object]]] = {
 }
 """Parameters of a replay: the bag waits for the nodes, so that nothing is lost at any speed and any load."""
 _NO_OVERRIDES: Final = Overrides()
-_SIM_PATIENCE: Final = 1.0
-"""Silence or lag of a simulated arm that counts as a fault [s]."""
 _CLOCKS: Final = ("sim_cell_node", "bag_player_node")
 """Nodes that publish /clock themselves."""
 
@@ -148,12 +143,12 @@ class Supervisor:
         return None
 
     def _plan_restart(self, process: NodeProcess, death: NodeExit) -> bool:
-        """Whether a process that died will be started again."""
+        """Whether a process that died will be started again; one that could not start (exit code 1, `nodes.base.run`) will not."""
         name = death.name
         if name not in self._backoffs:
             return False
         first = not any(earlier.name == name for earlier in self.deaths)
-        pause = None if first and death.code == _COULD_NOT_START else self._backoffs[name].pause(process.lived)
+        pause = None if first and death.code == 1 else self._backoffs[name].pause(process.lived)
         if pause is None:
             return False
         process.signal(signal.SIGKILL)  # what it has started
@@ -334,10 +329,10 @@ def node_commands(
 def _defaults_of(name: str, kind: Kind) -> dict[str, object]:
     """Parameters of a node that depend on the kind of the cell."""
     clock: dict[str, object] = {"use_sim_time": True} if kind != "arm" and name not in _CLOCKS else {}
-    # A simulator may pause for longer than an arm; the watchdogs of a real arm keep their limits.
+    # A simulator may pause for longer than an arm, up to 1 s; the watchdogs of a real arm keep their limits.
     simulated: dict[str, object] = {}
     if kind == "sim" and name == "push_executor_node":
-        simulated = {"arm_timeout": _SIM_PATIENCE, "tracking_lag": _SIM_PATIENCE, "stamp_commands": True}
+        simulated = {"arm_timeout": 1.0, "tracking_lag": 1.0, "stamp_commands": True}
     return clock | simulated | (_PACED.get(name, {}) if kind == "replay" else {})
 
 

@@ -18,8 +18,8 @@ from push_ident.limits import printable
 from push_ident.types import Float64Array
 
 __all__ = [
-    "BLUES", "HEAT", "MARGIN", "VIRIDIS", "WIDTH", "Arrow", "CellPanel", "Mark", "Row", "Series", "bar_of_length", "cell_panel", "clean",
-    "field_panel", "round_below", "row_chart", "shade", "svg_of", "text_on", "titled_polygon",
+    "BLUES", "FOOT", "HEAD", "HEAT", "MARGIN", "SCALE", "VIRIDIS", "WIDTH", "Arrow", "CellPanel", "Mark", "Row", "Series", "bar_of_length",
+    "cell_panel", "clean", "field_panel", "round_below", "row_chart", "shade", "svg_of", "text_on", "titled_polygon",
 ]  # fmt: skip
 
 VIRIDIS: Final = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725")
@@ -31,19 +31,14 @@ HEAT: Final = ("#fff7e0", "#fdd68a", "#f6a14d", "#e3652f", "#b62a1f")
 
 WIDTH: Final = 320.0
 """Of every figure [units of the drawing]; a telephone is 360 to 430 CSS pixels wide."""
-_TEXT: Final = 12.0
 MARGIN: Final = 10.0
 """Around a drawing, in its units."""
-_LEGEND: Final = 34.0
-"""Height of the scale under a map."""
-_ROW: Final = 20.0
-_LABEL: Final = 92.0
-"""Width of the labels of rows."""
-_LETTERS: Final = 15
-"""That a label has room for."""
-_TICKS: Final = 4
-_MOST_VECTORS: Final = 400
-"""Of a figure; more would hide one another."""
+SCALE: Final = 34.0
+"""Height of the scale, or the bar of length, under a map."""
+HEAD: Final = 24.0
+"""Height of the name of the vertical axis of a chart."""
+FOOT: Final = 38.0
+"""Height of labels and name of the horizontal axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +130,7 @@ def cell_panel(panel: CellPanel) -> str:
     points = np.vstack([panel.outline, *extra])
     low, high = points.min(axis=0), points.max(axis=0)
     scale = (WIDTH - 2 * MARGIN) / float(max(high[0] - low[0], 0.6 * (high[1] - low[1])))
-    height = scale * float(high[1] - low[1]) + 2 * MARGIN + _LEGEND
+    height = scale * float(high[1] - low[1]) + 2 * MARGIN + SCALE
     left = 0.5 * (WIDTH - scale * float(high[0] - low[0]))
 
     def place(point: Float64Array) -> tuple[float, float]:
@@ -153,18 +148,18 @@ def cell_panel(panel: CellPanel) -> str:
             f'<rect x="{x - side / 2:.1f}" y="{y - side / 2:.1f}" width="{side:.1f}" height="{side:.1f}" fill="{colour}">'
             f"<title>{clean(f'cell {number} at {at}: {value:.3g} {panel.unit}')}</title></rect>"
         )
-    parts.append(_line(panel.outline, place, "outline", closed=True))
+    parts.append(titled_polygon(panel.outline, place, "outline"))
     if panel.region is not None:
-        parts.append(_line(panel.region, place, "region", closed=True))
+        parts.append(titled_polygon(panel.region, place, "region"))
     if panel.arrow is not None:
         parts += _arrow(panel.arrow, place, scale)
     if len(panel.values):
-        parts += _scale_of_colours(panel, bottom, top, height - _LEGEND + 12)
-    parts += bar_of_length(scale, height - _LEGEND + 12)
+        parts += _scale_of_colours(panel, bottom, top, height - SCALE + 12)
+    parts += bar_of_length(scale, height - SCALE + 12)
     return svg_of(panel.title, height, parts)
 
 
-def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor: float) -> str:
+def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor: float, most: int = 400) -> str:
     """Small displacements at places of the table, drawn `factor` times as long, in millimetres.
 
     Args:
@@ -172,12 +167,13 @@ def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor:
         points: places [m], shape (n, 2).
         vectors: displacements [m], shape (n, 2).
         factor: on their length.
+        most: arrows; more would hide one another.
     """
-    shown = slice(None, None, 1 + len(points) // _MOST_VECTORS)
+    shown = slice(None, None, 1 + len(points) // most)
     points, ends = points[shown], (points + factor * vectors)[shown]
     low, high = np.vstack([points, ends]).min(axis=0), np.vstack([points, ends]).max(axis=0)
     scale = (WIDTH - 2 * MARGIN) / max(float(np.max(high - low)), 1e-6)
-    height = scale * float(high[1] - low[1]) + 2 * MARGIN + _LEGEND
+    height = scale * float(high[1] - low[1]) + 2 * MARGIN + SCALE
 
     def place(point: Float64Array) -> tuple[float, float]:
         return MARGIN + scale * float(point[0] - low[0]), MARGIN + scale * float(high[1] - point[1])
@@ -190,14 +186,14 @@ def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor:
             f'<circle class="at" cx="{x:.1f}" cy="{y:.1f}" r="1.6"/>'
             f'<line class="vector" x1="{x:.1f}" y1="{y:.1f}" x2="{to_x:.1f}" y2="{to_y:.1f}"/></g>'
         )
-    parts += bar_of_length(scale, height - _LEGEND + 12)
+    parts += bar_of_length(scale, height - SCALE + 12)
     return svg_of(title, height, parts)
 
 
 def titled_polygon(
-    points: Float64Array, place: Callable[[Float64Array], tuple[float, float]], style: str, text: str, *, closed: bool = True
+    points: Float64Array, place: Callable[[Float64Array], tuple[float, float]], style: str, text: str = "", *, closed: bool = True
 ) -> str:
-    """A line with its name.
+    """A line with its name, or without one.
 
     Args:
         points: [m], shape (n, 2).
@@ -208,12 +204,7 @@ def titled_polygon(
     """
     where = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(point) for point in points))
     shape = "polygon" if closed else "polyline"
-    return f'<{shape} class="{style}" points="{where}"><title>{clean(text)}</title></{shape}>'
-
-
-def _line(points: Float64Array, place: Callable[[Float64Array], tuple[float, float]], name: str, *, closed: bool) -> str:
-    where = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(point) for point in points))
-    return f'<{"polygon" if closed else "polyline"} class="{name}" points="{where}"/>'
+    return f'<{shape} class="{style}" points="{where}"' + (f"><title>{clean(text)}</title></{shape}>" if text else "/>")
 
 
 def _arrow(arrow: Arrow, place: Callable[[Float64Array], tuple[float, float]], scale: float) -> list[str]:
@@ -265,16 +256,17 @@ def row_chart(title: str, rows: Sequence[Row], series: Sequence[Series], unit: s
     """
     values = [mark.value for row in rows for mark in row.marks if math.isfinite(mark.value)] + [row.bar for row in rows]
     top = max([*values, *([limit] if limit else []), 1e-9]) * 1.05
-    width = WIDTH - _LABEL - 2 * MARGIN
+    labels, letters, row_height = 92.0, 15, 20.0  # width of the labels of rows, and the letters for which they have room
+    width = WIDTH - labels - 2 * MARGIN
     legend = _legend(series)
     first = MARGIN + 16.0 * len(legend)
-    bottom = first + _ROW * len(rows)
+    bottom = first + row_height * len(rows)
 
     def x_of(value: float) -> float:
-        return _LABEL + MARGIN + width * max(0.0, value) / top
+        return labels + MARGIN + width * max(0.0, value) / top
 
     parts = [part for y, lines in enumerate(legend) for part in _shifted(lines, MARGIN + 16.0 * y)]
-    step = round_below(top / _TICKS) or top
+    step = round_below(top / 4) or top
     for k in range(int(top / step) + 1):
         x = x_of(k * step)
         parts.append(f'<line class="grid" x1="{x:.1f}" y1="{first:.1f}" x2="{x:.1f}" y2="{bottom:.1f}"/>')
@@ -282,9 +274,9 @@ def row_chart(title: str, rows: Sequence[Row], series: Sequence[Series], unit: s
     if limit is not None:
         parts.append(f'<line class="limit" x1="{x_of(limit):.1f}" y1="{first:.1f}" x2="{x_of(limit):.1f}" y2="{bottom:.1f}"/>')
     for number, row in enumerate(rows):
-        y = first + _ROW * (number + 0.5)
-        label = row.label if len(row.label) <= _LETTERS else row.label[: _LETTERS - 1] + "…"
-        parts.append(f'<text x="{_LABEL:.1f}" y="{y + 4:.1f}" text-anchor="end">{clean(label)}<title>{clean(row.label)}</title></text>')
+        y = first + row_height * (number + 0.5)
+        label = row.label if len(row.label) <= letters else row.label[: letters - 1] + "…"
+        parts.append(f'<text x="{labels:.1f}" y="{y + 4:.1f}" text-anchor="end">{clean(label)}<title>{clean(row.label)}</title></text>')
         if row.bar > 0:
             length = x_of(row.bar) - x_of(0.0)
             parts.append(f'<rect x="{x_of(0):.1f}" y="{y - 6:.1f}" width="{length:.1f}" height="12" style="fill:{row.colour}"/>')
@@ -292,7 +284,7 @@ def row_chart(title: str, rows: Sequence[Row], series: Sequence[Series], unit: s
     parts.append(
         f'<text x="{WIDTH - MARGIN:.1f}" y="{bottom + 30:.1f}" text-anchor="end">{clean(f"{axis} [{unit}]" if unit else axis)}</text>'
     )
-    return svg_of(title, bottom + 38.0, parts)
+    return svg_of(title, bottom + FOOT, parts)
 
 
 def _legend(series: Sequence[Series]) -> list[list[str]]:
@@ -324,7 +316,7 @@ def svg_of(title: str, height: float, parts: Sequence[str]) -> str:
     """A whole figure of its parts; `height` in units of the drawing, of which it is `WIDTH` wide."""
     body = "".join(parts)
     return (
-        f'<svg class="chart" role="img" viewBox="0 0 {WIDTH:g} {height:.0f}" xmlns="http://www.w3.org/2000/svg" font-size="{_TEXT:g}">'
+        f'<svg class="chart" role="img" viewBox="0 0 {WIDTH:g} {height:.0f}" xmlns="http://www.w3.org/2000/svg" font-size="12">'
         f"<title>{clean(title)}</title>{body}</svg>"
     )
 

@@ -7,15 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from push_ident.pages.chart import MARGIN, WIDTH, bar_of_length, clean, svg_of, titled_polygon
+from push_ident.pages.chart import MARGIN, SCALE, WIDTH, bar_of_length, clean, svg_of, titled_polygon
 from push_ident.types import Float64Array
 
 __all__ = ["Placed", "outline_panel", "outline_panels"]
-
-_FOOT = 34.0
-"""Height of the bar of length under the drawing, in its units."""
-_HALF_LETTER = 4.0
-"""From the middle of a letter to the line that it stands on, in units of the drawing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +47,7 @@ def outline_panel(title: str, placed: Sequence[Placed], frame: Float64Array) -> 
     low, high = frame
     scale = (WIDTH - 2 * MARGIN) / float(max(high[0] - low[0], high[1] - low[1], 1e-6))
     left = 0.5 * (WIDTH - scale * float(high[0] - low[0]))
-    height = scale * float(high[1] - low[1]) + 2 * MARGIN + _FOOT
+    height = scale * float(high[1] - low[1]) + 2 * MARGIN + SCALE
 
     def place(point: Float64Array) -> tuple[float, float]:
         return left + scale * float(point[0] - low[0]), MARGIN + scale * float(high[1] - point[1])
@@ -61,5 +56,5 @@ def outline_panel(title: str, placed: Sequence[Placed], frame: Float64Array) -> 
     for one in placed:
         if one.label:
             x, y = place(0.5 * (one.corners.min(axis=0) + one.corners.max(axis=0)))
-            parts.append(f'<text x="{x:.1f}" y="{y + _HALF_LETTER:.1f}" text-anchor="middle">{clean(one.label)}</text>')
-    return svg_of(title, height, [*parts, *bar_of_length(scale, height - _FOOT + 12)])
+            parts.append(f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{clean(one.label)}</text>')
+    return svg_of(title, height, [*parts, *bar_of_length(scale, height - SCALE + 12)])

@@ -5,18 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
-from push_ident.pages.chart import MARGIN, WIDTH, clean, svg_of
+from push_ident.pages.chart import FOOT, HEAD, MARGIN, WIDTH, clean, svg_of
 
 __all__ = ["Dot", "scatter"]
-
-_LEFT: Final = 34.0
-"""Width of the labels of the vertical axis, in units of the drawing."""
-_FOOT: Final = 38.0
-"""Height of labels and name of the horizontal axis."""
-_HEAD: Final = 24.0
-"""Height of the name of the vertical axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +35,9 @@ def scatter(title: str, dots: Sequence[Dot], *, x_axis: str, y_axis: str) -> str
     shown = [dot for dot in dots if 0 < dot.x < math.inf and 0 < dot.y < math.inf]
     values = [value for dot in shown for value in (dot.x, dot.y)] or [1.0]
     low, high = math.log10(min(values) / 1.25), math.log10(max(values) * 1.25)
-    side = WIDTH - _LEFT - 2 * MARGIN
-    left, bottom = _LEFT, _HEAD + side
+    left = 34.0  # for labels of the vertical axis
+    side = WIDTH - left - 2 * MARGIN
+    bottom = HEAD + side
 
     def at(value: float) -> float:
         return side * (math.log10(value) - low) / (high - low)
@@ -53,19 +46,19 @@ def scatter(title: str, dots: Sequence[Dot], *, x_axis: str, y_axis: str) -> str
     for tick in _ticks(low, high):
         x, y = left + at(tick), bottom - at(tick)
         parts += [
-            f'<line class="grid" x1="{x:.1f}" y1="{_HEAD:.1f}" x2="{x:.1f}" y2="{bottom:.1f}"/>',
+            f'<line class="grid" x1="{x:.1f}" y1="{HEAD:.1f}" x2="{x:.1f}" y2="{bottom:.1f}"/>',
             f'<line class="grid" x1="{left:.1f}" y1="{y:.1f}" x2="{left + side:.1f}" y2="{y:.1f}"/>',
             f'<text x="{x:.1f}" y="{bottom + 15:.1f}" text-anchor="middle">{tick:g}</text>',
             f'<text x="{left - 6:.1f}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>',
         ]
-    parts.append(f'<line class="limit" x1="{left:.1f}" y1="{bottom:.1f}" x2="{left + side:.1f}" y2="{_HEAD:.1f}"/>')
+    parts.append(f'<line class="limit" x1="{left:.1f}" y1="{bottom:.1f}" x2="{left + side:.1f}" y2="{HEAD:.1f}"/>')
     parts += [
         f'<circle cx="{left + at(dot.x):.1f}" cy="{bottom - at(dot.y):.1f}" r="4.2" style="fill:var(--accent);fill-opacity:.75">'
         f"<title>{clean(dot.text)}</title></circle>"
         for dot in shown
     ]
     parts.append(f'<text x="{left + side:.1f}" y="{bottom + 32:.1f}" text-anchor="end">{clean(x_axis)}</text>')
-    return svg_of(title, bottom + _FOOT, parts)
+    return svg_of(title, bottom + FOOT, parts)
 
 
 def _ticks(low: float, high: float) -> list[float]:

@@ -5,23 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
-from push_ident.pages.chart import MARGIN, WIDTH, clean, round_below, svg_of
+from push_ident.pages.chart import FOOT, HEAD, MARGIN, WIDTH, clean, round_below, svg_of
 from push_ident.types import Float64Array
 
 __all__ = ["Line", "time_chart"]
-
-_LEFT: Final = 40.0
-"""Width of the labels of the vertical axis, in units of the drawing."""
-_HEAD: Final = 24.0
-"""Height of the name of the vertical axis."""
-_FOOT: Final = 38.0
-"""Height of labels and name of the horizontal axis."""
-_HEIGHT: Final = 190.0
-_TICKS: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +42,11 @@ def time_chart(title: str, lines: Sequence[Line], *, x_axis: str, y_axis: str, b
     values = np.concatenate([[-band, band], *(line.y for line in lines)])
     low, high = float(values.min()), float(values.max())
     low, high = low - 0.05 * (high - low), high + 0.05 * (high - low) or 1.0
-    width = WIDTH - _LEFT - 2 * MARGIN
-    left, bottom = _LEFT + MARGIN, _HEAD + _HEIGHT
+    left, height = 40.0 + MARGIN, 190.0  # beside labels of the vertical axis
+    width, bottom = WIDTH - left - MARGIN, HEAD + height
 
     def place(x: float, y: float) -> tuple[float, float]:
-        return left + width * x / most, bottom - _HEIGHT * (y - low) / (high - low)
+        return left + width * x / most, bottom - height * (y - low) / (high - low)
 
     (right, top), (_, foot) = place(most, band), place(0.0, -band)
     parts = [
@@ -75,10 +65,10 @@ def time_chart(title: str, lines: Sequence[Line], *, x_axis: str, y_axis: str, b
         where = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(float(a), float(b)) for a, b in zip(line.x, line.y, strict=True)))
         parts.append(f'<polyline class="{line.style}" points="{where}"><title>{clean(line.text)}</title></polyline>')
     parts.append(f'<text x="{right:.1f}" y="{bottom + 32:.1f}" text-anchor="end">{clean(x_axis)}</text>')
-    return svg_of(title, bottom + _FOOT, parts)
+    return svg_of(title, bottom + FOOT, parts)
 
 
 def _ticks(low: float, high: float) -> list[float]:
     """Round numbers from `low` to `high`."""
-    step = round_below((high - low) / _TICKS) or 1.0
+    step = round_below((high - low) / 4) or 1.0
     return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]

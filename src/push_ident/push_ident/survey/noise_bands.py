@@ -18,17 +18,10 @@ __all__ = ["NoiseBand", "noise_by_distance"]
 
 _WIDTHS: Final = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Widths of a band [m]; the first one with few enough bands is used."""
-_MOST_BANDS: Final = 6
 _LEAST_POINTS: Final = 200
 """Bands with fewer points are left out."""
-_TABLE: Final = 0.012
-"""Points further from the plane are no table [m]: wide enough for the noise of a Kinect at 2 m and for a plate that is not flat."""
-_FROM_THINGS: Final = 7
-"""Window in which a pixel must be surrounded by table to count [px]: at the edges of things depths are mixed."""
 _DEVIATION: Final = 1.4826
 """Standard deviation over the median absolute deviation of a normal distribution."""
-_USED_FRAMES: Final = 5
-"""Single frames that are measured one by one: each has thousands of points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +61,7 @@ def noise_by_distance(
     if len(depth) < _LEAST_POINTS:
         return (), 0.0
     mean_height = points[..., 2][on_table]
-    some = frames[:: max(1, len(frames) // _USED_FRAMES)][:_USED_FRAMES]
+    some = frames[:: max(1, len(frames) // 5)][:5]  # measured one by one: each has thousands of points
     single = np.stack([points_in_table(frame, camera_in_table)[..., 2][on_table] for frame in some])
     bands = []
     for near, far in _limits(depth):
@@ -84,18 +77,21 @@ def noise_by_distance(
 
 
 def _on_table(points: NDArray[np.float32], settings: PerceptionSettings) -> BoolArray:
-    """Pixels in the workspace that show the table, away from the edges of everything else."""
+    """Pixels in the workspace that show the table, three pixels away from the edges of everything else, where depths are mixed.
+
+    Points within 12 mm of the plane are table: wide enough for the noise of a Kinect at 2 m and for a plate that is not flat.
+    """
     (low_x, low_y), (high_x, high_y) = settings.workspace_low, settings.workspace_high
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     with np.errstate(invalid="ignore"):
-        flat = (np.abs(z) < _TABLE) & (x > low_x) & (x < high_x) & (y > low_y) & (y < high_y)
-    kernel = np.ones((_FROM_THINGS, _FROM_THINGS), np.uint8)
-    return np.asarray(cv2.erode(flat.astype(np.uint8), kernel, borderValue=0) > 0)
+        flat = (np.abs(z) < 0.012) & (x > low_x) & (x < high_x) & (y > low_y) & (y < high_y)
+    return np.asarray(cv2.erode(flat.astype(np.uint8), np.ones((7, 7), np.uint8), borderValue=0) > 0)
 
 
-def _limits(depth: NDArray[np.float32]) -> list[tuple[float, float]]:
+def _limits(depth: NDArray[np.float32], most: int = 6) -> list[tuple[float, float]]:
+    """Least and largest depth [m] of `most` bands or fewer."""
     low, high = (float(value) for value in np.quantile(depth, [0.005, 0.995]))
-    width = next((w for w in _WIDTHS if np.ceil(high / w) - np.floor(low / w) <= _MOST_BANDS), _WIDTHS[-1])
+    width = next((w for w in _WIDTHS if np.ceil(high / w) - np.floor(low / w) <= most), _WIDTHS[-1])
     first, last = int(np.floor(low / width)), int(np.ceil(high / width))
     return [(round(i * width, 3), round((i + 1) * width, 3)) for i in range(first, last)]
 

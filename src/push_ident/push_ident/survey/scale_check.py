@@ -41,35 +41,13 @@ from push_ident.types import Float64Array
 
 __all__ = ["KnownSize", "ScaleCheck", "ScaleError", "check_scale", "distorted_lengths"]
 
-_LEAST: Final = 0.02
-"""A known object is at least so large in each direction [m]: a smaller one has too few pixels."""
 _SIMILAR: Final = (0.3, 3.0)
 """Range of the measured area relative to the known one [-]: a focal length that is wrong by 70 %. Beyond, it is something else."""
-_EDGE: Final = 0.3
-"""Standard deviation of the distance between two edges [px]: rendered boxes, in views from above to 60 degrees, have 0.1 to 0.3."""
-_LEAST_DEVIATION: Final = 5e-4
-"""Least standard deviation of a length [m]: what a folding rule and the rounding of an edge allow."""
-_ALLOWED: Final = 0.01
-"""An explanation is rejected where its residuals have a smaller probability [-]."""
-_CLEARLY: Final = 4.0
-"""Difference of chi-square from which one of two explanations is preferred: two standard deviations."""
 _RECTANGLE: Final = (12.0, 12.0, 12.0)
 """Of a rectangle with edges a, b and second central moments C of its unit mass: a^2 + b^2 over trace C, a b over sqrt det C, area over
 sqrt det C. The last one does not change under linear maps, so it recognises the kind of an outline whatever the error."""
 _TRIANGLE: Final = (18.0, 20.785, 10.392)
 """The same of a right-angled triangle with legs a, b."""
-_SAME_KIND: Final = 0.45
-"""Largest difference of that last number [-]: an ellipse differs from a rectangle by 0.57, an L with thin legs by 3 and more."""
-_UNEXPLAINED: Final = 0.01
-"""A relative difference that the best explanation may leave [-]: edges are rounded, and a skewed box shows its walls."""
-_REPEATS: Final = 4
-"""Most times that the images are looked at with a better focal length."""
-_SAME_FOCAL: Final = 0.01
-"""A change of the logarithm of the focal length that is not worth another look [-]."""
-_MOST_FOCAL: Final = 0.7
-"""Largest logarithm of an error of the focal length that is tried [-]: a factor of two."""
-_DETERMINED: Final = 1e6
-"""Largest condition number of the information on focal length and scale together [-]."""
 _NAMED: Final = 0.2
 """Deviation of the logarithm of an error above which its size means nothing [-]."""
 
@@ -92,7 +70,7 @@ class ScaleError(Enum):
 
 @dataclass(frozen=True, slots=True)
 class KnownSize:
-    """Edges of a box, or legs of a right-angled mark, and its height."""
+    """Edges of a box, or legs of a right-angled mark, and its height; each at least 2 cm, a smaller one has too few pixels."""
 
     width: float
     """[m]"""
@@ -103,10 +81,8 @@ class KnownSize:
 
     def __post_init__(self) -> None:
         for length in (self.width, self.depth, *([] if self.height is None else [self.height])):
-            if not _LEAST <= length <= 2.0:
-                raise InputError(
-                    f"The known size has a length of {length:g} m, expected {_LEAST:g} to 2 m; give metres, such as 0.2x0.1x0.05."
-                )
+            if not 0.02 <= length <= 2.0:
+                raise InputError(f"The known size has a length of {length:g} m, expected 0.02 to 2 m; give metres, such as 0.2x0.1x0.05.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,16 +181,18 @@ def distorted_lengths(focal: float, scale: float, tilt: float) -> tuple[float, f
 def check_scale(survey: Survey, known: KnownSize) -> ScaleCheck:
     """Compare the rectangle or right-angled triangle whose area is nearest to the known one.
 
+    The images are looked at with a better focal length up to four times, until it changes by less than 1 %.
+
     Raises:
         PerceptionError: There is no object, or none of about this size.
     """
     lengths = np.array([known.width, known.depth] + ([] if known.height is None else [known.height]))
     compared = first = _compared(survey, known, 1.0)
-    for _ in range(_REPEATS):
+    for _ in range(4):
         fits = _fits(compared, lengths)
         error = _simplest(fits, len(lengths)) if compared.moments.is_of_kind else ScaleError.NEITHER
         focal = _focal_to_try(error, fits)
-        if abs(np.log(focal / compared.focal)) < _SAME_FOCAL:
+        if abs(np.log(focal / compared.focal)) < 0.01:
             break
         try:
             compared = _compared(_with_focal(survey, focal), known, focal)
@@ -240,12 +218,17 @@ def check_scale(survey: Survey, known: KnownSize) -> ScaleCheck:
 
 
 def _compared(survey: Survey, known: KnownSize, focal: float) -> _Compared:
-    """The object nearest in area. `focal`: what the focal length of the images was divided by before the survey."""
+    """The object nearest in area. `focal`: what the focal length of the images was divided by before the survey.
+
+    The distance between two edges has a standard deviation of 0.3 px (rendered boxes, in views from above to 60 degrees, have 0.1 to 0.3),
+    and at least what a folding rule and the rounding of an edge allow.
+    """
+    least = 5e-4  # [m]
     surveyed, moments = _nearest(survey, known)
     pixel = surveyed.distance / min(survey.frame.intrinsics.fx, survey.frame.intrinsics.fy)
     bulge = max((abs(band.median) for band in survey.bands if band.near <= surveyed.distance < band.far), default=0.0)
-    across = max(_LEAST_DEVIATION, _EDGE * pixel)
-    deviation = np.array([across, across, max(_LEAST_DEVIATION, bulge)])
+    across = max(least, 0.3 * pixel)
+    deviation = np.array([across, across, max(least, bulge)])
     return _Compared(surveyed, moments, survey.camera_in_table[:3, :3], deviation, focal)
 
 
@@ -274,13 +257,13 @@ def _fits(compared: _Compared, lengths: Float64Array) -> dict[ScaleError, _Fit]:
 
 
 def _focal_to_try(error: ScaleError, fits: dict[ScaleError, _Fit]) -> float:
-    """The focal length in use over the one that an outcome suggests."""
+    """The focal length in use over the one that an outcome suggests, at most a factor of two."""
     if error in (ScaleError.NONE, ScaleError.DEPTH):
         return 1.0
     both = fits[ScaleError.BOTH]
     use_both = error in (ScaleError.BOTH, ScaleError.NEITHER) and max(both.std) < _NAMED
     log_focal = both.log_focal if use_both else fits[ScaleError.FOCAL].log_focal
-    return float(np.exp(np.clip(log_focal, -_MOST_FOCAL, _MOST_FOCAL)))
+    return float(np.exp(np.clip(log_focal, -0.7, 0.7)))
 
 
 def _nearest(survey: Survey, known: KnownSize) -> tuple[SurveyedObject, _Moments]:
@@ -302,7 +285,10 @@ def _nearest(survey: Survey, known: KnownSize) -> tuple[SurveyedObject, _Moments
 
 
 def _moments(outline: Float64Array) -> _Moments:
-    """Second central moments of a simple polygon, shape (n, 2) [m], and its kind (Green's theorem over the edges)."""
+    """Second central moments of a simple polygon, shape (n, 2) [m], and its kind (Green's theorem over the edges).
+
+    Area over sqrt det C of an ellipse differs from that of a rectangle by 0.57, that of an L with thin legs by 3 and more.
+    """
     x, y = (outline - outline.mean(axis=0)).T
     u, v = np.roll(x, -1), np.roll(y, -1)
     cross = x * v - u * y
@@ -313,7 +299,7 @@ def _moments(outline: Float64Array) -> _Moments:
     second = np.array([[xx, xy], [xy, yy]]) / (12.0 * area) - np.outer(mean, mean)
     invariant = abs(area) / float(np.sqrt(np.linalg.det(second)))
     kind = min((_RECTANGLE, _TRIANGLE), key=lambda numbers: abs(numbers[2] - invariant))
-    return _Moments(second, kind, abs(kind[2] - invariant) < _SAME_KIND)
+    return _Moments(second, kind, abs(kind[2] - invariant) < 0.45)
 
 
 def _in_order(measured: Float64Array, lengths: Float64Array, *, with_height: bool = False) -> Float64Array:
@@ -336,7 +322,7 @@ def _fit(residuals: Callable[[Float64Array], Float64Array], free: tuple[bool, bo
         best = least_squares(lambda some: residuals(all_values(some)), np.zeros(len(chosen)), x_scale=0.1)
         values = all_values(best.x)
         information = best.jac.T @ best.jac
-        is_determined = np.linalg.cond(information) < _DETERMINED
+        is_determined = np.linalg.cond(information) < 1e6
         std[chosen] = np.sqrt(np.diag(np.linalg.inv(information))) if is_determined else np.inf
     rest = residuals(values)
     return _Fit(
@@ -345,16 +331,17 @@ def _fit(residuals: Callable[[Float64Array], Float64Array], free: tuple[bool, bo
 
 
 def _simplest(fits: dict[ScaleError, _Fit], n_lengths: int) -> ScaleError:
-    """The explanation with the fewest errors that the measurement allows."""
+    """The explanation with the fewest errors that the measurement allows; one of two where it is better by two standard deviations."""
 
     def is_allowed(error: ScaleError, n_free: int) -> bool:
+        """Its residuals have a probability of 1 % or more, or are below 1 %: edges are rounded, and a skewed box shows its walls."""
         fit = fits[error]
-        return fit.chi2 < chdtri(max(n_lengths - n_free, 1), _ALLOWED) or (n_free > 0 and fit.residual < _UNEXPLAINED)
+        return fit.chi2 < chdtri(max(n_lengths - n_free, 1), 0.01) or (n_free > 0 and fit.residual < 0.01)
 
     if is_allowed(ScaleError.NONE, 0):
         return ScaleError.NONE
     single = sorted((e for e in (ScaleError.FOCAL, ScaleError.DEPTH) if is_allowed(e, 1)), key=lambda e: fits[e].chi2)
-    if len(single) == 2 and fits[single[1]].chi2 - fits[single[0]].chi2 < _CLEARLY:
+    if len(single) == 2 and fits[single[1]].chi2 - fits[single[0]].chi2 < 4.0:
         return ScaleError.EITHER
     if single:
         return single[0]

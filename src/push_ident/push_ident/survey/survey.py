@@ -29,29 +29,9 @@ from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["Survey", "SurveyedObject", "frames_at_rest", "survey_frames"]
 
-_WANTED: Final = 30
-"""Frames at rest that are used: a second of a usual camera; the noise of their median is a fifth of that of one frame."""
-_ENOUGH: Final = 10
-"""A shorter rest is used only where there is no longer one: `rest_frames` of perception."""
-_LOOKED_AT: Final = 300
-"""Frames in which a rest is looked for: ten seconds of a usual camera."""
 _MOVED: Final = (0.01, 0.01)
 """A pixel whose depth differs by more than the first [m] plus the second times its depth shows something else: three deviations of a
 Kinect at 2 m, 5 mm each (Nguyen et al., 2012)."""
-_MOVED_SHARE: Final = 0.002
-"""Largest fraction of the pixels that may show something else in frames at rest: a patch of 25 x 25 pixels of 640 x 480."""
-_HEIGHT_STEP: Final = 5e-4
-"""To which `min_object_height` is rounded up [m]."""
-_UNDER_TOP: Final = 0.98
-"""Quantile of the heights of an object that is its height: single pixels are outliers."""
-_OUTLINE_POINTS: Final = 2000
-"""Points along an outline that measure it."""
-_TIP: Final = 0.01
-"""Fraction of the border that may stick out at each end of a length [-]: the short side of a hammer's handle has three times that."""
-_OVER_TOP: Final = 0.01
-"""Points further above the top of an object as it was traced belong to something over it, such as an arm [m]."""
-_INNER: Final = 0.8
-"""The middle of an outline, scaled about its centroid by this [-], gives the height of the upper side: free of edges and walls."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +92,18 @@ class Survey:
         return float(np.arccos(np.clip(-self.camera_in_table[2, 2], -1.0, 1.0)))
 
 
-def frames_at_rest(frames: Iterable[DepthFrame]) -> tuple[list[DepthFrame], str]:
-    """The first frames among which nothing moves, at most 30, and a note on what was passed over; empty where nothing was.
+def frames_at_rest(
+    frames: Iterable[DepthFrame], *, wanted: int = 30, enough: int = 10, looked_at: int = 300
+) -> tuple[list[DepthFrame], str]:
+    """The first frames among which nothing moves, and a note on what was passed over; empty where nothing was.
 
-    Frames of a robot in motion before a rest are passed over; without a rest of ten frames in the first 300 the longest one is used.
+    Frames of a robot in motion before a rest are passed over.
+
+    Args:
+        frames: of one camera.
+        wanted: frames that are used at most: a second of a usual camera; the noise of their median is a fifth of that of one frame.
+        enough: a shorter rest is used only where there is no longer one: `rest_frames` of perception.
+        looked_at: frames in which a rest is looked for: ten seconds of a usual camera.
     """
     best: list[DepthFrame] = []
     run: list[DepthFrame] = []
@@ -127,7 +115,7 @@ def frames_at_rest(frames: Iterable[DepthFrame]) -> tuple[list[DepthFrame], str]
         run.append(frame)
         if len(run) > len(best):
             best = list(run)
-        if len(run) == _WANTED or n_seen == _LOOKED_AT or (not run[1:] and len(best) >= _ENOUGH):
+        if len(run) == wanted or n_seen == looked_at or (not run[1:] and len(best) >= enough):
             break
     passed = n_seen - len(best)
     return best, f"{passed} of the first {n_seen} frames show something else and are not used" if passed > 0 else ""
@@ -198,11 +186,11 @@ def _robot_note(refused: Sequence[Refusal], settings: PerceptionSettings) -> str
 
 
 def _is_moved(first: DepthFrame, frame: DepthFrame) -> bool:
-    """Whether patches of the image show something else; single pixels and edges flicker in every camera."""
+    """Whether patches of the image show something else, more than 25 x 25 pixels of 640 x 480; pixels and edges flicker in every camera."""
     with np.errstate(invalid="ignore"):
         differs = np.abs(frame.depth - first.depth) > _MOVED[0] + _MOVED[1] * first.depth
     patches = cv2.morphologyEx(differs.astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-    return bool(np.count_nonzero(patches) > _MOVED_SHARE * differs.size)
+    return bool(np.count_nonzero(patches) > 0.002 * differs.size)
 
 
 def _agreed(given: Float64Array | None, fitted: Float64Array, noise: float) -> tuple[Float64Array, bool, str]:
@@ -226,15 +214,15 @@ def _agreed(given: Float64Array | None, fitted: Float64Array, noise: float) -> t
     return TablePlane(slope, offset, noise, 0).correct(given), True, note
 
 
-def _least_height(bands: Sequence[NoiseBand], noise: float, settings: PerceptionSettings) -> float:
-    """Least height of objects [m]: more than the default only where the table itself bulges by more than the noise.
+def _least_height(bands: Sequence[NoiseBand], noise: float, settings: PerceptionSettings, step: float = 5e-4) -> float:
+    """Least height of objects [m], in steps of `step`: more than the default only where the table itself bulges by more than the noise.
 
     What the noise needs, perception adds by itself.
     """
     bulge = max((abs(band.median) for band in bands), default=0.0)
     if bulge <= noise:
         return settings.min_object_height
-    needed = float(np.ceil((bulge + 4.0 * noise) / _HEIGHT_STEP) * _HEIGHT_STEP)
+    needed = float(np.ceil((bulge + 4.0 * noise) / step) * step)
     return min(max(settings.min_object_height, round(needed, 6)), 0.5 * settings.max_object_height)
 
 
@@ -264,36 +252,45 @@ def _perceive(
 
 
 def _object(perception: Perception, name: str, points: NDArray[np.float32], depth: NDArray[np.float32]) -> SurveyedObject:
+    """One object. Its height is the 0.98 quantile of its heights: single pixels are outliers.
+
+    Points more than 1 cm above its top as it was traced belong to something over it, such as an arm. The middle of its outline, of 0.8 of
+    its size, gives the height of the upper side: free of edges and walls.
+    """
     known = perception.known(name)
     outline = transform_points(perception.first_pose(name), known.traced.shape.outline)
     flat, low, high = points.reshape(-1, 3), outline.min(axis=0), outline.max(axis=0)
     with np.errstate(invalid="ignore"):
-        near = np.all((flat[:, :2] >= low) & (flat[:, :2] <= high), axis=1) & (flat[:, 2] < float(known.traced.top.max()) + _OVER_TOP)
+        near = np.all((flat[:, :2] >= low) & (flat[:, :2] <= high), axis=1) & (flat[:, 2] < float(known.traced.top.max()) + 0.01)
     measured, measured_depth = flat[near].astype(np.float64), depth.ravel()[near]
     inside = points_in_polygon(measured[:, :2], outline)
     middle = outline.mean(axis=0)
-    inner = points_in_polygon(measured[:, :2], middle + _INNER * (outline - middle))
+    inner = points_in_polygon(measured[:, :2], middle + 0.8 * (outline - middle))
     heights = measured[inside, 2] if inside.any() else known.traced.top.ravel()
     top = measured[inner, 2] if inner.any() else heights
     distance = (
         float(np.median(measured_depth[inside])) if inside.any() else float(np.linalg.norm(perception.camera_in_table[:2, 3] - middle))
     )
-    quantile = float(np.quantile(heights, _UNDER_TOP))
+    quantile = float(np.quantile(heights, 0.98))
     return SurveyedObject(name, known.traced.shape, outline, _edges(outline), quantile, float(np.median(top)), distance)
 
 
-def _edges(outline: Float64Array) -> tuple[float, float]:
-    """Length and width [m], along the sides of the smallest rectangle around an outline; less the tips, which noise makes."""
+def _edges(outline: Float64Array, n: int = 2000, tip: float = 0.01) -> tuple[float, float]:
+    """Length and width [m], along the sides of the smallest rectangle around an outline; less the tips, which noise makes.
+
+    `n` points along the outline measure it. `tip`: fraction of the border that may stick out at each end of a length [-]; the short side of
+    a hammer's handle has three times that.
+    """
     corners = cv2.boxPoints(cv2.minAreaRect(outline.astype(np.float32))).astype(np.float64)
     axes = np.array([corners[1] - corners[0], corners[2] - corners[1]])
     axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-9)
     steps = np.roll(outline, -1, axis=0) - outline
     lengths = np.linalg.norm(steps, axis=1)
-    at = np.linspace(0.0, lengths.sum(), _OUTLINE_POINTS, endpoint=False)
+    at = np.linspace(0.0, lengths.sum(), n, endpoint=False)
     edge = np.searchsorted(np.cumsum(lengths), at, side="right")
     share = (at - np.concatenate([[0.0], np.cumsum(lengths)])[edge]) / lengths[edge]
     along = (outline[edge] + share[:, None] * steps[edge]) @ axes.T
-    low, high = np.quantile(along, [_TIP, 1.0 - _TIP], axis=0)
+    low, high = np.quantile(along, [tip, 1.0 - tip], axis=0)
     short, long = sorted(float(value) for value in high - low)
     return long, short
 

@@ -27,18 +27,6 @@ _OBJECT_COLOUR: Final = "#009e73"
 _REFUSED_COLOUR: Final = "#e69f00"
 _UNMEASURED_COLOUR: Final = "#cc79a7"
 _ROBOT_COLOUR: Final = "#f0e442"
-_TINT: Final = 0.4
-"""Share of the colour on the table [-]."""
-_AXIS: Final = 0.1
-"""Length of the axes of the table frame [m]."""
-_SHOWN: Final = 1e-3
-"""Fraction of the pixels from which a colour has a line in the legend [-]."""
-_SPECK: Final = 16
-"""Borders with fewer pixels are left out beside a longer one."""
-_WALL: Final = 0.006
-"""Points up to this distance outside the outline of an object are its walls, not those of another one [m]."""
-_NEAREST: Final = 0.05
-"""What is nearer to the plane of the camera than this is not drawn [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +49,7 @@ def draw_survey(survey: Survey) -> SurveyFigure:
     corners, along = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]), np.linspace(0.0, 4.0, 241)
     border = np.column_stack([np.interp(along, np.arange(5), corners[:, axis]) for axis in (0, 1)])
     parts += _line(survey, _project(survey, border, 0.0), "workspace", "workspace", closed=False)
-    axes = _project(survey, np.array([(_AXIS, 0.0), (0.0, 0.0), (0.0, _AXIS)]), 0.0)
+    axes = _project(survey, np.array([(0.1, 0.0), (0.0, 0.0), (0.0, 0.1)]), 0.0)
     parts += _line(survey, axes, "axes", "x and y of the table frame, 10 cm", closed=False)
     parts += [_label(survey, end, name) for end, name in zip(axes[::2], "xy", strict=True)]
     labels, number = [], 0
@@ -109,10 +97,10 @@ def _label(survey: Survey, pixel: Float64Array, text: str) -> str:
 
 
 def _borders(mask: BoolArray) -> list[Float64Array]:
-    """Outer borders of pixels of the image [px], shape (n, 2) each; the largest first."""
+    """Outer borders of pixels of the image [px], shape (n, 2) each; the largest first, specks left out beside it."""
     found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     borders = sorted((border[:, 0].astype(np.float64) for border in found), key=len, reverse=True)
-    return [border for border in borders if len(border) > _SPECK] or borders[:1]
+    return [border for border in borders if len(border) > 16] or borders[:1]
 
 
 def _widest(mask: BoolArray) -> Float64Array:
@@ -123,16 +111,19 @@ def _widest(mask: BoolArray) -> Float64Array:
 
 
 def _project(survey: Survey, outline: Float64Array, height: float) -> Float64Array:
-    """Pixels of points of the table frame, shape (n, 2); NaN behind the camera."""
+    """Pixels of points of the table frame, shape (n, 2); NaN behind the camera or within 5 cm of it."""
     camera = survey.frame.intrinsics
     points = np.column_stack([outline, np.full(len(outline), height), np.ones(len(outline))]) @ np.linalg.inv(survey.camera_in_table).T
-    points[points[:, 2] < _NEAREST] = np.nan
+    points[points[:, 2] < 0.05] = np.nan
     pixels = np.array([camera.fx, camera.fy]) * points[:, :2] / points[:, 2:3] + np.array([camera.cx, camera.cy])
     return np.clip(pixels, -1e4, 1e4)
 
 
-def _pixels_of(survey: Survey, refused: Sequence[Refusal]) -> list[BoolArray]:
-    """Pixels of each refusal, shape (height, width): higher than the table, in its outline and in no smaller one, and on no object."""
+def _pixels_of(survey: Survey, refused: Sequence[Refusal], wall: float = 0.006) -> list[BoolArray]:
+    """Pixels of each refusal, shape (height, width): higher than the table, in its outline and in no smaller one, and on no object.
+
+    `wall`: points up to this distance outside the outline of an object are its walls, not those of another one [m].
+    """
     points = points_in_table(survey.frame, survey.camera_in_table)
     with np.errstate(invalid="ignore"):
         rows, columns = np.nonzero(points[..., 2] > 0.5 * survey.least_height)
@@ -141,8 +132,8 @@ def _pixels_of(survey: Survey, refused: Sequence[Refusal]) -> list[BoolArray]:
     for index in sorted(range(len(refused)), key=lambda i: -_area(refused[i].outline)):
         owner[points_in_polygon(own, _grown(refused[index].outline))] = index
     for known in survey.objects:
-        near = np.flatnonzero(np.all((own > known.outline.min(axis=0) - _WALL) & (own < known.outline.max(axis=0) + _WALL), axis=1))
-        owner[near[signed_distance(own[near], known.outline) < _WALL]] = -1
+        near = np.flatnonzero(np.all((own > known.outline.min(axis=0) - wall) & (own < known.outline.max(axis=0) + wall), axis=1))
+        owner[near[signed_distance(own[near], known.outline) < wall]] = -1
     masks = []
     for index in range(len(refused)):
         mask = np.zeros(survey.frame.depth.shape, dtype=bool)
@@ -169,10 +160,10 @@ def _image(survey: Survey) -> tuple[np.ndarray, float]:
     measured = np.isfinite(depth)
     settings = replace(survey.settings, min_object_height=survey.least_height)
     labels = FrameView(survey.frame, survey.camera_in_table, settings=settings).labels
-    image = np.repeat(grey[..., None], 3, axis=2)
+    image, tint = np.repeat(grey[..., None], 3, axis=2), 0.4
     for label, colour in ((TABLE, _TABLE_COLOUR), (ROBOT, _ROBOT_COLOUR)):
         tinted = (labels == label) & measured
-        image[tinted] = (1 - _TINT) * image[tinted] + _TINT * _bgr(colour)
+        image[tinted] = (1 - tint) * image[tinted] + tint * _bgr(colour)
     rows, columns = depth.shape
     period = max(4, columns // 80)
     striped = (np.arange(rows)[:, None] + np.arange(columns)) % period < period // 4
@@ -185,15 +176,15 @@ def _bgr(colour: str) -> np.ndarray:
     return np.array([int(colour[k : k + 2], 16) for k in (5, 3, 1)], np.float32)
 
 
-def _legend(survey: Survey, share_on_robot: float) -> tuple[tuple[str, str], ...]:
-    """Colours and what they mean, for those that the figure has."""
+def _legend(survey: Survey, share_on_robot: float, least: float = 1e-3) -> tuple[tuple[str, str], ...]:
+    """Colours and what they mean, for those that the figure has, on a fraction of the pixels above `least`."""
     low, high = survey.settings.workspace_low, survey.settings.workspace_high
     n_small = sum(map(is_small, survey.refused))
     rows = [
         (True, _TABLE_COLOUR, f"table; workspace dashed, {100 * (high[0] - low[0]):.0f} x {100 * (high[1] - low[1]):.0f} cm; x, y: 10 cm"),
-        (share_on_robot > _SHOWN, _ROBOT_COLOUR, f"higher than {100 * survey.settings.max_object_height:.0f} cm: taken for the robot"),
+        (share_on_robot > least, _ROBOT_COLOUR, f"higher than {100 * survey.settings.max_object_height:.0f} cm: taken for the robot"),
         (
-            survey.share_measured < 1 - _SHOWN,
+            survey.share_measured < 1 - least,
             _UNMEASURED_COLOUR,
             f"striped: nothing measured, {100 * (1 - survey.share_measured):.1f} % of the pixels",
         ),

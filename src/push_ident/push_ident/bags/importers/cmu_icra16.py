@@ -31,7 +31,6 @@ from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["import_cmu_icra16"]
 
-_MM: Final = 1e-3
 _OBJECT_ID: Final = "1"
 _LEG: Final = 0.150
 """Both legs of the triangle [m]; `PushExp/parameters/aluminium_triangle/obj_geo.txt`."""
@@ -41,10 +40,6 @@ _POSITION_STD, _YAW_STD = 1e-3, float(np.radians(0.5))
 """Standard deviations of an object pose: 1 mm and 0.5 degrees, about the distance between tool and outline at contact."""
 _TOOL_AXES: Final = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
 """Tool axes of the force sensor: turned by 45 degrees and mirrored, since the tool's z axis points down."""
-_N_BIAS: Final = 20
-"""Number of samples before contact from which the bias of the force sensor is estimated."""
-_CONTACT: Final = 0.2
-"""Least force in contact [N]; the noise is 0.02 N, sliding friction 4 N."""
 _NUMBER: Final = r"\d{1,3}(?:\.\d{1,3})?"
 _SUPPORTS: Final = re.compile(rf"(?P<wood>wood_)?(?P<supports>{_NUMBER}(?:_{_NUMBER}){{5}})(?:__.*)?")
 _PATCH: Final = re.compile(r"(?P<wood>wood_)?patch(?:__.*)?")
@@ -121,7 +116,7 @@ def _setup_of(file: Path) -> _Setup:
     """Surface and supports by the names of the published folders."""
     for name in (file.stem, file.absolute().parent.name):
         if match := _SUPPORTS.fullmatch(name):
-            x, y = np.array(match["supports"].split("_"), dtype=np.float64).reshape(2, 3) * _MM
+            x, y = np.array(match["supports"].split("_"), dtype=np.float64).reshape(2, 3) * 1e-3
             return _Setup("wood" if match["wood"] else "hardboard", np.column_stack([x, y]))
         if match := _PATCH.fullmatch(name):
             return _Setup("wood" if match["wood"] else "hardboard", np.zeros((0, 2)))
@@ -133,24 +128,24 @@ def _write_push(writer: BagWriter, push: _Push, shape: ObjectShape, covariance: 
     robot = push.robot
     writer.write_pose(_OBJECT_ID, robot[0, 0], push.before, covariance)
     for time, x, y, z, *_ in robot:
-        writer.write_pusher(time, (x * _MM, y * _MM), z=z * _MM)
+        writer.write_pusher(time, (x * 1e-3, y * 1e-3), z=z * 1e-3)
     distance = np.nan
     if len(push.force):
         force = _force(push.force[:, 1:], yaw_tool=2.0 * np.arctan2(robot[0, 7], robot[0, 4]))
         for time, newtons in zip(push.force[:, 0], force, strict=True):
             writer.write_wrench(time, newtons)
-        touching = np.linalg.norm(force, axis=1) > _CONTACT
+        touching = np.linalg.norm(force, axis=1) > 0.2  # [N]; the noise is 0.02 N, sliding friction 4 N
         if touching.any():
             contact = push.force[np.argmax(touching), 0]
-            position = np.array([np.interp(contact, robot[:, 0], robot[:, axis]) for axis in (1, 2)]) * _MM
+            position = np.array([np.interp(contact, robot[:, 0], robot[:, axis]) for axis in (1, 2)]) * 1e-3
             distance = float(signed_distance(transform_points(inverse(push.before), position[None]), shape.outline)[0])
     writer.write_pose(_OBJECT_ID, robot[-1, 0], push.after, covariance)
     return distance
 
 
 def _force(raw: Float64Array, *, yaw_tool: float) -> Float64Array:
-    """Force on the object in `table` [N], shape (n, 2): the sensor measures its reaction, in tool axes, with a bias."""
-    return -(raw - raw[:_N_BIAS].mean(axis=0)) @ _TOOL_AXES.T @ rotation(yaw_tool).T
+    """Force on the object in `table` [N], shape (n, 2): the sensor measures its reaction, in tool axes, with the bias of the first 20."""
+    return -(raw - raw[:20].mean(axis=0)) @ _TOOL_AXES.T @ rotation(yaw_tool).T
 
 
 class _Numbers:
@@ -204,9 +199,9 @@ def _parse(file: Path) -> tuple[list[_Push], list[str]]:
         if pushes and not numbers.left:
             break
         poses = numbers.take(2, 7)
-        before, after = (np.array([x * _MM, y * _MM, 2.0 * np.arctan2(qz, qw)]) for x, y, _, qw, _, _, qz in poses)
+        before, after = (np.array([x * 1e-3, y * 1e-3, 2.0 * np.arctan2(qz, qw)]) for x, y, _, qw, _, _, qz in poses)
         force, robot = ascending(numbers.take(numbers.count(0), 3)), ascending(numbers.take(numbers.count(1), 8))
-        check_coordinates(np.vstack([poses[:, :3], robot[:, 1:4]]) * _MM, str(file), error=BagError)
+        check_coordinates(np.vstack([poses[:, :3], robot[:, 1:4]]) * 1e-3, str(file), error=BagError)
         _check_times(force[:, 0], file)
         _check_times(robot[:, 0], file)
         pushes.append(_Push(before, after, force, robot))

@@ -26,7 +26,6 @@ from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["MocapObject", "import_cmu_mocap"]
 
-_MM: Final = 1e-3
 _OBJECT_ID: Final = "1"
 _POSITION_STD, _YAW_STD = 1e-3, float(np.radians(0.5))
 """Standard deviations of an object pose: 1 mm and 0.5 degrees, about the distance between tool and outline at contact."""
@@ -47,14 +46,6 @@ _CENTRE_OF_MASS: Final = (0.0293, 0.0293)
 _OUTER_SUPPORTS: Final = ((0.010, 0.010), (0.084, 0.010), (0.010, 0.084))
 _OUTER: Final = ("3out",)
 """Parts of the file names of recordings on the three outer supports."""
-_N_BIAS: Final = 200
-"""Number of first samples from which the bias of the force sensor is estimated."""
-_CONTACT: Final = 0.1
-"""Least force in contact [N]; the noise is 0.01 N, sliding friction 0.4 N."""
-_PAUSE: Final = 0.6
-"""Shortest standstill of the robot that ends a push [s]."""
-_MARGIN: Final = 0.3
-"""Standstill kept at both ends of a push [s]."""
 _SHORTEST: Final = 0.3
 """Shortest motion in contact that counts as a push [s]."""
 
@@ -85,8 +76,8 @@ def import_cmu_mocap(bag_file: Path, out_bag: Path, *, body: MocapObject | None 
     shape = right_triangle(*_LEGS) if body.outline is None else shape_of_outline(body.outline)
     supports = _supports_of(bag_file, body, shape)
     time, pose, robot, measured = _read(bag_file, _frame_in_body(body))
-    force = np.linalg.norm(measured[:, 1:] - np.median(measured[:_N_BIAS, 1:], axis=0), axis=1)
-    in_contact = np.interp(robot[:, 0], measured[:, 0], force) > _CONTACT
+    force = np.linalg.norm(measured[:, 1:] - np.median(measured[:200, 1:], axis=0), axis=1)  # the first samples show the bias
+    in_contact = np.interp(robot[:, 0], measured[:, 0], force) > 0.1  # [N]; the noise is 0.01 N, sliding friction 0.4 N
     covariance = pose_covariance(_POSITION_STD, _YAW_STD)
     spans = _spans_of_motion(robot, in_contact)
     if not spans:
@@ -169,7 +160,7 @@ def _read(file: Path, frame_in_body: Float64Array) -> tuple[Float64Array, Float6
     if missing := [topic for topic, values in rows.items() if len(values) < 2]:
         raise BagError(f"{file}: no messages of {', '.join(missing)}; not a recording of this format.")
     body, robot, measured = (ascending(np.array(values)) for values in rows.values())
-    pose, robot = _planar_pose(body[:, 1:4], body[:, 4:], frame_in_body), robot * [1.0, _MM, _MM, _MM]
+    pose, robot = _planar_pose(body[:, 1:4], body[:, 4:], frame_in_body), robot * [1.0, 1e-3, 1e-3, 1e-3]
     for lengths in (pose[:, :2], robot[:, 1:]):
         check_coordinates(lengths, str(file), error=BagError)
     return body[:, 0], pose, robot, measured
@@ -200,17 +191,17 @@ def _planar_pose(position: Float64Array, quaternion: Float64Array, frame_in_body
     body = Rotation.from_quat(quaternion).as_matrix()
     origin = body @ frame_in_body[:3, 3] + position
     x_axis = body @ frame_in_body[:3, 0]
-    return np.column_stack([origin[:, :2] * _MM, np.unwrap(np.arctan2(x_axis[:, 1], x_axis[:, 0]))])
+    return np.column_stack([origin[:, :2] * 1e-3, np.unwrap(np.arctan2(x_axis[:, 1], x_axis[:, 0]))])
 
 
 def _spans_of_motion(robot: Float64Array, in_contact: Any) -> list[tuple[float, float]]:
-    """Start and end [s] of each push: the robot moves, touching the object, between two pauses."""
+    """Start and end [s] of each push: the robot moves, touching the object, between two pauses of 0.6 s, half of which is kept."""
     moving = np.flatnonzero(np.any(np.diff(robot[:, 1:3], axis=0) != 0, axis=1))
     spans = []
-    for run in np.split(moving, np.flatnonzero(np.diff(robot[moving, 0]) > _PAUSE) + 1):
+    for run in np.split(moving, np.flatnonzero(np.diff(robot[moving, 0]) > 0.6) + 1):
         touching = run[in_contact[run]]
         if len(touching) and robot[touching[-1], 0] - robot[touching[0], 0] >= _SHORTEST:
-            spans.append((float(robot[run[0], 0]) - _MARGIN, float(robot[run[-1] + 1, 0]) + _MARGIN))
+            spans.append((float(robot[run[0], 0]) - 0.3, float(robot[run[-1] + 1, 0]) + 0.3))
     return spans
 
 

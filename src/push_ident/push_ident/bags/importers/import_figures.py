@@ -16,18 +16,15 @@ from push_ident.types import Float64Array
 __all__ = ["overlap_figures"]
 
 _Centre = Callable[[int], Float64Array]
-_MOST_PUSHES: Final = 12
-"""Pushes that are drawn; with more, circles and outlines cover each other."""
 _CIRCLE: Final = np.linspace(0.0, 2.0 * np.pi, 41)[:-1]
-_STEADY: Final = 2.0
-"""Largest time to the next frame, in the median one of a push, of a frame that begins its motion [-]."""
-_POINT: Final = 0.006
-"""Radius of a pusher that is a point, as a share of the drawing [-]."""
 
 
-def overlap_figures(overlap: Overlap) -> list[tuple[str, str]]:
-    """Caption and drawing of the first pushes in the table frame, in the object frame, and over time. There is one frame at least."""
-    pushes = np.unique(overlap.push)[:_MOST_PUSHES]
+def overlap_figures(overlap: Overlap, most: int = 12) -> list[tuple[str, str]]:
+    """Caption and drawing of the first pushes in the table frame, in the object frame, and over time. There is one frame at least.
+
+    `most`: pushes that are drawn; with more, circles and outlines cover each other.
+    """
+    pushes = np.unique(overlap.push)[:most]
     n = len(np.unique(overlap.push))
     some = "" if n == len(pushes) else f" (the first {len(pushes)} of {n} pushes)"
     captions = (
@@ -63,12 +60,12 @@ def _in_object_frame(title: str, overlap: Overlap, pushes: Float64Array) -> str:
 
 
 def _panel(title: str, placed: list[Placed], overlap: Overlap, pushes: Float64Array, centre: _Centre) -> str:
-    """What is placed already, and a circle for each push where `centre` has the pusher in a frame."""
+    """What is placed already, and a circle for each push where `centre` has the pusher in a frame; one that is a point is seen as well."""
     first = [_first(overlap, push) for push in pushes]
     centres = np.array([centre(k) for k in first])
     every = np.vstack([*(one.corners for one in placed), centres - overlap.radius, centres + overlap.radius])
     frame = np.array([every.min(axis=0), every.max(axis=0)])
-    radius = max(overlap.radius, _POINT * float(np.max(frame[1] - frame[0])))
+    radius = max(overlap.radius, 0.006 * float(np.max(frame[1] - frame[0])))
     circle = radius * np.column_stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
     for push, k, middle in zip(pushes, first, centres, strict=True):
         style = "meets" if abs(overlap.distance[k]) <= overlap.tolerance else "missed"
@@ -94,7 +91,7 @@ def _over_time(title: str, overlap: Overlap, pushes: Float64Array) -> str:
 
 
 def _first(overlap: Overlap, push: float) -> int:
-    """The first frame in which a push moves the object: a frame far before the next one is noise that looks like motion."""
+    """The first frame in which a push moves the object: one far before the next, by twice the median step, is noise."""
     own = np.flatnonzero(overlap.push == push)
     step = np.diff(overlap.time[own])
-    return int(own[np.argmax(step <= _STEADY * np.median(step))]) if len(step) else int(own[0])
+    return int(own[np.argmax(step <= 2.0 * np.median(step))]) if len(step) else int(own[0])

@@ -25,12 +25,6 @@ __all__ = ["write_import_page", "write_refusal_page"]
 
 _MOST_ROWS: Final = 60
 """Pushes in the table; of more, those that miss most."""
-_FOR_MAPS: Final = 6
-"""Pushes from different sides with which maps predict new pushes to about the noise (docs: what makes data useful)."""
-_FOR_DIAGNOSIS: Final = 8
-"""Pushes from which a diagnosis can tell effects from each other (likewise)."""
-_HELD_OUT: Final = 3
-"""One of so many pushes is held out in the command that is proposed, to measure the error of predictions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +151,8 @@ def _checks(report: ImportReport, back: _ReadBack | None, problem: str) -> list[
         share = float(np.mean(np.abs(overlap.distance) <= overlap.tolerance))
         text = f"{1e3 * overlap.miss:.1f} mm in the median, {100 * share:.0f} % of the frames within"
         found.append(_Check("pusher on the outline while the object moves", text, expected, overlap.fits))
-    found.append(_Check("enough pushes for maps", str(n), f"{_FOR_MAPS} or more, from different sides", n >= _FOR_MAPS))
+    # With six pushes maps predict new ones to about the noise (docs: what makes data useful).
+    found.append(_Check("enough pushes for maps", str(n), "6 or more, from different sides", n >= 6))
     return found
 
 
@@ -220,7 +215,7 @@ def _facts_of_shape(overlap: Overlap) -> list[tuple[str, str]]:
 
 
 def _steps(report: ImportReport, back: _ReadBack | None, is_good: bool) -> list[tuple[str, str]]:
-    """Sentences, each with the command that it asks for, or none."""
+    """Sentences, each with the command that it asks for, or none; a third of the pushes is held out to measure the error of predictions."""
     bag, name = shlex.quote(str(report.bag)), shlex.quote(f"out/{report.bag.stem}")
     if report.warnings or back is None:
         first = [("Look at the pushes and files that the warnings name.", "")]
@@ -230,13 +225,13 @@ def _steps(report: ImportReport, back: _ReadBack | None, is_good: bool) -> list[
     steps = [("The picture and the checks show nothing wrong." if is_good else "Look at the checks above first.", "")]
     weighed = "" if report.mass is None else f" --total-mass {report.mass:g}"
     n = len(back.pushes)
-    train = f" --train 0-{n - max(1, n // _HELD_OUT) - 1}" if n > _HELD_OUT else ""
+    train = f" --train 0-{n - max(1, n // 3) - 1}" if n > 3 else ""
     steps.append(("Identify the maps; pushes that are not in --train (it counts from 0) measure the error of predictions:" if train else
                   "Identify the maps:", f"push-ident identify {bag}{train}{weighed} --out {name}_maps"))  # fmt: skip
-    if n >= _FOR_DIAGNOSIS:
+    if n >= 8:  # a diagnosis can tell effects from each other (docs: what makes data useful)
         steps.append(("Ask what the model lacks for these pushes:", f"push-ident diagnose {bag} --out {name}_diagnosis"))
     else:
-        steps.append((f"For a diagnosis record {_FOR_DIAGNOSIS} to 14 pushes from different sides.", ""))
+        steps.append(("For a diagnosis record 8 to 14 pushes from different sides.", ""))
     return steps
 
 

@@ -36,16 +36,8 @@ __all__ = ["MIT_SHAPES", "MitOptions", "import_mit", "mit_sets"]
 _OBJECT_ID: Final = "1"
 _FIELDS: Final = ("object_pose", "tip_pose", "ft_wrench")
 _SUFFIXES: Final = (".json", ".h5")
-_CORNER: Final = 0.045
-"""Right-angle corner of the triangles in the object frame, x and y [m]."""
-_ELLIPSE_VERTICES: Final = 180
-"""Vertices of an ellipse: the chords of the largest stay within 0.02 mm of the arc."""
-_PROBE_RADIUS: Final = 0.00475
-"""Of the probe of the dataset [m]; `probe_db.py`, probes 3 to 5."""
 _YAW_JUMP: Final = float(np.radians(8.0))
 """Turn between two frames that only a change of the tracked markers makes [rad]; the least that github.com/mcubelab/pdproc removes."""
-_FRAME: Final = 0.02
-"""Longest time between two frames that are compared for a jump [s]; the tracker ran at 250 Hz."""
 _NAME: Final = re.compile(r"(?:motion_)?surface=(?P<surface>[a-z]+)_shape=(?P<shape>[a-z]+\d?)(?:_.*)?")
 
 
@@ -54,10 +46,12 @@ def _rectangle(x: float, y: float) -> Float64Array:
 
 
 def _triangle(leg_x: float, leg_y: float) -> Float64Array:
-    return _CORNER + np.array([[0.0, 0.0], [-leg_x, 0.0], [0.0, -leg_y]])
+    """With its right-angle corner at x = y = 45 mm in the object frame."""
+    return 0.045 + np.array([[0.0, 0.0], [-leg_x, 0.0], [0.0, -leg_y]])
 
 
-def _ellipse(x: float, y: float, n: int = _ELLIPSE_VERTICES) -> Float64Array:
+def _ellipse(x: float, y: float, n: int = 180) -> Float64Array:
+    """With `n` vertices, of which 180 keep the chords of the largest within 0.02 mm of the arc."""
     angle = np.arange(n) * 2.0 * np.pi / n
     return 0.5 * np.column_stack([x * np.cos(angle), y * np.sin(angle)])
 
@@ -96,8 +90,8 @@ class MitOptions:
     """One of `MIT_SHAPES`; empty: by the file names."""
     outline: Float64Array | None = None
     """[m], shape (n_vertices, 2), object frame, in place of the published one."""
-    radius: float = _PROBE_RADIUS
-    """Of the probe [m]."""
+    radius: float = 0.00475
+    """Of the probe [m]; `probe_db.py`, probes 3 to 5."""
     position_std: float = 0.5e-3
     """Standard deviation of a position of the object [m]: the distance between probe and outline in contact in a published file."""
     yaw_std: float = field(default=float(np.radians(0.3)))
@@ -288,15 +282,15 @@ def _rows(values: Any, what: str) -> Float64Array:
 
 
 def _unusable(push: _Push) -> str:
-    """Why a push cannot be used; empty where it can."""
+    """Why a push cannot be used; empty where it can. Frames less than 20 ms apart are compared for a jump: the tracker ran at 250 Hz."""
     if len(push.pose) < 2 or len(push.tip) < 2:
         return f"it has {len(push.pose)} object poses and {len(push.tip)} poses of the probe, expected at least 2 of each"
     end = max(rows[-1, 0] for rows in (push.pose, push.tip, push.force) if len(rows))
     if not end <= LIMITS.PUSH_SECONDS.value:
         return f"it lasts {end:.4g} s, expected at most {LIMITS.PUSH_SECONDS.value} s"
     step, turn = np.diff(push.pose[:, 0]), np.abs(np.diff(push.pose[:, 3]))
-    if np.any((turn > _YAW_JUMP) & (step < _FRAME)):
-        return f"the tracker jumps by {np.degrees(turn[step < _FRAME].max()):.0f} degrees between two frames"
+    if np.any((turn > _YAW_JUMP) & (step < 0.02)):
+        return f"the tracker jumps by {np.degrees(turn[step < 0.02].max()):.0f} degrees between two frames"
     return ""
 
 

@@ -16,38 +16,14 @@ import numpy as np
 from push_ident.geometry.outline import outline_distance
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
-__all__ = ["Cause", "Overlap", "Streams", "overlap_of"]
+__all__ = ["NOISE_FACTOR", "Cause", "Overlap", "Streams", "overlap_of"]
 
-_WINDOW: Final = 0.2
-"""The object moves in a frame if it has moved in the time before and moves on in the time after it, each so long [s]."""
-_GAP: Final = 0.5
-"""Longest time between two frames that shows when the object moved [s]."""
-_ROUNDING: Final = 1e-6
-"""Of stamps in text [s]."""
-_NOISE_FACTOR: Final = 6.0
-"""Standard deviations of the way of an outline point between two frames that count as motion."""
-_LEAST_WAY: Final = 0.5e-3
-"""Least way within `_WINDOW` that counts as motion [m]: 2.5 mm/s, below the speed of any push."""
-_MOST_FRAMES: Final = 400
-"""Frames of a recording that are compared; more add time, no knowledge."""
-_INLIERS: Final = 0.95
-"""Share of the frames within the tolerance from which pusher and object meet: a tolerance of three deviations holds for more [-]."""
-_ALIKE: Final = 2.0
-"""Causes that leave up to so many times the error of the best one are named beside it [-]."""
-_LATEST: Final = 2.0
-"""Largest offset of two clocks that is looked for [s]."""
-_CLOCK_STEP: Final = 0.01
-"""Step in which it is looked for [s]."""
-_STEP: Final = 0.01
-"""Scale of the unknowns of a frame [m or rad]."""
-_EVALUATIONS: Final = 60
-"""Of the distances, for each start of a fit; one that goes to the minimum needs some 20."""
+NOISE_FACTOR: Final = 6.0
+"""Standard deviations of the noise of a way that count as motion."""
 _TURNS: Final = np.linspace(-0.4, 0.4, 9)
 """About the turn that the ways of pusher and object suggest, which the turning of the object falsifies [rad]."""
 _PLACES: Final = np.linspace(-1.0, 1.0, 9)
 """Where the origin of its frame is looked for, about where the path of the pusher comes to the middle of the object, in radii of it [-]."""
-_STARTS: Final = 5
-"""Of these that are fitted; the distance to an outline has several minima."""
 _UNITS: Final = ((1e-3, "mm"), (1e-2, "cm"), (1e3, "m instead of mm"), (1e2, "m instead of cm"), (0.0254, "inches"))
 """Factors by which lengths are wrong where they were in fact of this unit."""
 
@@ -173,7 +149,8 @@ def overlap_of(streams: Streams) -> Overlap:
 
 
 def _meet(distance: Float64Array, tolerance: float) -> bool:
-    return not len(distance) or float(np.mean(np.abs(distance) <= tolerance)) >= _INLIERS
+    """Whether 95 % of the frames lie within the tolerance: one of three deviations holds for more."""
+    return not len(distance) or float(np.mean(np.abs(distance) <= tolerance)) >= 0.95
 
 
 def _rms(distance: Float64Array) -> float:
@@ -181,25 +158,30 @@ def _rms(distance: Float64Array) -> float:
 
 
 def _moving(streams: Streams) -> _Frames:
-    """Frames strictly inside the motions of the object, numbered by the nearest run of the pusher."""
+    """Frames strictly inside the motions of the object, numbered by the nearest run of the pusher.
+
+    The object moves in a frame if it has moved in the 0.2 s before and moves on in the 0.2 s after it, at more than its noise and 2.5 mm/s,
+    below the speed of any push. Of the frames within 2 s of a run 400 are compared; more add time, no knowledge.
+    """
+    window, rounding = 0.2, 1e-6  # [s]; the latter of stamps in text
     poses, time = streams.poses, streams.poses[:, 0]
     lever = float(np.linalg.norm(streams.shape.outline, axis=1).max())
-    least = max(_LEAST_WAY, _NOISE_FACTOR * float(np.sqrt(2.0)) * _scatter(poses[:, 1:] * [1.0, 1.0, lever]))
+    least = max(0.5e-3, NOISE_FACTOR * float(np.sqrt(2.0)) * _scatter(poses[:, 1:] * [1.0, 1.0, lever]))
     moving: BoolArray = np.ones(len(time), dtype=np.bool_)
-    before = np.searchsorted(time, time - _WINDOW + _ROUNDING, side="right") - 1
-    after = np.searchsorted(time, time + _WINDOW - _ROUNDING)
+    before = np.searchsorted(time, time - window + rounding, side="right") - 1
+    after = np.searchsorted(time, time + window - rounding)
     for other in (before, after):
         there = other.clip(0, len(time) - 1)
         way = np.linalg.norm(poses[there, 1:3] - poses[:, 1:3], axis=1) + lever * np.abs(poses[there, 3] - poses[:, 3])
-        # Across a gap nothing shows when the object moved.
-        seen = (there == other) & (np.abs(time[there] - time) <= _GAP)
+        # Across a gap of more than half a second nothing shows when the object moved.
+        seen = (there == other) & (np.abs(time[there] - time) <= 0.5)
         moving &= (way > least) & seen
     at = np.flatnonzero(moving)
-    at = at[np.unique(np.linspace(0, len(at) - 1, min(len(at), _MOST_FRAMES)).astype(int))] if len(at) else at
+    at = at[np.unique(np.linspace(0, len(at) - 1, min(len(at), 400)).astype(int))] if len(at) else at
     middle = np.array([0.5 * (run[0, 0] + run[-1, 0]) for run in streams.runs])
     half = np.array([0.5 * (run[-1, 0] - run[0, 0]) for run in streams.runs])
     apart = np.abs(time[at, None] - middle) - half
-    near = apart.min(axis=1) < _LATEST if len(middle) and len(at) else np.zeros(len(at), dtype=np.bool_)
+    near = apart.min(axis=1) < 2.0 if len(middle) and len(at) else np.zeros(len(at), dtype=np.bool_)
     number = apart.argmin(axis=1) if len(middle) and len(at) else np.zeros(len(at))
     return _Frames(np.asarray(number[near], dtype=np.float64), time[at][near], poses[at][near, 1:], streams)
 
@@ -217,10 +199,10 @@ def _scatter(values: Float64Array) -> float:
 
 
 def _best(causes: Sequence[Cause], tolerance: float) -> tuple[Cause, ...]:
-    """Those that explain the miss, and leave about as little as the best of them."""
+    """Those that explain the miss, and leave at most twice the error of the best of them."""
     ordered = sorted(causes, key=lambda cause: cause.error)
     least = max(ordered[0].error, tolerance / 3.0) if ordered else 0.0
-    return tuple(cause for cause in ordered if cause.error <= _ALIKE * least)[:3]
+    return tuple(cause for cause in ordered if cause.error <= 2.0 * least)[:3]
 
 
 def _causes(frames: _Frames) -> Iterator[Cause]:
@@ -285,8 +267,9 @@ def _radius_cause(frames: _Frames) -> _Found:
     return _cause(text, distance - float(np.median(distance)))
 
 
-def _clock_cause(frames: _Frames) -> _Found:
-    offsets = np.arange(-_LATEST, _LATEST + _CLOCK_STEP, _CLOCK_STEP)
+def _clock_cause(frames: _Frames, latest: float = 2.0, step: float = 0.01) -> _Found:
+    """The offset of two clocks up to `latest` [s], in steps of `step` [s]."""
+    offsets = np.arange(-latest, latest + step, step)
     offset = min(offsets, key=lambda value: _rms(frames.distance(frames.pusher(float(value)))))
     text = f"the clock of the pusher is {abs(offset):.2f} s {'behind' if offset > 0 else 'ahead'}: add {offset:.2f} to --time-offset"
     return _cause(text, frames.distance(frames.pusher(float(offset))))
@@ -300,6 +283,7 @@ def _outline_cause(frames: _Frames) -> _Found:
 
 
 def _frame_cause(frames: _Frames) -> _Found:
+    """The five best starts are fitted: the distance to an outline has several minima."""
     pusher = frames.pusher()
 
     def moved(pose: Float64Array) -> Float64Array:
@@ -314,7 +298,7 @@ def _frame_cause(frames: _Frames) -> _Found:
             for x, y in product(extent * _PLACES, repeat=2):
                 yield np.array([middle[0] + x, middle[1] + y, yaw])
 
-    best = sorted(starts(), key=lambda start: _rms(frames.distance(moved(start))))[:_STARTS]
+    best = sorted(starts(), key=lambda start: _rms(frames.distance(moved(start))))[:5]
     pose = _fitted(lambda given: frames.distance(moved(given)), best, frames.streams.tolerance)
     text = f"the pusher has another frame: --pusher-frame {pose[0]:.4f},{pose[1]:.4f},{pose[2]:.4f}"
     return _cause(text, frames.distance(moved(pose)))
@@ -331,11 +315,14 @@ def _turn_of_ways(frames: _Frames, pusher: Float64Array) -> float:
 
 
 def _fitted(residual: Callable[[Float64Array], Float64Array], starts: Sequence[Float64Array], scale: float) -> Float64Array:
-    """The unknowns with the least distances, from the best of several starts; frames beyond `scale` [m] count less."""
+    """The unknowns [m or rad] with the least distances, from the best of several starts; frames beyond `scale` [m] count less.
+
+    A fit that goes to the minimum needs some 20 evaluations.
+    """
     from scipy.optimize import OptimizeResult, least_squares
 
     def fit(start: Float64Array, loss: str) -> OptimizeResult:
-        return least_squares(residual, start, loss=loss, f_scale=scale, x_scale=_STEP, max_nfev=_EVALUATIONS)
+        return least_squares(residual, start, loss=loss, f_scale=scale, x_scale=0.01, max_nfev=60)
 
     # From afar only the sum of squares leads to the minimum; near it, frames beyond the scale must not pull.
     near = min((fit(start, "linear") for start in starts), key=lambda found: float(found.cost))

@@ -9,9 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.bags.importers.overlap import Overlap, Streams, overlap_of
+from push_ident.bags.importers.overlap import NOISE_FACTOR, Overlap, Streams, overlap_of
 from push_ident.bags.importers.report import Contact, ImportReport, contact_of, contact_tolerance, contact_warnings
 from push_ident.bags.importers.shapes import pose_covariance
+from push_ident.bags.records import FIRST_STAMP
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError, InputError
 from push_ident.limits import LIMITS, check_object_id
@@ -21,16 +22,8 @@ __all__ = ["OverlapError", "Recording", "RecordingOptions", "import_recording", 
 
 _PAUSE: Final = 0.5
 """Shortest pause that separates two pushes [s], as in the bag contract."""
-_STANDSTILL: Final = 0.5e-3
-"""Longest way of a pusher that stands still, within `_PAUSE` [m]: 1 mm/s."""
-_NOISE_FACTOR: Final = 6.0
-"""Standard deviations of the pusher's noise that count as motion."""
-_REST_FRAMES: Final = 10
-"""Least number of frames of a block in which the scatter at rest is measured."""
 _LEAST_POSITION_STD, _LEAST_YAW_STD = 1e-4, float(np.radians(0.05))
 """Least standard deviations that are taken from the scatter at rest: the error that all poses share does not scatter."""
-_FIRST: Final = 1.0
-"""Earliest stamp written [s]; a stamp of zero would mean that there is none."""
 
 
 class OverlapError(BagError):
@@ -192,7 +185,7 @@ def _on_one_clock(recording: Recording, options: RecordingOptions) -> tuple[Floa
         rows[:, 0] += options.time_offset
     streams = [rows for rows in (poses, pusher, force) if len(rows)]
     first, last = min(float(rows[0, 0]) for rows in streams), max(float(rows[-1, 0]) for rows in streams)
-    shift = max(0.0, _FIRST - first)
+    shift = max(0.0, FIRST_STAMP - first)
     LIMITS.STAMP.check(last + shift, recording.names[0], error=BagError, remedy="Is time in milliseconds? Then give --time-unit ms.")
     if poses[-1, 0] < pusher[0, 0] or pusher[-1, 0] < poses[0, 0]:
         of_poses, of_pusher = (f"{rows[0, 0]:.10g} to {rows[-1, 0]:.10g} s" for rows in (poses, pusher))
@@ -213,7 +206,7 @@ def _numbered(pusher: Float64Array, numbers: Float64Array) -> list[Float64Array]
 
 
 def _motions(pusher: Float64Array, lifted_above: float | None) -> list[Float64Array]:
-    """Samples of the pusher for each motion between two pauses."""
+    """Samples of the pusher for each motion between two pauses, in which it moves by less than its noise or 0.5 mm: 1 mm/s."""
     if lifted_above is not None:
         pusher = pusher[pusher[:, 3] <= lifted_above]
     motions = []
@@ -221,7 +214,7 @@ def _motions(pusher: Float64Array, lifted_above: float | None) -> list[Float64Ar
         if len(run) < 2:
             continue
         time = run[:, 0]
-        least = max(_STANDSTILL, _NOISE_FACTOR * np.sqrt(2.0) * _path_noise(run[:, 1:3]))
+        least = max(0.5e-3, NOISE_FACTOR * np.sqrt(2.0) * _path_noise(run[:, 1:3]))
         early, late = np.clip(time - 0.5 * _PAUSE, time[0], time[-1]), np.clip(time + 0.5 * _PAUSE, time[0], time[-1])
         way = [np.interp(late, time, run[:, axis]) - np.interp(early, time, run[:, axis]) for axis in (1, 2)]
         moving = np.flatnonzero(np.hypot(*way) > least)
@@ -243,18 +236,19 @@ def _noise(poses: Float64Array, runs: list[Float64Array], name: str, options: Re
     """Standard deviations of position [m] and yaw [rad]: as given, else the median scatter of blocks of frames between the pushes."""
     if options.position_std is not None and options.yaw_std is not None:
         return options.position_std, options.yaw_std
+    least = 10  # frames of a block
     busy = [(run[0, 0] - 0.5 * _PAUSE, run[-1, 0] + 0.5 * _PAUSE) for run in runs]
     scatter = []
     for start, end in _between(busy, float(poses[0, 0]), float(poses[-1, 0])):
         rest = poses[(poses[:, 0] >= start) & (poses[:, 0] <= end)]
         for part in np.split(rest, np.flatnonzero(np.diff(rest[:, 0]) > _PAUSE) + 1):
             # Short blocks: between two pushes the object may be put elsewhere by hand, which the median then leaves out.
-            for block in np.array_split(part, max(1, len(part) // _REST_FRAMES)):
-                if len(block) >= _REST_FRAMES:
+            for block in np.array_split(part, max(1, len(part) // least)):
+                if len(block) >= least:
                     scatter.append((np.sqrt(block[:, 1:3].var(axis=0, ddof=1).mean()), block[:, 3].std(ddof=1)))
     if not scatter:
         raise InputError(
-            f"{name}: fewer than {_REST_FRAMES} poses at rest between the pushes, so the noise of a pose is unknown; give "
+            f"{name}: fewer than {least} poses at rest between the pushes, so the noise of a pose is unknown; give "
             "--position-std and --yaw-std."
         )
     position, yaw = np.median(np.array(scatter), axis=0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -14,17 +13,6 @@ from push_ident.geometry.outline import outline_distance
 from push_ident.types import Float64Array, ObjectShape
 
 __all__ = ["Contact", "ImportReport", "contact_of", "contact_tolerance", "contact_warnings", "distance_warnings"]
-
-_DEVIATIONS: Final = 3.0
-"""Standard deviations of an outline point beyond which a distance is no noise: 3 in 1000 pushes of a right import."""
-_OUTLINE_ERROR: Final = 1e-3
-"""Error of a measured outline and of the clocks of two devices, together [m]: 10 ms at 100 mm/s."""
-_AT_REST: Final = 5
-"""Number of frames before a push that give the pose from which it starts."""
-_SPARSE: Final = 0.2
-"""Longest time between two poses that shows when the object begins to move [s]."""
-_NAMED: Final = 5
-"""Number of pushes that a warning names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +59,11 @@ class Contact:
 def contact_tolerance(shape: ObjectShape, *, position_std: float, yaw_std: float) -> float:
     """Distance between pusher and outline that pose noise and outline error explain [m].
 
-    Three standard deviations of the outline point farthest from the origin of the object frame, for poses with standard deviations
-    `position_std` [m] and `yaw_std` [rad], and 1 mm for outline and clocks.
+    Three standard deviations (3 in 1000 pushes of a right import) of the outline point farthest from the origin of the object frame, for
+    poses with standard deviations `position_std` [m] and `yaw_std` [rad], and 1 mm for outline and clocks: 10 ms at 100 mm/s.
     """
     lever = float(np.linalg.norm(shape.outline, axis=1).max())
-    return _OUTLINE_ERROR + _DEVIATIONS * float(np.hypot(position_std, lever * yaw_std))
+    return 1e-3 + 3.0 * float(np.hypot(position_std, lever * yaw_std))
 
 
 def contact_of(
@@ -84,14 +72,15 @@ def contact_of(
     """Contact of one push, from poses (x, y, yaw) in `table`, shape (n, 3), at `time` [s], shape (n,); n at least 1.
 
     `path` has rows (time, x, y) of the pusher's axis [s, m, m], shape (m, 3). The object has moved when a point of its outline may be
-    farther than `tolerance` from its place before the pusher starts, in two frames that follow each other: one alone may be noise.
+    farther than `tolerance` from its place in the five frames before the pusher starts, in two frames that follow each other: one alone may
+    be noise. Poses more than 0.2 s apart do not show when it begins to move.
     """
-    first = np.median(pose[time <= max(path[0, 0], time[0])][-_AT_REST:], axis=0)
+    first = np.median(pose[time <= max(path[0, 0], time[0])][-5:], axis=0)
     lever = float(np.linalg.norm(shape.outline, axis=1).max())
     moved = np.linalg.norm(pose[:, :2] - first[:2], axis=1) + lever * np.abs(pose[:, 2] - first[2]) > tolerance
     moved &= np.append(moved[1:], True)
     at = int(np.argmax(moved)) if moved.any() else len(time) - 1
-    if at > 0 and time[at] - time[at - 1] > _SPARSE:
+    if at > 0 and time[at] - time[at - 1] > 0.2:
         # When it moved between two poses is unknown: the pusher must have come to where the object stood before.
         nearest = float(outline_distance(path[:, 1:], np.broadcast_to(first, (len(path), 3)), shape.outline).min()) - radius
         return Contact(bool(moved.any()), np.nan, nearest, np.nan)
@@ -140,7 +129,7 @@ def _no_contact(missed: Sequence[int]) -> tuple[str, ...]:
     return (f"nothing shows that the pusher touches the object in {_pushes(missed)}.",) if missed else ()
 
 
-def _pushes(numbers: Sequence[int]) -> str:
-    """Pushes as text for people, who count from 1; `numbers` are from 0."""
-    named = ", ".join(str(number + 1) for number in numbers[:_NAMED]) + (", …" if len(numbers) > _NAMED else "")
+def _pushes(numbers: Sequence[int], most: int = 5) -> str:
+    """Pushes, `most` of them by number, as text for people, who count from 1; `numbers` are from 0."""
+    named = ", ".join(str(number + 1) for number in numbers[:most]) + (", …" if len(numbers) > most else "")
     return f"{len(numbers)} pushes ({named})" if len(numbers) > 1 else f"push {named}"
