@@ -11,7 +11,7 @@ from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
 
 from helpers.memory_cell import Cell
 from push_ident.nodes.convert.messages import stamp_from_msg
-from push_ident.pushing.joint_limits import JointLimits
+from push_ident.pushing.arm_motion import JointLimits
 from push_ident.pushing.trajectory import JointTrajectory
 from push_ident.types import Float64Array
 from push_ident_sim.cell.trajectory import JointTrajectory as Followed

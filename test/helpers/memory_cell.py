@@ -18,10 +18,9 @@ from push_ident.pushing.execution import PushExecution
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.ports import ArmState, ExecutionPorts, Phase, TrackedObject
 from push_ident.pushing.push import PushCode, PushSettings
-from push_ident.pushing.push_request import ExecutionSettings, Mode, PushOutcome, PushRequest
+from push_ident.pushing.push_request import ExecutionSettings, Mode, PushOutcome, PushRequest, WatchLimits
 from push_ident.pushing.state_intake import StateCheck, StateIntake
 from push_ident.pushing.trajectory import JointTrajectory
-from push_ident.pushing.watch_limits import WatchLimits
 from push_ident.types import Float64Array, ObjectShape
 from push_ident_sim.cell.robot import HOME
 from push_ident_sim.cell.trajectory import JointTrajectory as Followed

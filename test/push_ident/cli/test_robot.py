@@ -24,7 +24,7 @@ from push_ident.cli.robot import robot_for
 from push_ident.cli.robot_doctor import check_parameters, find_live
 from push_ident.cli.supervisor import node_commands, node_names
 from push_ident.nodes.base.network import own_domain
-from push_ident.pushing.robot.finding import Finding, Level
+from push_ident.pushing.robot.checks import Finding, Level
 from push_ident.pushing.robot.robot_file import Robot, read_robot
 
 COARSE = ("--spacing", 0.4, "--seconds", 0.5)

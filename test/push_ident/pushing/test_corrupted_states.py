@@ -10,8 +10,8 @@ import pytest
 from helpers.corrupted_states import POSITIONS, TIMES, ArmTruth, Corruption, corrupting
 from helpers.memory_cell import CONTACT, SETTINGS, Bench
 from push_ident.geometry.kinematics import ArmKinematics
+from push_ident.pushing.command_link import stand_at
 from push_ident.pushing.motion import joint_limits
-from push_ident.pushing.take_over import stand_at
 
 STREAMS = int(os.environ.get("STREAMS", "24"))
 """Random streams of states; `make states STREAMS=10000` for more."""

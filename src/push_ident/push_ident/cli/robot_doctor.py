@@ -21,9 +21,8 @@ from push_ident.files import write_whole
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.limits import plain_text
 from push_ident.nodes.executables import NODES
-from push_ident.pushing.robot.checks import check_reach, check_robot
+from push_ident.pushing.robot.checks import Finding, Level, check_reach, check_robot
 from push_ident.pushing.robot.description import cell_description, read_urdf
-from push_ident.pushing.robot.finding import Finding, Level
 from push_ident.pushing.robot.node_parameters import node_parameters
 from push_ident.pushing.robot.reach import Reach, Trial, find_reach
 from push_ident.pushing.robot.reach_page import write_reach_page

@@ -42,7 +42,7 @@ class PushExecution:
     def __init__(
         self, ports: ExecutionPorts, *, on_push: Callable[[ExecutedPush], None], on_warning: Callable[[str], None] = lambda text: None
     ) -> None:
-        self._ports, self._on_push, self._on_warning = ports, on_push, on_warning
+        self._ports, self.on_push, self.on_warning = ports, on_push, on_warning
         self._watch = ArmWatch(ports)
         self._one_at_a_time = threading.Lock()
         self._stopped = threading.Event()
@@ -115,14 +115,6 @@ class PushExecution:
         """Number of a push that begins."""
         self.n_pushes += 1
         return self.n_pushes
-
-    def report(self, push: ExecutedPush) -> None:
-        """Hand out a push that has ended."""
-        self._on_push(push)
-
-    def warn(self, text: str) -> None:
-        """Send a text to the operator."""
-        self._on_warning(text)
 
 
 @dataclass(slots=True)
@@ -212,7 +204,7 @@ class _Execution:
         except PlanningError as error:
             if error.code != PushCode.UNREACHABLE:
                 raise
-            self.owner.warn(f"`{target.object_id}` is near the edge of the workspace and stays there: {error}")
+            self.owner.on_warning(f"`{target.object_id}` is near the edge of the workspace and stays there: {error}")
             return
         try:
             self._make(push, plan_from, lambda elapsed: Phase.RECENTRE)
@@ -315,7 +307,7 @@ class _Execution:
     def _report(self, push: ExecutedPush) -> None:
         if push.push_id and not push.is_reported:
             push.is_reported = True
-            self.owner.report(push)
+            self.owner.on_push(push)
 
     def _move(self, push: ExecutedPush, plan_from: PlanFrom, phase_at: Callable[[float], Phase]) -> None:
         reported: tuple[Phase | None, float] = (None, -np.inf)

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
-from push_ident.pushing.arm_motion import ArmMotion
-from push_ident.pushing.joint_limits import JointLimits, gentler
+from push_ident.pushing.arm_motion import ArmMotion, JointLimits, gentler
 from push_ident.pushing.posture_map import PostureMap
 from push_ident.pushing.push import PUSH_ACCELERATION, PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.tool_path import Corridor, ToolMotion, ToolPath, rounded

@@ -63,19 +63,15 @@ class Clock(Protocol):
     @property
     def is_simulated(self) -> bool:
         """Whether time of the cell may pass at another pace than wall time, or stop."""
-        ...
 
     def now(self) -> float:
         """Time of the cell [s]; simulated where the cell is."""
-        ...
 
     def monotonic(self) -> float:
         """Wall time from an arbitrary origin [s]; for timeouts."""
-        ...
 
     def sleep(self, seconds: float) -> None:
         """Wait so long, wall time."""
-        ...
 
 
 class Arm(Protocol):
@@ -84,53 +80,43 @@ class Arm(Protocol):
     @property
     def planner(self) -> ArmKinematics:
         """Kinematics for planning."""
-        ...
 
     @property
     def state(self) -> ArmState | None:
         """Latest state."""
-        ...
 
     def fresh_state(self, timeout: float, *, is_late: bool = False) -> ArmState:
         """Latest state, which must be younger than `timeout` [s] by a margin that leaves time to hold the arm.
 
         `is_late`: this process did not run for a while; states that were received meanwhile get a moment to be processed.
         """
-        ...
 
     def next_state(self, timeout: float) -> ArmState:
         """The first state that is received after this call, for an arm at rest."""
-        ...
 
     def in_use(self) -> AbstractContextManager[None]:
         """A context in which the planner stays as it is, whatever descriptions of the arm come in."""
-        ...
 
     def rivals(self) -> tuple[str, ...]:
         """Other nodes that command the same arm."""
-        ...
 
     def stamp_now(self) -> tuple[float, bool]:
         """Present time of the clock of the arm's stamps [s], and whether it is known: the clock may have stopped.
 
         There must have been a state.
         """
-        ...
 
     def take_states(self) -> list[ArmState]:
         """States that were received since the last call, oldest first; the latest of them where there were many."""
-        ...
 
     def impossible_state(self, since: float) -> str:
         """Why a state that was received after `since` [s], of `Clock.monotonic`, cannot be true; empty where all can."""
-        ...
 
     def send(self, joint_names: tuple[str, ...], piece: JointTrajectory, start: float | None) -> None:
         """Start a trajectory in place of the one under way; for `CommandLink` only, which has checked it.
 
         Its times count from `start` on the clock of the arm's stamps [s], or from its receipt.
         """
-        ...
 
 
 class Hand(Protocol):
@@ -138,14 +124,12 @@ class Hand(Protocol):
 
     def why_no_fist(self) -> str:
         """Why the hand is not a closed fist now; empty when it is one."""
-        ...
 
     def close_fist(self, timeout: float, is_over: Callable[[], bool]) -> str:
         """Activate and close the hand; blocks until it is a fist, `timeout` [s] has passed or `is_over` returns true.
 
         Returns the same as `why_no_fist`.
         """
-        ...
 
 
 class ForceSensor(Protocol):
@@ -154,21 +138,17 @@ class ForceSensor(Protocol):
     @property
     def is_there(self) -> bool:
         """Whether the force is measured, or was: then no motion is made without it."""
-        ...
 
     @property
     def silence(self) -> float:
         """Wall time since the last measurement that can be trusted [s]; infinite before the first."""
-        ...
 
     @property
     def fault(self) -> str:
         """Why the latest measurement cannot be trusted; empty where it can."""
-        ...
 
     def take_peak(self) -> float:
         """Largest horizontal force since the last call [N]; infinite where a measurement could not be trusted."""
-        ...
 
 
 class Recorder(Protocol):
@@ -177,7 +157,6 @@ class Recorder(Protocol):
     @property
     def fault(self) -> str:
         """Why a requested recording fails; empty while it does not, or none was requested."""
-        ...
 
 
 class Objects(Protocol):
@@ -188,11 +167,9 @@ class Objects(Protocol):
 
         Raises PlanningError UNKNOWN_OBJECT when there is none, several, or the pose was received more than `max_age` [s] ago.
         """
-        ...
 
     def outlines_of_others(self, object_id: str) -> list[Float64Array]:
         """Outlines of all other objects, table frame [m], each of shape (n_vertices, 2)."""
-        ...
 
 
 class Client(Protocol):
@@ -201,15 +178,12 @@ class Client(Protocol):
     @property
     def why_over(self) -> str:
         """Why the push should end; empty while it should go on."""
-        ...
 
     def feedback(self, phase: Phase, progress: float) -> None:
         """Report the phase, and the share of the motion that is done."""
-        ...
 
     def began(self, push_id: int, start: float) -> None:
         """A push has begun; `start`: when its tool departs [s], clock of the cell. Called again where that changes."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
-from push_ident.pushing.joint_limits import JointLimits
+from push_ident.pushing.arm_motion import JointLimits
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.tool_path import Corridor, ToolMotion
 from push_ident.types import Float64Array

@@ -11,12 +11,11 @@ import numpy as np
 from push_ident.errors import PlanningError
 from push_ident.pushing.arm_clock import MotionClock
 from push_ident.pushing.arm_motion import ArmMotion
-from push_ident.pushing.command_link import Commanded, CommandLink
+from push_ident.pushing.command_link import Commanded, CommandLink, TakeOver, joint_distance, stand_at
 from push_ident.pushing.pacing import SPLICE, PathPacing
 from push_ident.pushing.ports import Arm, ArmState, ExecutionPorts
 from push_ident.pushing.push import PushCode
-from push_ident.pushing.take_over import TakeOver, joint_distance, stand_at
-from push_ident.pushing.watch_limits import WatchLimits
+from push_ident.pushing.push_request import WatchLimits
 from push_ident.types import Float64Array
 
 __all__ = ["ArmWatch", "Tracking"]

@@ -11,9 +11,8 @@ import pytest
 
 from helpers.robots import NAMES, changed, robot_path
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.pushing.robot.checks import check_reach, check_robot
+from push_ident.pushing.robot.checks import Finding, Level, check_reach, check_robot
 from push_ident.pushing.robot.description import read_urdf
-from push_ident.pushing.robot.finding import Finding, Level
 from push_ident.pushing.robot.reach import Outcome, Reach, find_reach
 from push_ident.pushing.robot.reach_page import write_reach_page
 from push_ident.pushing.robot.robot_file import Robot, motion_settings, push_settings, read_robot

@@ -10,8 +10,7 @@ from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.push_executor.hand_port import HAND_KINDS
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.push import PushSettings
-from push_ident.pushing.push_request import ExecutionSettings
-from push_ident.pushing.watch_limits import WatchLimits
+from push_ident.pushing.push_request import ExecutionSettings, WatchLimits
 
 __all__ = ["PARAMETERS", "execution_settings"]
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -15,13 +17,46 @@ from push_ident.geometry.rod import Rod
 from push_ident.limits import plain_text
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.robot.description import TIP_LINK, Urdf, cell_description, read_urdf
-from push_ident.pushing.robot.finding import Finding, Level
 from push_ident.pushing.robot.node_parameters import node_parameters
 from push_ident.pushing.robot.reach import AXES, Outcome, Reach
 from push_ident.pushing.robot.robot_file import Robot, motion_settings
 from push_ident.types import Float64Array
 
-__all__ = ["check_posture", "check_reach", "check_robot"]
+__all__ = ["Finding", "Level", "check_posture", "check_reach", "check_robot"]
+
+
+class Level(StrEnum):
+    """How bad it is."""
+
+    OK = "ok"
+    NOT_CHECKED = "not checked"
+    WARNING = "warning"
+    """It works, but worse than it could, or another push would be refused."""
+    WRONG = "wrong"
+    """The robot cannot push like this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the report."""
+
+    about: str
+    """Part of the robot file: `joints`, `reach`, ..."""
+    level: Level
+    what: str
+    """What was found, with its numbers."""
+    expected: str = ""
+    remedy: str = ""
+
+    @property
+    def text(self) -> str:
+        """All of it in one line."""
+        return "; ".join(part for part in (self.what, self.expected and f"expected {self.expected}", self.remedy) if part)
+
+
+def _wrong(about: str, what: str, expected: str = "", remedy: str = "") -> Finding:
+    return Finding(about, Level.WRONG, what, expected, remedy)
+
 
 _MOVABLE: Final = ("revolute", "continuous")
 
@@ -34,14 +69,18 @@ def check_robot(robot: Robot) -> tuple[list[Finding], ArmKinematics | None]:
     try:
         urdf = read_urdf(robot)
     except InputError as error:
-        return [Finding("description", Level.WRONG, str(error))], None
+        return [_wrong("description", str(error))], None
     n_links, n_joints = len(urdf.links), len(urdf.joints)
     findings = [Finding("description", Level.OK, f"{urdf.path}: {n_links} links, {n_joints} joints")]
     if missing := urdf.missing_meshes:
         what = f"{len(missing)} meshes are no files, the first {plain_text(missing[0])}"
         remedy = "source the workspace or install the package that has them; without them `up sim` does not start"
         findings.append(Finding("description", Level.WARNING, what, "files", remedy))
-    findings += [*_frames(robot, urdf), *_joints(robot, urdf), *_parameters(robot)]
+    findings += [*_frames(robot, urdf), *_joints(robot, urdf)]
+    try:
+        node_parameters(robot)
+    except InputError as error:
+        findings.append(_wrong("parameters", str(error)))
     if any(finding.level is Level.WRONG for finding in findings):
         return findings, None
     findings += _limits(robot, urdf)
@@ -50,7 +89,7 @@ def check_robot(robot: Robot) -> tuple[list[Finding], ArmKinematics | None]:
         kinematics = ArmKinematics(description, TIP_LINK, robot.file.joints.neutral)
         shape = ArmShape(description)
     except InputError as error:
-        return [*findings, Finding("description", Level.WRONG, str(error))], None
+        return [*findings, _wrong("description", str(error))], None
     settings = motion_settings(robot)
     for name in ("neutral", "home"):
         findings += check_posture(kinematics, name, np.array(getattr(robot.file.joints, name)), settings)
@@ -65,17 +104,15 @@ def _frames(robot: Robot, urdf: Urdf) -> Iterator[Finding]:
     root = file.description.root
     if urdf.roots != [root]:
         names = plain_text(", ".join(urdf.roots[:5])) or "none"
-        yield Finding(topic, Level.WRONG, f"description.root is {plain_text(root)}", f"the root link of the URDF, {names}", "correct it")
+        yield _wrong(topic, f"description.root is {plain_text(root)}", f"the root link of the URDF, {names}", "correct it")
     if root != TABLE_FRAME and TABLE_FRAME in urdf.links:
-        yield Finding(topic, Level.WRONG, "the URDF has a link `table` that is not its root", "no such link", "rename it in the URDF")
+        yield _wrong(topic, "the URDF has a link `table` that is not its root", "no such link", "rename it in the URDF")
     if (root == TABLE_FRAME) != (file.base is None):
         what = "base is given" if file.base is not None else "base is missing"
-        yield Finding(topic, Level.WRONG, what, f"a base, unless description.root is `table`; it is {plain_text(root)}")
+        yield _wrong(topic, what, f"a base, unless description.root is `table`; it is {plain_text(root)}")
     if file.tool.link not in urdf.links:
         near = plain_text(", ".join(urdf.links[-6:]))
-        yield Finding(
-            topic, Level.WRONG, f"the URDF has no link {plain_text(file.tool.link)}", f"a link for tool.link, such as {near}", "correct it"
-        )
+        yield _wrong(topic, f"the URDF has no link {plain_text(file.tool.link)}", f"a link for tool.link, such as {near}", "correct it")
     else:
         yield Finding(topic, Level.OK, f"table, {plain_text(root)}, {plain_text(file.tool.link)}, {TIP_LINK}")
 
@@ -87,35 +124,24 @@ def _joints(robot: Robot, urdf: Urdf) -> Iterator[Finding]:
         kind = known[name].get("type", "") if name in known else ""
         if not kind:
             has = plain_text(", ".join(j for j, e in known.items() if e.get("type") in _MOVABLE)) or "none"
-            yield Finding("joints", Level.WRONG, f"the URDF has no joint {plain_text(name)}", f"one of {has}", "correct joints.names")
+            yield _wrong("joints", f"the URDF has no joint {plain_text(name)}", f"one of {has}", "correct joints.names")
         elif kind not in _MOVABLE:
-            yield Finding(
-                "joints", Level.WRONG, f"{plain_text(name)} is a {plain_text(kind)} joint", "revolute or continuous", "take it out"
-            )
+            yield _wrong("joints", f"{plain_text(name)} is a {plain_text(kind)} joint", "revolute or continuous", "take it out")
     if robot.file.tool.link not in urdf.links:
         return
     chain = [e.get("name", "") for e in urdf.chain(robot.file.tool.link) if e.get("type") != "fixed"]
     if sorted(chain) == sorted(names) and chain != names:
-        yield Finding(
-            "joints", Level.WRONG, "joints.names has another order than the arm", ", ".join(chain), "give all lists in this order"
-        )
+        yield _wrong("joints", "joints.names has another order than the arm", ", ".join(chain), "give all lists in this order")
     for name in chain:
         if name not in names:
             what = f"{plain_text(name)} moves between {plain_text(robot.file.description.root)} and the tool, and is not in joints.names"
-            yield Finding("joints", Level.WRONG, what, ", ".join(chain), "add it, or fix it in the URDF")
+            yield _wrong("joints", what, ", ".join(chain), "add it, or fix it in the URDF")
     for name in names:
         if name in known and name not in chain and known[name].get("type") in _MOVABLE:
             what = f"{plain_text(name)} does not move {plain_text(robot.file.tool.link)}"
-            yield Finding("joints", Level.WRONG, what, ", ".join(chain), "take it out, or correct tool.link")
+            yield _wrong("joints", what, ", ".join(chain), "take it out, or correct tool.link")
     if chain == names:
         yield Finding("joints", Level.OK, f"{len(names)} movable joints from {plain_text(robot.file.description.root)} to the tool")
-
-
-def _parameters(robot: Robot) -> Iterator[Finding]:
-    try:
-        node_parameters(robot)
-    except InputError as error:
-        yield Finding("parameters", Level.WRONG, str(error))
 
 
 def _limits(robot: Robot, urdf: Urdf) -> Iterator[Finding]:
@@ -137,7 +163,7 @@ def _limits(robot: Robot, urdf: Urdf) -> Iterator[Finding]:
             if lower is not None and upper is not None and not lower <= value <= upper:
                 faults += 1
                 expected = f"{lower:.3f} to {upper:.3f} rad"
-                yield Finding("limits", Level.WRONG, f"joints.{posture} has {name} at {value:.3f} rad", expected, "change the posture")
+                yield _wrong("limits", f"joints.{posture} has {name} at {value:.3f} rad", expected, "change the posture")
     if not faults:
         yield Finding("limits", Level.OK, "within those of the URDF; neutral and home within them")
 
@@ -155,23 +181,17 @@ def _limits_of(name: str, of_urdf: list[float], of_file: list[float | None]) -> 
     (lower, upper, velocity), (file_lower, file_upper, file_velocity) = of_urdf, of_file
     low, high = (lower if file_lower is None else file_lower), (upper if file_upper is None else file_upper)
     if not np.isfinite([low, high]).all():
-        yield Finding(
-            "limits", Level.WRONG, f"{name} turns without end", "limits", "give joints.lower and joints.upper, all within one turn"
-        )
+        yield _wrong("limits", f"{name} turns without end", "limits", "give joints.lower and joints.upper, all within one turn")
     elif not low < high:
-        yield Finding(
-            "limits", Level.WRONG, f"{name} has limits {low:.3f} to {high:.3f} rad", "lower < upper", "correct joints.lower and upper"
-        )
+        yield _wrong("limits", f"{name} has limits {low:.3f} to {high:.3f} rad", "lower < upper", "correct joints.lower and upper")
     rounding = 1e-6  # [rad], [rad/s]: URDFs have rounded numbers
     for key, given, limit in (("lower", file_lower, lower), ("upper", file_upper, upper), ("velocity", file_velocity, velocity)):
         if given is not None and ((limit - given) if key == "lower" else (given - limit)) > rounding:
-            yield Finding(
-                "limits", Level.WRONG, f"joints.{key} of {name} is {given}", f"a limit within that of the URDF, {limit:.4g}", "narrow it"
-            )
+            yield _wrong("limits", f"joints.{key} of {name} is {given}", f"a limit within that of the URDF, {limit:.4g}", "narrow it")
     speed = velocity if file_velocity is None else file_velocity
     if not speed > 0:
         remedy = "give joints.velocity from the data sheet"
-        yield Finding("limits", Level.WRONG, f"{name} has a velocity limit of {speed} rad/s", "more than 0", remedy)
+        yield _wrong("limits", f"{name} has a velocity limit of {speed} rad/s", "more than 0", remedy)
 
 
 def check_posture(kinematics: ArmKinematics, name: str, posture: Float64Array, settings: MotionSettings) -> Iterator[Finding]:
@@ -182,16 +202,16 @@ def check_posture(kinematics: ArmKinematics, name: str, posture: Float64Array, s
     where = f"{name}: tip at ({x:.3f}, {y:.3f}, {z:.3f}) m"
     faults = []
     if z < settings.free_height:
-        faults.append(Finding("posture", Level.WRONG, where, f"at least free_height, {settings.free_height:.3f} m", f"raise joints.{name}"))
+        faults.append(_wrong("posture", where, f"at least free_height, {settings.free_height:.3f} m", f"raise joints.{name}"))
     if height < settings.link_height:
         what = f"{name}: {joint} is {height:.3f} m above the table"
         remedy = f"raise the arm or the base, or lower link_height if the link is thinner than {2 * settings.link_height:.2f} m"
-        faults.append(Finding("posture", Level.WRONG, what, f"at least link_height, {settings.link_height:.3f} m", remedy))
+        faults.append(_wrong("posture", what, f"at least link_height, {settings.link_height:.3f} m", remedy))
     tilt = float(np.arccos(np.clip(pose[:3, 2] @ TOOL_DOWN, -1.0, 1.0)))
     # A posture given to two decimals is within 0.03 rad; beyond 0.1 the axes are probably not as the file means them.
     if name == "neutral" and tilt > 0.1:
         what = f"neutral: the z axis of {TIP_LINK} is {np.degrees(tilt):.0f} degrees from straight down"
-        faults.append(Finding("posture", Level.WRONG, what, "the tool upright", "correct joints.neutral, tool.tip_rpy or base.rpy"))
+        faults.append(_wrong("posture", what, "the tool upright", "correct joints.neutral, tool.tip_rpy or base.rpy"))
     yield from faults or [Finding("posture", Level.OK, where)]
 
 
@@ -224,14 +244,14 @@ def _camera(robot: Robot, shape: ArmShape) -> Iterator[Finding]:
     x, y = np.meshgrid(np.linspace(x_min, x_max, 9), np.linspace(y_min, y_max, 9))
     points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     if pose[2, 3] <= 0:
-        yield Finding("camera", Level.WRONG, f"camera.position is {pose[2, 3]:.3f} m above the table", "more than 0", "correct it")
+        yield _wrong("camera", f"camera.position is {pose[2, 3]:.3f} m above the table", "more than 0", "correct it")
         return
     in_camera = (points - pose[:3, 3]) @ pose[:3, :3]
     angle = np.abs(np.arctan2(in_camera[:, :2], in_camera[:, 2:]))
     outside = float(np.mean(np.any(angle > 0.5 * np.array(camera.field_of_view), axis=1)))
     if outside > 0:
         remedy = "turn or raise the camera: its z axis looks forward, x right, y down; or make the workspace smaller"
-        yield Finding("camera", Level.WRONG, f"{100 * outside:.0f} % of the workspace are out of its view", "all in view", remedy)
+        yield _wrong("camera", f"{100 * outside:.0f} % of the workspace are out of its view", "all in view", remedy)
     else:
         yield Finding(
             "camera", Level.OK, f"all of the workspace in view, {np.min(in_camera[:, 2]):.2f} to {np.max(in_camera[:, 2]):.2f} m away"
