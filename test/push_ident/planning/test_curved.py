@@ -33,9 +33,13 @@ PERIOD = 1.0 / 30.0
 FRAME = np.diag([1e-6, 1e-6, 1e-4])
 
 
+def planner_of(settings: PushSettings = SETTINGS, half_width: float = 0.08) -> CurvedPathPlanner:
+    return CurvedPathPlanner(MODEL.shape, settings, n_models=1, n_asked=1, half_width=half_width)
+
+
 @pytest.fixture(scope="module")
 def planner() -> CurvedPathPlanner:
-    return CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1)
+    return planner_of()
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +50,10 @@ def plan(planner: CurvedPathPlanner) -> CurvedPush:
 
 def known() -> ModelBatch:
     return ModelBatch(MODEL.shape, KNOWN.models(0, np.random.default_rng(0)), SETTINGS.pusher_radius)
+
+
+def seen_from(pose: Float64Array, tool: Float64Array) -> Float64Array:
+    return transform_points(inverse(pose), tool[None])[0]
 
 
 class World:
@@ -62,18 +70,13 @@ class World:
         self.velocity = (self.pose - before) / step
 
     def gap(self, tool: Float64Array) -> float:
-        own = transform_points(inverse(self.pose), tool[None])
-        return float(signed_distance(own, self._model.shape.outline)[0]) - SETTINGS.pusher_radius
+        return float(signed_distance(seen_from(self.pose, tool)[None], self._model.shape.outline)[0]) - SETTINGS.pusher_radius
 
 
 def start_of(plan: CurvedPush) -> PushStart:
     assert plan.tool is not None
-    face, _ = face_of(MODEL.shape.outline, transform_points(inverse(CIRCLE.poses[0]), plan.tool[1:2])[0])
+    face, _ = face_of(MODEL.shape.outline, seen_from(CIRCLE.poses[0], plan.tool[1]))
     return PushStart(CIRCLE.poses[0], np.zeros(3), 0.0, plan.tool[:2], face)
-
-
-def between(time: Float64Array, values: Float64Array, at: Float64Array) -> Float64Array:
-    return np.column_stack([np.interp(at, time, column) for column in values.T])
 
 
 def test_tool_without_unknowns_moves_as_if_fixed_to_the_object_on_its_path_and_with_them_turns_and_speeds_up(plan: CurvedPush) -> None:
@@ -81,21 +84,18 @@ def test_tool_without_unknowns_moves_as_if_fixed_to_the_object_on_its_path_and_w
     changed = np.zeros((1, 2, N_SEGMENTS, 2))
     changed[0, 1, 0] = 0.5, 0.3
     fixed, turned = CurvedPushes(SETTINGS, CIRCLE).tool_paths(horizon, [start], changed)[0]
-    later = horizon.knots[2:]
-    seen = [transform_points(inverse(pose), tool[None])[0] for pose, tool in zip(CIRCLE.at(CIRCLE.speed * later), fixed[2:], strict=True)]
-    np.testing.assert_allclose(seen, np.broadcast_to(seen[0], (len(later), 2)), atol=1e-9)
+    poses = CIRCLE.at(CIRCLE.speed * horizon.knots[2:])
+    seen, beside = ([seen_from(pose, at) for pose, at in zip(poses, tool[2:], strict=True)] for tool in (fixed, turned))
+    np.testing.assert_allclose(seen, np.broadcast_to(seen[0], (len(poses), 2)), atol=1e-9)
     np.testing.assert_array_equal(fixed[:2], start.lead)
     # Along and across the path the tool moves by 0.5 and 0.3 of its speed while the first segment lasts, then no further.
-    beside = [
-        transform_points(inverse(pose), tool[None])[0] for pose, tool in zip(CIRCLE.at(CIRCLE.speed * later), turned[2:], strict=True)
-    ]
     turn = rotation(CIRCLE.direction(0.0) - CIRCLE.poses[0, 2])
     np.testing.assert_allclose(beside[-1] - seen[0], CIRCLE.speed * horizon.breaks[1] * turn @ [0.5, 0.3], atol=1e-9)
 
 
 def test_tool_that_would_be_too_fast_keeps_its_headings_at_the_largest_speed() -> None:
     fast = PathGoal(CIRCLE.poses, 0.8 * SETTINGS.max_speed)
-    plan = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).plan(KNOWN, CIRCLE.poses[0], fast, 0.0)
+    plan = planner_of().plan(KNOWN, CIRCLE.poses[0], fast, 0.0)
     start, horizon = start_of(plan), Horizon.of(fast.speed, 0.08, np.array([-0.1, 0.0]))
     wanted = np.zeros((1, 3, N_SEGMENTS, 2))
     wanted[0, 1, 0], wanted[0, 2, 0] = [0.9, 0.0], [-0.3, 0.0]
@@ -125,9 +125,8 @@ def test_unknowns_of_a_later_look_ahead_are_the_same_motion(delay: float) -> Non
 
 def test_improved_push_is_what_the_engine_makes_of_it_and_costs_less(plan: CurvedPush) -> None:
     pushes, horizon = CurvedPushes(SETTINGS, CIRCLE), Horizon.of(CIRCLE.speed, 0.08, np.array([-0.2, 0.0]))
-    start = replace(start_of(plan), pose=CIRCLE.poses[0] + np.array([0.004, -0.005, 0.06]))
-    lead = start.lead + np.array([0.004, -0.005])
-    start, models = replace(start, lead=lead), known()
+    start, beside, models = start_of(plan), np.array([0.004, -0.005, 0.06]), known()
+    start = replace(start, pose=start.pose + beside, lead=start.lead + beside[:2])
     nothing = np.zeros((1, 1, N_SEGMENTS, 2))
     best, rolled = pushes.improve(models, horizon, [start], nothing, 4)
     assert rolled.cost[0, 0] < 0.7 * pushes.roll(models, horizon, [start], nothing).cost[0, 0]
@@ -146,7 +145,7 @@ def follow(
     """Follow the circle in one contact: how it ends, poses at the frames, shape (n, 3), and gaps [m]; `late` of three frames are due."""
     assert plan.time is not None and plan.tool is not None and plan.corridor is not None
     rng = np.random.default_rng(2)
-    follower = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1).follower(KNOWN, CIRCLE, plan.corridor, PERIOD)
+    follower = planner_of().follower(KNOWN, CIRCLE, plan.corridor, PERIOD)
     follower.begin(plan.time, plan.tool, world.pose, FRAME, 0.0, plan.expected_error)
     now, poses, gaps = float(plan.time[1]), [], []
     world.lead(plan.time[:2], plan.tool[:2])
@@ -156,7 +155,7 @@ def follow(
         if correction.status is not FollowStatus.GOING:
             break
         at = np.array([now, now + PERIOD])
-        tool = between(correction.time, correction.tool, at)
+        tool = np.column_stack([np.interp(at, correction.time, column) for column in correction.tool.T])
         world.lead(at, tool)
         now += PERIOD
         poses.append(world.pose)
@@ -167,19 +166,15 @@ def follow(
     return correction.status, np.array(poses), gaps
 
 
-def test_object_is_kept_on_a_circle_in_one_contact_that_is_never_lost(plan: CurvedPush) -> None:
-    status, poses, gaps = follow(World(MODEL, CIRCLE.poses[0]), plan, noise=1.0)
+@pytest.mark.parametrize(("late", "metres", "degrees"), [(0, 0.003, 2.0), (2, 0.004, 3.0)], ids=["in time", "two of three due at once"])
+def test_object_is_kept_on_a_circle_in_one_contact_that_is_never_lost(plan: CurvedPush, late: int, metres: float, degrees: float) -> None:
+    status, poses, gaps = follow(World(MODEL, CIRCLE.poses[0]), plan, noise=1.0, late=late)
     _, error = CIRCLE.error(poses, 0.0, CIRCLE.length)
     assert status is FollowStatus.ARRIVED and max(gaps[3:]) < 1e-3
-    assert np.sqrt(np.mean(error[:, 0] ** 2)) < 0.003 and np.sqrt(np.mean(error[:, 1] ** 2)) < np.radians(2.0)
+    assert np.sqrt(np.mean(error[:, 0] ** 2)) < metres and np.sqrt(np.mean(error[:, 1] ** 2)) < np.radians(degrees)
 
 
-def test_corrections_that_are_due_at_once_go_on_from_the_ones_before(plan: CurvedPush) -> None:
-    status, poses, gaps = follow(World(MODEL, CIRCLE.poses[0]), plan, noise=1.0, late=2)
-    _, error = CIRCLE.error(poses, 0.0, CIRCLE.length)
-    assert status is FollowStatus.ARRIVED and max(gaps[3:]) < 1e-3
-    assert np.sqrt(np.mean(error[:, 0] ** 2)) < 0.004 and np.sqrt(np.mean(error[:, 1] ** 2)) < np.radians(3.0)
-    # Nothing is improved: the best guess is simulated once.
+def test_push_that_is_due_at_once_is_the_best_guess_simulated_once(plan: CurvedPush) -> None:
     pushes, horizon = CurvedPushes(SETTINGS, CIRCLE), Horizon.of(CIRCLE.speed, 0.08, np.array([-0.2, 0.0]))
     guesses = 0.1 * np.random.default_rng(0).normal(size=(1, 3, N_SEGMENTS, 2))
     best, rolled = pushes.improve(known(), horizon, [start_of(plan)], guesses, 3, lambda: True)
@@ -195,13 +190,11 @@ def test_object_that_was_displaced_on_its_way_is_brought_back_by_the_same_contac
     assert status is FollowStatus.ARRIVED and np.max(error[:, 0]) > 0.005 and np.max(error[-15:, 0]) < 0.004
 
 
-def test_tool_that_would_leave_its_corridor_is_said_so(planner: CurvedPathPlanner) -> None:
-    plan = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
-    assert plan.tool is not None and plan.corridor is not None
-    assert np.max(plan.corridor.excess(plan.tool)) == 0.0
-    narrow = CurvedPathPlanner(MODEL.shape, SETTINGS, n_models=1, n_asked=1, half_width=0.002)
-    far = narrow.plan(KNOWN, CIRCLE.poses[0] + np.array([0.02, -0.02, 0.2]), CIRCLE, 0.0)
-    assert far.tool is not None and far.corridor is not None and np.max(far.corridor.excess(far.tool)) == 0.0
+def test_tool_that_would_leave_its_corridor_is_said_so(plan: CurvedPush) -> None:
+    far = planner_of(half_width=0.002).plan(KNOWN, CIRCLE.poses[0] + np.array([0.02, -0.02, 0.2]), CIRCLE, 0.0)
+    for push in (plan, far):
+        assert push.tool is not None and push.corridor is not None and np.max(push.corridor.excess(push.tool)) == 0.0
+    assert plan.tool is not None
     ahead = Corridor(plan.tool[1] + np.outer([-1.0, 1.0], plan.tool[1] - plan.tool[0]), 0.004)
     status, poses, _ = follow(World(MODEL, CIRCLE.poses[0]), replace(plan, corridor=ahead), 0.0)
     assert status is FollowStatus.LEAVES and len(poses) < 60
@@ -210,44 +203,43 @@ def test_tool_that_would_leave_its_corridor_is_said_so(planner: CurvedPathPlanne
         Corridor(np.zeros((2, 2)), 0.0)
 
 
-def test_contacts_that_failed_and_paths_out_of_reach_are_not_planned(planner: CurvedPathPlanner) -> None:
-    first = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0)
-    assert first.status is PathStatus.PUSH and isinstance(first.contact, PushPlan2D) and first.expected_done > 0.05
-    second = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0, failed=[first.contact])
-    assert second.contact is None or np.linalg.norm(second.contact.contact_point - first.contact.contact_point) > 0.003
-    away = CurvedPathPlanner(MODEL.shape, replace(SETTINGS, workspace=(1.0, 2.0, 1.0, 2.0)), n_models=1, n_asked=1)
+def test_contacts_that_failed_and_paths_out_of_reach_are_not_planned(planner: CurvedPathPlanner, plan: CurvedPush) -> None:
+    assert plan.status is PathStatus.PUSH and isinstance(plan.contact, PushPlan2D) and plan.expected_done > 0.05
+    second = planner.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0, failed=[plan.contact])
+    assert second.contact is None or np.linalg.norm(second.contact.contact_point - plan.contact.contact_point) > 0.003
+    away = planner_of(replace(SETTINGS, workspace=(1.0, 2.0, 1.0, 2.0)))
     assert away.plan(KNOWN, CIRCLE.poses[0], CIRCLE, 0.0).status is PathStatus.UNREACHABLE
     assert planner.plan(KNOWN, CIRCLE.poses[-1], CIRCLE, CIRCLE.length - 0.1).status is PathStatus.ARRIVED
 
 
+TOUCHING = np.array([float(MODEL.shape.outline[:, 0].min()) - SETTINGS.pusher_radius, 0.01])
+"""Axis of a tool that touches the object at the origin from the left."""
+
+
+def tracker_of(models: ModelBatch) -> ContactTracker:
+    return ContactTracker(models, SETTINGS.pusher_radius, np.zeros(3), FRAME)
+
+
 def test_one_strange_frame_is_ignored_and_two_are_believed() -> None:
-    tracker = ContactTracker(known(), SETTINGS.pusher_radius, np.zeros(3), FRAME)
-    tool, strange = np.array([-0.2, 0.0]), np.array([0.03, 0.02, -0.3])
+    tracker, tool, strange = tracker_of(known()), np.array([-0.2, 0.0]), np.array([0.03, 0.02, -0.3])
     tracker.observe(strange, FRAME, tool)
     np.testing.assert_allclose(tracker.pose, 0.0)
-    tracker.observe(np.zeros(3), FRAME, tool)
-    tracker.observe(strange, FRAME, tool)
-    tracker.observe(strange, FRAME, tool)
+    for pose in (np.zeros(3), strange, strange):
+        tracker.observe(pose, FRAME, tool)
     np.testing.assert_allclose(tracker.pose, strange)
 
 
-def test_tool_is_never_believed_inside_the_object_nor_just_in_front_of_it() -> None:
-    side = float(MODEL.shape.outline[:, 0].min())
+def test_tool_is_never_believed_inside_the_object_nor_just_in_front_of_it_and_is_where_a_diagnosed_offset_says() -> None:
     for depth in (-0.002, 0.0008):
-        tracker = ContactTracker(known(), SETTINGS.pusher_radius, np.zeros(3), FRAME)
-        face = tracker.observe(np.zeros(3), FRAME, np.array([side - SETTINGS.pusher_radius - depth, 0.01]))
+        tracker = tracker_of(known())
+        face = tracker.observe(np.zeros(3), FRAME, TOUCHING - [depth, 0.0])
         np.testing.assert_allclose(tracker.pose, [-depth, 0.0, 0.0], atol=1e-9)
         np.testing.assert_allclose(face.normal, [-1.0, 0.0], atol=1e-9)
         assert tracker.gap == 0.0 and face.is_open == (True, True) and float(wrap_angle(tracker.pose[2])) == 0.0
-
-
-def test_tool_is_where_a_diagnosed_offset_says() -> None:
-    side, offset = float(MODEL.shape.outline[:, 0].min()), np.array([0.004, -0.002])
-    tool = np.array([side - SETTINGS.pusher_radius, 0.01])
-    (own,) = known().models
+    offset, (own,) = np.array([0.004, -0.002]), known().models
     displaced = BatchModel(own.body, own.pusher_friction, effects=effect_values({"tool_offset": offset}))
-    for model, at in ((own, tool), (displaced, tool - offset)):
-        tracker = ContactTracker(ModelBatch(MODEL.shape, [model], SETTINGS.pusher_radius), SETTINGS.pusher_radius, np.zeros(3), FRAME)
+    for model, at in ((own, TOUCHING), (displaced, TOUCHING - offset)):
+        tracker = tracker_of(ModelBatch(MODEL.shape, [model], SETTINGS.pusher_radius))
         tracker.observe(np.zeros(3), FRAME, at)
         assert tracker.gap == 0.0
         np.testing.assert_allclose(tracker.pose, 0.0, atol=1e-9)
@@ -257,8 +249,7 @@ def test_models_that_do_not_explain_the_push_lose_their_weight_and_a_stretch_tha
     right: BatchModel = KNOWN.models(0, np.random.default_rng(0))[0]
     tilt = MODEL.shape.cells.centres[:, 1] * 6.0
     wrong = [BatchModel(replace(right.body, limit=right.body.limit * (1.0 + sign * tilt)), 0.3) for sign in (-1, 1)]
-    side = float(MODEL.shape.outline[:, 0].min())
-    first = np.array([side - SETTINGS.pusher_radius, 0.03])
+    first = TOUCHING + np.array([0.0, 0.02])
     face, _ = face_of(MODEL.shape.outline, first)
     for breaks in (False, True):
         weights = ModelWeights(MODEL.shape, [wrong[0], right, wrong[1]], SETTINGS.pusher_radius)
@@ -276,7 +267,7 @@ def test_models_that_do_not_explain_the_push_lose_their_weight_and_a_stretch_tha
         assert np.ptp(weights.log_weight) == 0.0 if breaks else weights.log_weight[1] > np.sort(weights.log_weight)[1] + 1.0
 
 
-@pytest.mark.parametrize("seed", [2, 4, 5])
+@pytest.mark.parametrize("seed", [2, 4])
 def test_contact_is_judged_as_far_as_corrections_look(seed: int) -> None:
     # With the heading beside the line no face holds these objects; over its first 30 mm a contact costs least for each metre.
     line = PathGoal(np.array([[-0.12, 0.0, 0.5], [0.12, 0.0, 0.5]]), 0.05, 0.003, 0.035)

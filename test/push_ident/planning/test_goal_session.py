@@ -1,18 +1,19 @@
-"""The steps of pushing to a goal, with a cell that lives in memory: an object that goes where it is pushed, and a clock that is set."""
+"""The steps of pushing to a goal and along a path, with a cell in memory whose object goes where it is pushed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic, TypeVar
+from typing import Any
 
 import numpy as np
 import pytest
 
 from helpers.objects import hammer
 from push_ident.errors import InputError
-from push_ident.identification.results.posterior import ModelPosterior, prior_posterior
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.physics.overhang import TableEdge
+from push_ident.planning.curved_planner import CurvedPush
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal, GoalCode, GoalRefusedError, Target
 from push_ident.planning.goal_ports import (
@@ -27,6 +28,10 @@ from push_ident.planning.goal_ports import (
 )
 from push_ident.planning.goal_session import GoalSession
 from push_ident.planning.hold import EdgeHold
+from push_ident.planning.path_goal import PathGoal
+from push_ident.planning.path_planner import PathPush, PathStatus
+from push_ident.planning.path_session import PathSession
+from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush, PlanStatus
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
@@ -36,23 +41,19 @@ GOAL = Goal(np.array([0.05, 0.05, 0.5]))
 SHAPE = hammer(1).shape
 PUSH_SECONDS = 8.0
 LEARN_SECONDS = 2.0
-T = TypeVar("T")
-
-
-@pytest.fixture(scope="module")
-def posterior() -> ModelPosterior:
-    return prior_posterior(SHAPE)
+POSTERIOR = prior_posterior(SHAPE)
+FAR = np.array([-0.15, -0.15, 0.0])
 
 
 @dataclass
-class Computed(Generic[T]):
-    """What is there after a while."""
+class Computed:
+    """What is there after a while: a result, or an exception."""
 
     cell: Cell
-    found: T | Exception
+    found: Any
     ready: float
 
-    def result(self) -> T | None:
+    def result(self) -> Any:
         if self.cell.now() < self.ready:
             return None
         if isinstance(self.found, Exception):
@@ -84,15 +85,13 @@ class Push:
         return replace(self.outcome, stamp=self.ends - 1.0)
 
     def cancel(self) -> None:
-        if self.cancelled_at is None:
-            self.cancelled_at = self.cell.now()
+        self.cancelled_at = self.cancelled_at or self.cell.now()
 
 
 @dataclass
 class Cell:
     """`GoalPorts` in memory. Each push to the goal takes away all but a tenth of the error."""
 
-    posterior: ModelPosterior
     time: float = 100.0
     pose: Float64Array = field(default_factory=lambda: np.array([-0.05, -0.05, 0.0]))
     std: float = 1e-3
@@ -104,12 +103,12 @@ class Cell:
     plans: list[GoalPush | Exception] = field(default_factory=list)
     """The next plans; then they are made."""
     is_visible: Callable[[float], bool] = lambda time: True
-    wants: Callable[[Cell], Wish] = lambda cell: Wish.GO_ON
+    wants: Callable[[Any], Wish] = lambda cell: Wish.GO_ON
     learns: bool = True
     pushed: float = -np.inf
     """Start of a push that somebody made before."""
     settings: PushSettings | None = field(default_factory=PushSettings)
-    pushes: list[Push] = field(default_factory=list)
+    pushes: list[Any] = field(default_factory=list)
     asked: list[PushPlan2D | int] = field(default_factory=list)
     edges: list[TableEdge] = field(default_factory=list)
     """Of the table."""
@@ -137,7 +136,7 @@ class Cell:
 
     def model(self, object_id: str) -> KnownModel | None:
         stamp = self.learned[1] if self.learns and self.time >= self.learned[0] else 0.0
-        return KnownModel(self.posterior, stamp, 0, self.is_known or stamp > 0)
+        return KnownModel(POSTERIOR, stamp, 0, self.is_known or stamp > 0)
 
     def pushed_at(self, object_id: str) -> float:
         return self.pushed
@@ -148,27 +147,20 @@ class Cell:
     def known_edges(self) -> list[TableEdge]:
         return self.edges
 
-    def begin_target(
-        self, model: KnownModel, seen: TrackedObject, goal: EdgeGoal, edges: Sequence[TableEdge], chosen: Target | None
-    ) -> Computed[Target]:
-        if chosen is not None:
-            return Computed(self, chosen, self.time)
-        found = self.targets.pop(0) if len(self.targets) > 1 else self.targets[0]
-        if isinstance(found, Exception):
-            return Computed(self, found, self.time)
-        centre = np.zeros((1, 2))
-        return Computed(self, Target(found, EdgeHold(edges[0], goal.held), SHAPE.cells.centres, centre), self.time)
+    def begin_target(self, model: KnownModel, seen: TrackedObject, goal: EdgeGoal, edges: Sequence[TableEdge], chosen: Any) -> Computed:
+        found = chosen or (self.targets.pop(0) if len(self.targets) > 1 else self.targets[0])
+        if isinstance(found, Goal):
+            found = Target(found, EdgeHold(edges[0], goal.held), SHAPE.cells.centres, np.zeros((1, 2)))
+        return Computed(self, found, self.time)
 
-    def begin_plan(
-        self, model: KnownModel, seen: TrackedObject, target: Target, obstacles: list[Float64Array], failed: list[PushPlan2D]
-    ) -> Computed[GoalPush]:
+    def begin_plan(self, model: KnownModel, seen: TrackedObject, target: Target, obstacles: Any, failed: list[PushPlan2D]) -> Computed:
         self.failed.append(len(failed))
         if self.plans:
             return Computed(self, self.plans.pop(0), self.time + 1.0)
         push = PushPlan2D(np.array([0.1 * len(failed), 0.0]), np.zeros(2), 0.0, 0.05, 0.1)
         return Computed(self, GoalPush(PlanStatus.PUSH, 0.8, push, target.goal.pose, target.goal.pose[None], 1.3), self.time + 1.0)
 
-    def begin_push(self, object_id: str, push: PushPlan2D | int) -> Push:
+    def begin_push(self, object_id: str, push: PushPlan2D | int) -> Any:
         self.asked.append(push)
         outcome = self.outcomes.pop(0) if self.outcomes else PushReport(PushCode.NONE, "", 1)
         motion = np.array([0.02, 0.0, 0.1]) if isinstance(push, int) else 0.9 * (GOAL.pose - self.pose)
@@ -186,8 +178,8 @@ def run(cell: Cell, **fields: object) -> tuple[GoalOutcome, list[GoalProgress]]:
     return session.run(), seen
 
 
-def test_object_is_pushed_until_it_is_there_and_each_push_is_learned(posterior: ModelPosterior) -> None:
-    cell = Cell(posterior, pose=np.array([-0.15, -0.15, 0.0]))
+def test_object_is_pushed_until_it_is_there_and_each_push_is_learned() -> None:
+    cell = Cell(pose=FAR)
     outcome, seen = run(cell)
     assert outcome.code is GoalCode.NONE and outcome.text == ""
     assert outcome.progress.pushes == len(cell.pushes) == 2
@@ -197,15 +189,18 @@ def test_object_is_pushed_until_it_is_there_and_each_push_is_learned(posterior: 
     # The pushes took their time, and the model was waited for after the first; at the goal nobody plans with it.
     assert outcome.progress.elapsed == pytest.approx(2 * (1.0 + PUSH_SECONDS) + LEARN_SECONDS, abs=0.2)
     assert outcome.progress.error[0] < GOAL.position and outcome.progress.observed == 2
+    # A push that is not learned does not end the goal.
+    outcome, seen = run(Cell(learns=False, pose=FAR))
+    assert outcome.code is GoalCode.NONE and any("did not learn" in p.note for p in seen)
+    assert outcome.progress.elapsed == pytest.approx(2 * (1.0 + PUSH_SECONDS) + SessionLimits().learn_timeout, abs=0.2)
 
 
-def test_exploring_pushes_come_first_and_nothing_is_pushed_that_is_there(posterior: ModelPosterior) -> None:
-    cell = Cell(posterior, is_known=False)
-    outcome, _ = run(cell, explore=2)
-    assert outcome.code is GoalCode.NONE
+def test_exploring_pushes_come_first_and_nothing_is_pushed_that_is_there() -> None:
+    cell = Cell(is_known=False)
+    assert run(cell, explore=2)[0].code is GoalCode.NONE
     assert [isinstance(push, int) for push in cell.asked] == [True, True, False]
     assert cell.asked[0] != cell.asked[1]
-    there = Cell(posterior, pose=GOAL.pose.copy(), is_known=False)
+    there = Cell(pose=GOAL.pose.copy(), is_known=False)
     assert run(there, explore=2)[0].code is GoalCode.NONE and not there.pushes
 
 
@@ -218,142 +213,111 @@ def test_exploring_pushes_come_first_and_nothing_is_pushed_that_is_there(posteri
         ({}, {"object_id": "o7"}, GoalCode.UNKNOWN_OBJECT, "o1"),
     ],
 )
-def test_goal_that_cannot_be_is_refused_before_anything_moves(
-    posterior: ModelPosterior, change: dict[str, object], fields: dict[str, object], code: GoalCode, word: str
-) -> None:
-    cell = Cell(posterior, **change)  # type: ignore[arg-type]
-    request = GoalRequest(**{"object_id": "", "goal": GOAL, **fields})  # type: ignore[arg-type]
+def test_goal_that_cannot_be_is_refused_before_anything_moves(change: Any, fields: Any, code: GoalCode, word: str) -> None:
+    cell = Cell(**change)
     with pytest.raises(GoalRefusedError, match=word) as refused:
-        GoalSession(request, cell).check()
+        GoalSession(GoalRequest(**{"object_id": "", "goal": GOAL, **fields}), cell).check()
     assert refused.value.code is code
-    outcome, _ = run(cell, **fields)
-    assert outcome.code is code and not cell.pushes
+    assert run(cell, **fields)[0].code is code and not cell.pushes
 
 
-def test_goal_for_an_object_of_which_nothing_is_known_yet_waits_for_it(posterior: ModelPosterior) -> None:
-    cell = Cell(posterior, is_visible=lambda time: time > 102.0)
-    GoalSession(GoalRequest(object_id="", goal=GOAL), cell).check()
+def test_goal_for_an_object_of_which_nothing_is_known_yet_waits_for_it() -> None:
+    cell = Cell(is_visible=lambda time: time > 102.0)
+    GoalSession(GoalRequest("", GOAL), cell).check()
     assert cell.time < 102.1
     with pytest.raises(GoalRefusedError):
-        GoalSession(GoalRequest(object_id="", goal=GOAL), Cell(posterior, is_visible=lambda time: time > 104.0)).check()
-
-
-def test_tolerance_below_what_the_poses_allow_is_said(posterior: ModelPosterior) -> None:
-    outcome, _ = run(Cell(posterior, std=0.02))
-    assert outcome.code is GoalCode.TOLERANCE and "28.3 mm" in outcome.text
-
-
-def test_plan_says_why_there_is_none(posterior: ModelPosterior) -> None:
-    outcome, _ = run(Cell(posterior, plans=[GoalPush(PlanStatus.UNREACHABLE, 0.0)]))
-    assert outcome.code is GoalCode.UNREACHABLE
-    outcome, _ = run(Cell(posterior, plans=[FloatingPointError("the model is nowhere")]))
-    assert outcome.code is GoalCode.MODEL and "nowhere" in outcome.text
-
-
-def test_failed_push_is_passed_to_the_planner_and_forgotten_after_one_that_moved_the_object(posterior: ModelPosterior) -> None:
-    missed = PushReport(PushCode.NO_CONTACT, "it moved by 0.1 mm", 1)
-    refused = PushReport(PushCode.UNREACHABLE, "no posture")
-    cell = Cell(posterior, outcomes=[missed, refused], pose=np.array([-0.15, -0.15, 0.0]), std=1e-4)
-    outcome, seen = run(cell, goal=Goal(GOAL.pose, 0.003))
-    assert outcome.code is GoalCode.NONE
-    assert cell.failed == [0, 1, 2, 0]
-    assert outcome.progress.pushes == 3  # the refused one moved nothing
-    assert next(p.note for p in seen if p.note).startswith("the push failed (NO_CONTACT)")
+        GoalSession(GoalRequest("", GOAL), Cell(is_visible=lambda time: time > 104.0)).check()
 
 
 @pytest.mark.parametrize(
-    ("report", "code"),
+    ("change", "code", "word"),
     [
-        (PushReport(PushCode.ARM_SILENT, "no joint states."), GoalCode.ARM_SILENT),
-        (PushReport(PushCode.FORCE, "70 N.", 1), GoalCode.PUSH_FAILED),
-        (PushReport(PushCode.HAND, "no fist."), GoalCode.PUSH_FAILED),
+        ({"std": 0.02}, GoalCode.TOLERANCE, "28.3 mm"),
+        ({"plans": [GoalPush(PlanStatus.UNREACHABLE, 0.0)]}, GoalCode.UNREACHABLE, ""),
+        ({"plans": [FloatingPointError("the model is nowhere")]}, GoalCode.MODEL, "nowhere"),
+        ({"outcomes": [PushReport(PushCode.ARM_SILENT, "no joint states.")]}, GoalCode.ARM_SILENT, "no joint states."),
+        ({"outcomes": [PushReport(PushCode.FORCE, "70 N.", 1)]}, GoalCode.PUSH_FAILED, "70 N."),
+        ({"outcomes": [PushReport(PushCode.HAND, "no fist.")]}, GoalCode.PUSH_FAILED, "no fist."),
+        ({"is_visible": lambda time: time < 105.0}, GoalCode.OBJECT_LOST, "o1"),
     ],
 )
-def test_failure_that_another_contact_does_not_cure_ends_the_goal(posterior: ModelPosterior, report: PushReport, code: GoalCode) -> None:
-    cell = Cell(posterior, outcomes=[report])
+def test_goal_ends_with_its_code_where_neither_another_contact_nor_waiting_helps(change: Any, code: GoalCode, word: str) -> None:
+    cell = Cell(**change)
     outcome, _ = run(cell)
-    assert outcome.code is code and report.text in outcome.text and len(cell.pushes) == 1
-
-
-def test_refusals_in_a_row_end_the_goal(posterior: ModelPosterior) -> None:
-    cell = Cell(posterior, outcomes=[PushReport(PushCode.UNREACHABLE, "no posture")] * 50)
-    outcome, _ = run(cell)
-    assert outcome.code is GoalCode.PUSH_FAILED and len(cell.pushes) == SessionLimits().max_refusals + 1
-
-
-def test_object_that_does_not_come_back_into_view_is_lost(posterior: ModelPosterior) -> None:
-    outcome, _ = run(Cell(posterior, is_visible=lambda time: time < 105.0))
-    assert outcome.code is GoalCode.OBJECT_LOST
+    assert outcome.code is code and word in outcome.text and len(cell.pushes) <= 1
     # Hidden by the arm for a while is not lost.
-    outcome, _ = run(Cell(posterior, is_visible=lambda time: not 105.0 < time < 118.0))
-    assert outcome.code is GoalCode.NONE
+    assert run(Cell(is_visible=lambda time: not 105.0 < time < 118.0))[0].code is GoalCode.NONE
 
 
-def test_push_made_before_is_learned_first(posterior: ModelPosterior) -> None:
-    cell = Cell(posterior, is_known=False, pushed=98.0, learned=(103.0, 99.0))
+def test_failed_push_is_passed_to_the_planner_and_forgotten_after_one_that_moved_the_object() -> None:
+    missed, refused = PushReport(PushCode.NO_CONTACT, "it moved by 0.1 mm", 1), PushReport(PushCode.UNREACHABLE, "no posture")
+    cell = Cell(outcomes=[missed, refused], pose=FAR, std=1e-4)
+    outcome, seen = run(cell, goal=Goal(GOAL.pose, 0.003))
+    assert outcome.code is GoalCode.NONE and cell.failed == [0, 1, 2, 0]
+    assert outcome.progress.pushes == 3  # the refused one moved nothing
+    assert next(p.note for p in seen if p.note).startswith("the push failed (NO_CONTACT)")
+    cell = Cell(outcomes=[refused] * 50)
+    assert run(cell)[0].code is GoalCode.PUSH_FAILED and len(cell.pushes) == SessionLimits().max_refusals + 1
+
+
+def test_push_made_before_is_learned_first() -> None:
+    cell = Cell(is_known=False, pushed=98.0, learned=(103.0, 99.0))
     GoalSession(GoalRequest("", GOAL), cell).check()
     outcome, seen = run(cell)
     assert outcome.code is GoalCode.NONE
     assert outcome.progress.elapsed == pytest.approx(3.0 + 1.0 + PUSH_SECONDS, abs=0.2)
     assert seen[0].state is GoalState.OBSERVE and any(p.state is GoalState.LEARN and not p.pushes for p in seen)
-    never = Cell(posterior, is_known=False, pushed=98.0)
+    never = Cell(is_known=False, pushed=98.0)
     assert run(never)[0].code is GoalCode.NOTHING_KNOWN and not never.pushes
 
 
-def test_push_that_is_not_learned_does_not_end_the_goal(posterior: ModelPosterior) -> None:
-    outcome, seen = run(Cell(posterior, learns=False, pose=np.array([-0.15, -0.15, 0.0])))
-    assert outcome.code is GoalCode.NONE
-    assert any("did not learn" in p.note for p in seen)
-    assert outcome.progress.elapsed == pytest.approx(2 * (1.0 + PUSH_SECONDS) + SessionLimits().learn_timeout, abs=0.2)
-
-
-def test_pushes_and_time_are_limited(posterior: ModelPosterior) -> None:
-    strict = Goal(GOAL.pose, 0.0025)
-    outcome, _ = run(Cell(posterior, std=1e-4), goal=strict, max_pushes=1)
+def test_pushes_and_time_are_limited_and_impossible_limits_refused() -> None:
+    outcome, _ = run(Cell(std=1e-4), goal=Goal(GOAL.pose, 0.0025), max_pushes=1)
     assert outcome.code is GoalCode.MAX_PUSHES and outcome.progress.pushes == 1 and "14.1 mm" in outcome.text
-    cell = Cell(posterior)
-    outcome, _ = run(cell, time_limit=5.0)
-    assert outcome.code is GoalCode.TIME_LIMIT and cell.pushes[0].cancelled_at is not None
+    cell = Cell()
+    assert run(cell, time_limit=5.0)[0].code is GoalCode.TIME_LIMIT and cell.pushes[0].cancelled_at is not None
+    for name, fields in (("time_limit", {"time_limit": np.nan}), ("explore", {"explore": 5, "max_pushes": 4})):
+        with pytest.raises(InputError, match=name):
+            GoalRequest("", GOAL, **fields)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("at", [100.5, 104.0, 109.8], ids=["planning", "pushing", "learning"])
-def test_cancellation_is_noticed_at_once_whatever_is_under_way(posterior: ModelPosterior, at: float) -> None:
-    start = np.array([-0.15, -0.15, 0.0])
-    cell = Cell(posterior, pose=start, wants=lambda cell: Wish.HOLD if cell.time >= at else Wish.GO_ON)
+def test_cancellation_is_noticed_at_once_whatever_is_under_way(at: float) -> None:
+    cell = Cell(pose=FAR, wants=lambda cell: Wish.HOLD if cell.time >= at else Wish.GO_ON)
     outcome, _ = run(cell)
-    assert outcome.code is GoalCode.CANCELED
-    assert cell.time - at < 0.05
+    assert outcome.code is GoalCode.CANCELED and cell.time - at < 0.05
     if at == 104.0:
         assert cell.pushes[0].cancelled_at is not None and cell.pushes[0].cancelled_at - at < 0.05
         assert outcome.progress.pushes == 1
 
 
-def test_newer_goal_lets_the_push_under_way_end(posterior: ModelPosterior) -> None:
-    cell = Cell(posterior, wants=lambda cell: Wish.FINISH if cell.time >= 104.0 else Wish.GO_ON)
+def test_newer_goal_lets_the_push_under_way_end() -> None:
+    cell = Cell(wants=lambda cell: Wish.FINISH if cell.time >= 104.0 else Wish.GO_ON)
     outcome, _ = run(cell)
     assert outcome.code is GoalCode.PREEMPTED and outcome.progress.pushes == 1
     assert cell.pushes[0].is_over and cell.pushes[0].cancelled_at is None
     assert cell.time == pytest.approx(101.0 + PUSH_SECONDS, abs=0.1)
 
 
-def test_goal_with_impossible_limits_is_refused() -> None:
-    with pytest.raises(InputError, match="time_limit"):
-        GoalRequest("", GOAL, time_limit=np.nan)
-    with pytest.raises(InputError, match="explore"):
-        GoalRequest("", GOAL, explore=5, max_pushes=4)
-
+# --- at the edge of the table
 
 EDGE = TableEdge.between(np.array([0.15, -0.3]), np.array([0.15, 0.3]))
-TOLD_EDGE = EdgeGoal(EDGE)
-AT_EDGE = Goal(GOAL.pose, TOLD_EDGE.position, TOLD_EDGE.turn)
+OVER = EdgeGoal(EDGE)
 UNHELD = GoalRefusedError(GoalCode.NOT_HELD, "it might fall")
-NEVER_HELD = GoalPush(PlanStatus.UNHELD, 0.0, risk=0.04)
+NO_HELD_PUSH = GoalPush(PlanStatus.UNHELD, 0.0, risk=0.04)
 
 
-def test_place_at_an_edge_is_chosen_when_the_object_is_known_well_enough(posterior: ModelPosterior) -> None:
+def place(x: float, y: float, yaw: float) -> Goal:
+    return Goal(np.array([x, y, yaw]), OVER.position, OVER.turn)
+
+
+AT_EDGE = place(*GOAL.pose)
+
+
+def test_place_at_an_edge_is_chosen_when_the_object_is_known_well_enough() -> None:
     """Refused before anything is known, which exploring may cure; then chosen once, after the exploring pushes."""
-    cell = Cell(posterior, is_known=False, targets=[UNHELD, AT_EDGE])
-    outcome, seen = run(cell, goal=TOLD_EDGE, explore=2)
+    cell = Cell(is_known=False, targets=[UNHELD, AT_EDGE])
+    outcome, seen = run(cell, goal=OVER, explore=2)
     assert outcome.code is GoalCode.NONE and not cell.targets[1:]
     explored = [push for push in cell.asked if isinstance(push, PushPlan2D)][:2]
     assert len(explored) == 2, "the executor chooses none: it knows of no edge"
@@ -365,51 +329,39 @@ def test_place_at_an_edge_is_chosen_when_the_object_is_known_well_enough(posteri
     ("change", "fields", "code", "word"),
     [
         ({}, {"goal": EdgeGoal(None)}, GoalCode.EDGE_UNKNOWN, "table_corners"),
-        ({"targets": [UNHELD]}, {"goal": TOLD_EDGE}, GoalCode.NOT_HELD, "might fall"),
-        ({"targets": [UNHELD]}, {"goal": TOLD_EDGE, "explore": 1}, GoalCode.NOT_HELD, "might fall"),
-        (
-            {"targets": [AT_EDGE], "plans": [GoalPush(PlanStatus.UNHELD, 0.0, risk=0.04)] * 2},
-            {"goal": TOLD_EDGE},
-            GoalCode.NOT_HELD,
-            "4.0 %",
-        ),
+        ({"targets": [UNHELD]}, {}, GoalCode.NOT_HELD, "might fall"),
+        ({"targets": [UNHELD]}, {"explore": 1}, GoalCode.NOT_HELD, "might fall"),
+        ({"targets": [AT_EDGE], "plans": [NO_HELD_PUSH] * 2}, {}, GoalCode.NOT_HELD, "4.0 %"),
     ],
 )
-def test_goal_at_an_edge_that_cannot_be_ends_with_its_code(
-    posterior: ModelPosterior, change: dict[str, object], fields: dict[str, object], code: GoalCode, word: str
-) -> None:
-    outcome, _ = run(Cell(posterior, **change), **fields)  # type: ignore[arg-type]
+def test_goal_at_an_edge_that_cannot_be_ends_with_its_code(change: Any, fields: Any, code: GoalCode, word: str) -> None:
+    outcome, _ = run(Cell(**change), **{"goal": OVER, **fields})
     assert outcome.code is code and word in outcome.text
 
 
-def test_where_each_push_would_risk_a_fall_another_place_is_chosen_once(posterior: ModelPosterior) -> None:
-    cell = Cell(posterior, targets=[Goal(np.array([0.0, 0.1, 0.0])), AT_EDGE], plans=[GoalPush(PlanStatus.UNHELD, 0.0)])
-    outcome, _ = run(cell, goal=TOLD_EDGE)
+def test_where_each_push_would_risk_a_fall_another_place_is_chosen_once() -> None:
+    outcome, _ = run(Cell(targets=[place(0.0, 0.1, 0.0), AT_EDGE], plans=[NO_HELD_PUSH]), goal=OVER)
     assert outcome.code is GoalCode.NONE and outcome.progress.target is not None
     np.testing.assert_array_equal(outcome.progress.target.goal.pose, AT_EDGE.pose)
 
 
-@dataclass
 class Falling(Cell):
     """Its object is seen where it was pushed to, which is beside the table."""
 
     def begin_push(self, object_id: str, push: PushPlan2D | int) -> Push:
-        begun = super().begin_push(object_id, push)
+        begun: Push = super().begin_push(object_id, push)
         begun.motion = np.array([0.4, 0.0, 0.0])
         return begun
 
 
-def test_object_that_is_lost_at_the_edge_fell(posterior: ModelPosterior) -> None:
-    over = Goal(np.array([0.13, 0.0, 0.0]), TOLD_EDGE.position, TOLD_EDGE.turn)
-    gone = {"is_visible": lambda time: time < 105.0, "targets": [over]}
-    outcome, _ = run(Cell(posterior, **gone), goal=TOLD_EDGE)  # type: ignore[arg-type]
+def test_object_that_is_lost_at_the_edge_fell() -> None:
+    gone = {"is_visible": lambda time: time < 105.0}
+    outcome, _ = run(Cell(targets=[place(0.13, 0.0, 0.0)], **gone), goal=OVER)  # type: ignore[arg-type]
     assert outcome.code is GoalCode.FELL and "less overhang" in outcome.text and outcome.progress.pushes == 1
-    beside = Goal(np.array([0.4, 0.0, 0.0]), TOLD_EDGE.position, TOLD_EDGE.turn)
-    outcome, _ = run(Falling(posterior, targets=[beside]), goal=TOLD_EDGE)
+    outcome, _ = run(Falling(targets=[place(0.4, 0.0, 0.0)]), goal=OVER)
     assert outcome.code is GoalCode.FELL and "beside the table" in outcome.text
     # Far from the edge it is only lost.
-    outcome, _ = run(Cell(posterior, **gone | {"targets": [Goal(np.array([0.0, 0.1, 0.0]))]}), goal=TOLD_EDGE)  # type: ignore[arg-type]
-    assert outcome.code is GoalCode.OBJECT_LOST
+    assert run(Cell(targets=[place(0.0, 0.1, 0.0)], **gone), goal=OVER)[0].code is GoalCode.OBJECT_LOST  # type: ignore[arg-type]
 
 
 def test_codes_are_those_of_the_action() -> None:
@@ -417,3 +369,132 @@ def test_codes_are_those_of_the_action() -> None:
     codes = {name: int(code) for name, code in GoalCode.__members__.items() if name != "SUCCESS"}  # the action says NONE: no error
     assert codes == {name: getattr(action.Result, name) for name in codes}
     assert all(getattr(action.Feedback, f"STATE_{state.name}") == state.value for state in GoalState)
+
+
+# --- along a path
+
+PATH = PathGoal(np.array([[-0.06, 0.0, 0.0], [0.06, 0.0, 0.0]]), 0.05, 0.003, 0.035)
+PUSH = PushPlan2D(np.zeros(2), np.zeros(2), 0.0, 0.03, 0.05)
+STEERED = CurvedPush(PathStatus.PUSH, 0.0, PUSH, expected_error=0.3)
+STRAIGHT = PathPush(PathStatus.PUSH, 0.0, PUSH)
+
+
+@dataclass
+class PathPushing:
+    """A push that carries the object along the path for two seconds, beside it."""
+
+    cell: PathCell
+    travel: float
+    code: PushCode
+    first: float
+    begun: float
+    n_corrections: int = 30
+    tool: Float64Array | None = None
+
+    @property
+    def done(self) -> float:
+        return self.first + self.travel * min((self.cell.time - self.begun) / 2.0, 1.0)
+
+    def report(self) -> PushReport | None:
+        self.cell.pose = PATH.at(self.done) + np.array([0.0, self.cell.beside, 0.0])
+        return PushReport(self.code, "as told", 1, self.begun) if self.cell.time >= self.begun + 2.0 else None
+
+    def cancel(self) -> None:
+        self.cell.cancelled = True
+
+
+@dataclass
+class PathCell(Cell):
+    """`PathPorts` in memory; `travels` says how far each push brings the object [m] and how it ends."""
+
+    travels: list[tuple[float, PushCode]] = field(default_factory=list)
+    pose: Float64Array = field(default_factory=lambda: PATH.poses[0].copy())
+    std: float = 1e-4
+    learned: tuple[float, float] = (-1.0, np.inf)
+    settings: PushSettings | None = field(default_factory=lambda: PushSettings(workspace=(-0.3, 0.3, -0.3, 0.3)))
+    steers: list[bool] = field(default_factory=list)
+    """As each plan was asked for."""
+    planned: list[Float64Array] = field(default_factory=list)
+    """Poses that pushes to the end were planned for."""
+    beside: float = 0.002
+    """Of the path [m]: where the object is led."""
+    unreachable: bool = False
+    cancelled: bool = False
+
+    def begin_step(self, model: Any, seen: TrackedObject, path: PathGoal, done: float, *others: Any, steers: bool) -> Computed:
+        self.steers.append(steers)
+        now = max(done, float(path.error(seen.pose, done, 0.2)[0]))
+        step = PathStep(PathStatus.PUSH, now, STEERED if steers else None, None if steers else STRAIGHT)
+        if path.length - now < 0.004 or self.unreachable:
+            step = PathStep(PathStatus.UNREACHABLE if self.unreachable else PathStatus.ARRIVED, now)
+        return Computed(self, step, self.time)
+
+    def begin_plan(self, model: Any, seen: TrackedObject, target: Target, obstacles: Any, failed: Any) -> Computed:
+        self.planned.append(target.goal.pose)
+        self.beside = 0.0
+        return super().begin_plan(model, seen, target, obstacles, failed)
+
+    def begin_steered(self, *arguments: Any) -> PathPushing:
+        return PathPushing(self, *self.travels.pop(0), float(PATH.error(self.pose, 0.0, 1.0)[0]), self.time)
+
+    def begin_push(self, object_id: str, push: PushPlan2D | int) -> PathPushing:
+        return self.begin_steered()
+
+
+def follow(*travels: tuple[float, PushCode], cell: PathCell | None = None, **changes: Any) -> tuple[GoalOutcome, PathCell]:
+    cell = cell or PathCell()
+    cell.travels = list(travels)
+    return PathSession(GoalRequest("", PATH, **changes), cell).run(), cell  # type: ignore[arg-type]
+
+
+def test_path_is_followed_to_its_end_and_its_error_is_that_of_the_poses_on_the_way() -> None:
+    outcome, cell = follow((0.07, PushCode.NONE), (0.05, PushCode.NONE))
+    assert outcome.code is GoalCode.NONE and outcome.progress.done == 1.0 and outcome.progress.pushes == 2
+    assert outcome.progress.corrections == 60 and cell.steers == [True, True, True]
+    assert outcome.progress.path is PATH and outcome.progress.step is not None and outcome.progress.step.steered is STEERED
+    np.testing.assert_allclose(outcome.progress.rms, [0.002, 0.0], atol=2e-4)
+
+
+def test_object_that_is_beside_the_end_of_its_path_is_pushed_there_as_to_a_goal() -> None:
+    outcome, cell = follow((0.12, PushCode.NONE), (0.0, PushCode.NONE), cell=PathCell(beside=0.006))
+    assert outcome.code is GoalCode.NONE and outcome.progress.pushes == 2 and outcome.progress.done == 1.0
+    np.testing.assert_array_equal(cell.planned, PATH.poses[-1:])
+    np.testing.assert_allclose(cell.pose, PATH.poses[-1], atol=1e-9)
+    limited, _ = follow((0.12, PushCode.NONE), cell=PathCell(beside=0.006), max_pushes=1)
+    assert limited.code is GoalCode.MAX_PUSHES and limited.progress.done == 1.0
+
+
+def test_after_a_steered_push_that_brought_nothing_a_straight_one_comes_first_and_after_a_broken_one_another_contact() -> None:
+    outcome, cell = follow((0.002, PushCode.NONE), (0.03, PushCode.NONE), (0.09, PushCode.NONE))
+    assert outcome.code is GoalCode.NONE and cell.steers == [True, False, True, True]
+    outcome, _ = follow((0.04, PushCode.CORRECTION), (0.08, PushCode.NONE))
+    assert outcome.code is GoalCode.NONE and outcome.progress.pushes == 2
+
+
+def test_path_that_cannot_be_gone_on_with_says_how_much_is_behind() -> None:
+    outcome, _ = follow((0.06, PushCode.NONE), cell=PathCell(unreachable=True))
+    assert outcome.code is GoalCode.UNREACHABLE and "0 % of it" in outcome.text
+    broken, _ = follow((0.02, PushCode.FORCE))
+    assert broken.code is GoalCode.PUSH_FAILED and 0.1 < broken.progress.done < 0.3
+    limited, _ = follow((0.03, PushCode.NONE), max_pushes=1)
+    assert limited.code is GoalCode.MAX_PUSHES and limited.progress.done == pytest.approx(0.25, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("path", "code"),
+    [
+        (PathGoal(PATH.poses + np.array([0.5, 0.0, 0.0])), GoalCode.OUTSIDE_WORKSPACE),
+        (PathGoal(np.array([[0.0, 0.0, 0.0], [0.001, 0.0, 3.0]]), 0.2), GoalCode.INVALID_GOAL),
+    ],
+    ids=["out of reach", "turns too fast"],
+)
+def test_path_that_cannot_be_followed_is_refused_before_anything_moves(path: PathGoal, code: GoalCode) -> None:
+    with pytest.raises(GoalRefusedError) as refused:
+        PathSession(GoalRequest("", path), PathCell()).check()  # type: ignore[arg-type]
+    assert refused.value.code is code
+
+
+def test_cancellation_in_the_middle_of_a_push_along_a_path_is_passed_on_within_a_look() -> None:
+    cell = PathCell(wants=lambda cell: Wish.HOLD if cell.time > 101.0 else Wish.GO_ON)
+    outcome, _ = follow((0.12, PushCode.NONE), cell=cell)
+    assert outcome.code is GoalCode.CANCELED and cell.cancelled and cell.time < 103.0

@@ -15,14 +15,16 @@ from push_ident.planning.goal import GoalCode, GoalRefusedError
 from push_ident.planning.library import path_of
 from push_ident.planning.path_goal import PathGoal, check_path, read_path
 from push_ident.planning.path_planner import PathPlanner, PathStatus
+from push_ident.planning.path_steps import PathSteps
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array
-from push_ident_sim.studies.common.objects import random_object
+from push_ident_sim.studies.common.objects import plate, random_object
 
 SETTINGS = PushSettings(workspace=(-0.4, 0.4, -0.4, 0.4), pusher_radius=0.008, clearance=0.02)
 MODEL = random_object(np.random.default_rng(7))
 KNOWN = Belief.certain(MODEL)
 LINE = PathGoal(np.array([[-0.1, 0.0, 0.4], [0.1, 0.05, 0.4]]), speed=0.1)
+PLANNER = PathPlanner(MODEL.shape, SETTINGS, LINE.speed)
 
 
 def after(pose: Float64Array, plan: PushPlan2D) -> Float64Array:
@@ -32,9 +34,9 @@ def after(pose: Float64Array, plan: PushPlan2D) -> Float64Array:
 
 
 def test_known_object_follows_a_line_in_few_contacts_and_stays_near_it() -> None:
-    planner, pose, done, way = PathPlanner(MODEL.shape, SETTINGS, LINE.speed), LINE.poses[0], 0.0, []
+    pose, done, way = LINE.poses[0], 0.0, []
     for _ in range(8):
-        plan = planner.plan(KNOWN, pose, LINE, done)
+        plan = PLANNER.plan(KNOWN, pose, LINE, done)
         if plan.plan is None:
             break
         assert plan.plan.speed == LINE.speed and plan.expected_done > plan.done >= done
@@ -48,11 +50,11 @@ def test_known_object_follows_a_line_in_few_contacts_and_stays_near_it() -> None
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 def test_object_far_beside_its_path_is_brought_back_before_it_goes_on(side: float) -> None:
-    planner, middle = PathPlanner(MODEL.shape, SETTINGS, LINE.speed), LINE.at(LINE.length / 2)
+    middle = LINE.at(LINE.length / 2)
     across = float(LINE.direction(LINE.length / 2)) + side * np.pi / 2
     pose, done = middle + np.array([0.04 * np.cos(across), 0.04 * np.sin(across), side * 0.117]), LINE.length / 2
     for _ in range(2):
-        plan = planner.plan(KNOWN, pose, LINE, done)
+        plan = PLANNER.plan(KNOWN, pose, LINE, done)
         assert plan.plan is not None
         pose, done = after(pose, plan.plan)[-1], plan.done
     place, error = LINE.error(pose, done, 0.1)
@@ -62,10 +64,9 @@ def test_object_far_beside_its_path_is_brought_back_before_it_goes_on(side: floa
 
 
 def test_failed_pushes_are_not_repeated_and_none_is_proposed_out_of_reach() -> None:
-    planner = PathPlanner(MODEL.shape, SETTINGS, LINE.speed)
-    first = planner.plan(KNOWN, LINE.poses[0], LINE, 0.0).plan
+    first = PLANNER.plan(KNOWN, LINE.poses[0], LINE, 0.0).plan
     assert first is not None
-    second = planner.plan(KNOWN, LINE.poses[0], LINE, 0.0, failed=[first]).plan
+    second = PLANNER.plan(KNOWN, LINE.poses[0], LINE, 0.0, failed=[first]).plan
     assert second is not None and np.linalg.norm(second.contact_point - first.contact_point) > 0.003
     away = PathPlanner(MODEL.shape, replace(SETTINGS, workspace=(1.0, 2.0, 1.0, 2.0)), LINE.speed)
     assert away.plan(KNOWN, LINE.poses[0], LINE, 0.0).status is PathStatus.UNREACHABLE
@@ -107,3 +108,20 @@ def test_numbers_and_files_of_paths_are_checked(tmp_path: Path) -> None:
             read_path(file, 0.1)
     with pytest.raises(InputError, match="Cannot read"):
         read_path(tmp_path / "none.csv", 0.1)
+
+
+def test_steered_pushes_are_chosen_where_a_face_holds_the_line_and_straight_ones_where_none_does() -> None:
+    model = plate(8, 3)
+    settings, belief = PushSettings(workspace=(-0.5, 0.5, -0.5, 0.5), pusher_radius=0.008, clearance=0.02), Belief.certain(model)
+    steps = PathSteps(model.shape, settings, 0.06)
+    ahead = PathGoal(np.array([[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0]]), 0.05, 0.003, 0.035)
+    step = steps.plan(belief, ahead.poses[0], ahead, 0.0)
+    assert step.steered is not None and step.follower is not None and step.expected_done > 0.05
+    only = steps.plan(belief, ahead.poses[0], ahead, 0.0, steers=False)
+    assert only.steered is None and only.straight is not None and only.contact is only.straight.plan
+    # Turned by 45 degrees, no face of a square is across the line.
+    beside = replace(ahead, poses=ahead.poses + np.array([0.0, 0.0, np.pi / 4]))
+    held = steps.plan(belief, beside.poses[0], beside, 0.0)
+    assert held.straight is not None and held.steered is None
+    end = steps.plan(belief, ahead.poses[-1], ahead, ahead.length - 0.1)
+    assert end.status is PathStatus.ARRIVED and end.contact is None and np.isnan(end.expected_done)
