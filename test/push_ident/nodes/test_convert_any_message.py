@@ -124,7 +124,7 @@ def changed_messages(draw: st.DrawFn) -> tuple[str, Any]:
 
 
 @pytest.mark.fuzz
-@fuzzed(4000)
+@fuzzed(1200)
 @example(("pose", pose_whose_covariance_is(np.nan)))  # eigenvalues did not converge
 @given(changed_messages())
 def test_any_message_is_converted_or_refused(changed: tuple[str, Any]) -> None:
@@ -138,16 +138,14 @@ def test_any_message_is_converted_or_refused(changed: tuple[str, Any]) -> None:
         assert keeps(value), name
 
 
-@pytest.mark.parametrize("name", CONVERSIONS)
-def test_the_message_itself_is_converted(name: str) -> None:
-    base, convert, keeps = CONVERSIONS[name]
-    assert keeps(convert(base))
+def test_the_messages_themselves_are_converted() -> None:
+    assert [name for name, (base, convert, keeps) in CONVERSIONS.items() if not keeps(convert(base))] == []
 
 
 def test_changed_messages_are_wrong_in_every_way() -> None:
     seen: list[Any] = []
 
-    @fuzzed(1500)
+    @fuzzed(600)
     @given(messages_like(POSE))
     def collect(msg: Any) -> None:
         seen.append(msg)

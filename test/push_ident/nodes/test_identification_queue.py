@@ -17,7 +17,7 @@ from std_msgs.msg import Float32MultiArray
 
 from helpers.executor_cell import Stalls
 from helpers.node_process import Talker
-from helpers.spinning import spinning
+from helpers.spinning import running
 from push_ident.geometry.outline import cells_in_outline
 from push_ident.identification.online.session import ObjectSession
 from push_ident.nodes.base.network import own_domain
@@ -31,30 +31,17 @@ from push_ident_msgs.srv import LoadModel, SaveModel
 BOX = np.array([(-0.05, -0.04), (0.05, -0.04), (0.05, 0.04), (-0.05, 0.04)])
 
 
-def test_work_is_done_in_its_order_and_waits_until_it_is_done() -> None:
-    queue, done = WorkQueue(), []
+def test_work_is_done_in_its_order_but_only_the_latest_outline_of_an_object() -> None:
+    queue, done, left = WorkQueue(), [], []
     assert queue.first() is None
-    for i, kind in enumerate((Kind.PUSH, Kind.OUTLINE, Kind.PUSH)):
-        queue.put(kind, lambda i=i: done.append(i))  # type: ignore[misc]
-    left = []
-    while (work := queue.first()) is not None:
-        work()
-        left.append((queue.n_waiting(Kind.PUSH), queue.n_waiting(Kind.OUTLINE)))
-        queue.first_is_done()
-    assert done == [0, 1, 2] and left == [(2, 1), (1, 1), (1, 0)]
-    assert queue.n_waiting(Kind.PUSH) == queue.n_waiting(Kind.OUTLINE) == 0
-
-
-def test_only_the_latest_outline_of_an_object_waits_and_pushes_keep_their_place() -> None:
-    queue, done = WorkQueue(), []
     for name, i in (("o1", 0), ("o1", 1), ("o1", 2), ("o2", 3), ("", 4), ("o2", 5), ("o2", 6)):
         queue.put(Kind.OUTLINE if name else Kind.PUSH, lambda i=i: done.append(i), instead_of=name)  # type: ignore[misc]
-    assert (queue.n_waiting(Kind.OUTLINE), queue.n_waiting(Kind.PUSH)) == (4, 1)
     while (work := queue.first()) is not None:
         work()
+        left.append((queue.n_waiting(Kind.OUTLINE), queue.n_waiting(Kind.PUSH)))  # what is under way included
         queue.first_is_done()
     assert done == [0, 2, 3, 4, 6]  # the first one may have begun
-    assert queue.n_waiting(Kind.OUTLINE) == 0
+    assert left == [(4, 1), (3, 1), (2, 1), (1, 1), (1, 0)] and queue.n_waiting(Kind.OUTLINE) == 0
 
 
 @pytest.mark.live
@@ -85,7 +72,7 @@ def test_a_better_outline_is_no_push_that_waits(tmp_path: Path, monkeypatch: pyt
         return refine(session, shape)
 
     monkeypatch.setattr(ObjectSession, "refine_shape", held_up)
-    with spinning(lambda context: IdentificationNode(context=context), domain) as node, Talker(domain) as talker:
+    with running(IdentificationNode, domain), Talker(domain) as talker:
 
         def say(outline: np.ndarray) -> None:
             shape = ObjectShape(cells_in_outline(BOX, 0.01), outline, np.full(len(outline), 0.001))
@@ -115,4 +102,3 @@ def test_a_better_outline_is_no_push_that_waits(tmp_path: Path, monkeypatch: pyt
             talker.until(lambda: waiting() == ("0", "0"), timeout=300.0)  # kernels may have to be compiled first
         finally:
             may_go_on.set()
-            node.close()

@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 from helpers.damaged_models import DAMAGE, DAMAGED_TEXT, right_model, unreadable_paths
 from helpers.executor_cell import BOX
 from helpers.node_process import Talker
-from helpers.spinning import spinning
+from helpers.spinning import running
 from helpers.wrong_poses import right_pose, wrong_poses
 from push_ident.errors import InputError, PushIdentError
 from push_ident.files import write_whole
@@ -37,22 +37,21 @@ def shape_of(content: dict[str, Any]) -> ObjectShape:
     return ObjectShape(CellGrid(np.array(content["cells"]), content["cell_size"]), np.array(content["outline"]))
 
 
-@pytest.mark.parametrize("text", NO_FILES, ids=range(len(NO_FILES)))
-def test_a_path_that_names_no_file_is_refused_in_one_line(text: str) -> None:
-    with pytest.raises(InputError) as caught:
-        file_to_read(text)
-    assert str(caught.value).isprintable()
-    with pytest.raises(PushIdentError):  # whether the file system has such names is seen when a file is written
-        write_whole(file_to_write(text), "", "the model")
+def test_a_path_that_names_no_file_is_refused_in_one_line() -> None:
+    for text in NO_FILES:
+        with pytest.raises(InputError) as caught:
+            file_to_read(text)
+        assert str(caught.value).isprintable()
+        with pytest.raises(PushIdentError):  # whether the file system has such names is seen when a file is written
+            write_whole(file_to_write(text), "", "the model")
 
 
 @pytest.fixture(scope="module")
 def talker() -> Iterator[Talker]:
     """Beside identification_node."""
     domain = own_domain()
-    with spinning(lambda context: IdentificationNode(context=context), domain) as node, Talker(domain) as talker:
+    with running(IdentificationNode, domain), Talker(domain) as talker:
         yield talker
-        node.close()
 
 
 def publish_object(talker: Talker, object_id: str, shape: ObjectShape) -> None:
@@ -70,25 +69,20 @@ def publish_object(talker: Talker, object_id: str, shape: ObjectShape) -> None:
 @pytest.mark.live
 def test_no_path_and_no_damaged_model_breaks_the_service(talker: Talker, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     paths = [*NO_FILES[:2], *NO_FILES[4:], *map(str, unreadable_paths(tmp_path).values())]
-    for number, (change, _) in enumerate(DAMAGE.values()):
-        content = right_model()
-        change(content)
-        (tmp_path / f"damaged{number}.json").write_text(json.dumps(content))
-        paths.append(str(tmp_path / f"damaged{number}.json"))
-    for number, (make, _) in enumerate(DAMAGED_TEXT.values()):
-        (tmp_path / f"text{number}.json").write_text(make())
-        paths.append(str(tmp_path / f"text{number}.json"))
-    singular = right_model()
-    singular["covariance"] = [[0.01] * len(singular["z"])] * len(singular["z"])
-    for name, model in (("right", right_model()), ("singular", singular)):
-        (tmp_path / f"{name}.json").write_text(json.dumps(model))
-    paths.append(str(tmp_path / "singular.json"))
+    models = [right_model() for _ in DAMAGE]
+    for model, (change, _) in zip(models, DAMAGE.values(), strict=True):
+        change(model)
+    singular = right_model() | {"covariance": [[0.01] * len(right_model()["z"])] * len(right_model()["z"])}
+    texts = [json.dumps(right_model()), *map(json.dumps, [*models, singular]), *(make() for make, _ in DAMAGED_TEXT.values())]
+    for number, text in enumerate(texts):
+        (tmp_path / f"{number}.json").write_text(text)
+    paths += [str(tmp_path / f"{number}.json") for number in range(1, len(texts))]
     load = talker.node.create_client(LoadModel, "load_model")
     publish_object(talker, "o1", shape_of(right_model()))
     for path in paths:
         answer = talker.ask(load, LoadModel.Request(object_id="o1", path=path))
         assert not answer.success and answer.message.isprintable() and answer.message, path
-    answer = talker.ask(load, LoadModel.Request(object_id="o1", path=str(tmp_path / "right.json")))
+    answer = talker.ask(load, LoadModel.Request(object_id="o1", path=str(tmp_path / "0.json")))
     assert answer.success, answer.message
     assert "Traceback" not in capfd.readouterr().err
 

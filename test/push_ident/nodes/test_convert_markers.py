@@ -1,4 +1,4 @@
-"""The goal and the push under way, as markers and back."""
+"""The goal, the push under way and what perception refused, as markers and back."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point
-from visualization_msgs.msg import Marker, MarkerArray
 
 from push_ident.errors import InputError
 from push_ident.nodes.convert.goal_markers import GoalDrawing, draw_goal, goal_markers_from_msg, goal_markers_to_msg
+from push_ident.nodes.convert.refusals import refusals_from_msg, refusals_to_msg
+from push_ident.perception.refusals import Reason, Refusal, summary_of
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.curved_planner import CurvedPush
 from push_ident.planning.goal import Goal, Target
@@ -98,16 +98,19 @@ def test_path_comes_back_with_the_tool_as_it_is_steered_and_its_corridor() -> No
     assert back(drawn(None, end, path=PATH, step=steered, state=GoalState.LEARN)).tool is None, "that push is over"
 
 
-def test_markers_of_another_frame_place_object_or_size_are_refused() -> None:
-    for change, words in (
-        (lambda marker: setattr(marker.header, "frame_id", "map"), "frame map, expected table"),
-        (lambda marker: setattr(marker.points[0], "x", float("nan")), "Goal marker"),
-        (lambda marker: setattr(marker, "ns", "goal/1 2"), "1 2"),
-    ):
-        msg = goal_markers_to_msg(drawn(PLAN), Time())
-        change(msg.markers[1])
-        with pytest.raises(InputError, match=words):
-            goal_markers_from_msg(msg)
-    many = Marker(action=Marker.ADD, type=Marker.LINE_STRIP, points=[Point()] * 10_001)
-    with pytest.raises(InputError, match="Goal markers"):
-        goal_markers_from_msg(MarkerArray(markers=[many]))
+def test_outlines_and_reasons_of_refusals_come_back_and_equal_reasons_are_counted() -> None:
+    beside, small = (Refusal(why, why.value, OUTLINE + shift, 0.05) for why, shift in ((Reason.BESIDE_ROBOT, 0.0), (Reason.TOO_SMALL, 0.2)))
+    found = refusals_from_msg(refusals_to_msg([beside, small], Time(sec=3)))
+    for (outline, words), refusal in zip(found, (beside, small), strict=True):
+        assert words == refusal.why
+        np.testing.assert_allclose(outline, np.column_stack([[*refusal.outline, refusal.outline[0]], np.full(4, refusal.height)]))
+    assert refusals_from_msg(refusals_to_msg([], Time())) == []
+    assert summary_of([beside, small, small]).startswith(f"2 segments: {small.why}; 1 segment: touches the robot")
+
+
+def test_markers_of_another_frame_are_refused() -> None:
+    goal, refused = goal_markers_to_msg(drawn(PLAN), Time()), refusals_to_msg([Refusal(Reason.TOO_SMALL, "", OUTLINE, 0.05)], Time())
+    for msg, convert in ((goal, goal_markers_from_msg), (refused, refusals_from_msg)):
+        msg.markers[1].header.frame_id = "map"
+        with pytest.raises(InputError, match="frame map, expected table"):
+            convert(msg)
