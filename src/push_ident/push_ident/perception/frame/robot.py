@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.geometry.arm_shape import ArmShape
 from push_ident.geometry.rod import Rod
 from push_ident.types import Float64Array
+
+if TYPE_CHECKING:  # it needs pinocchio, which a wheel without ROS has not
+    from push_ident.geometry.arm_shape import ArmShape
 
 __all__ = ["Cylinder", "RobotHistory", "RobotPart"]
 
