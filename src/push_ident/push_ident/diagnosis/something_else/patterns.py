@@ -302,7 +302,7 @@ def _friction_of(path: _Path, weigh: _Weigh, n_patterns: int) -> Float64Array:
     """Friction of the cells times weights, shape (n_steps, 3, n_patterns)."""
     response, arms = path.response, path.response.arms
     sampled = _samples(response, PATTERNS.stride)
-    moves = (sampled >= 0) & (path.speed[sampled] > 2.0 * STILL)
+    moves = (sampled >= 0) & (path.speed[np.maximum(sampled, 0)] > 2.0 * STILL)
     steps = sampled[moves]
     cos, sin = np.cos(response.pose[steps, 2])[:, None], np.sin(response.pose[steps, 2])[:, None]
     x, y = cos * arms[:, 0] - sin * arms[:, 1], sin * arms[:, 0] + cos * arms[:, 1]
