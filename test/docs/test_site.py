@@ -164,8 +164,8 @@ def test_tables_of_the_guide_become_a_bag_that_is_read_as_their_source(pushes_of
     from push_ident.offline.loading import load_pushes
 
     run_script("write_tables.py", EXAMPLE_BAG, tmp_path)
-    files = (tmp_path / f"{name}.csv" for name in ("poses", "pusher", "outline"))
-    report = import_tracked_poses(TrackedPoses(*files, radius=0.018, position_std=1e-3, yaw_std=8.7e-3), tmp_path / "own")
+    files = {name: tmp_path / f"{name}.csv" for name in ("poses", "pusher", "outline")}
+    report = import_tracked_poses(TrackedPoses(**files, radius=0.018, position_std=1e-3, yaw_std=8.7e-3), tmp_path / "own")
     before, after = pushes_of_the_example, load_pushes([tmp_path / "own"]).records
     assert len(after) == len(before) == report.n_pushes and report.warnings == ()
     assert after[1].poses.pose[-1] == pytest.approx(before[1].poses.pose[-1], abs=2e-6)

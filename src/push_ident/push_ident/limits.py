@@ -6,14 +6,13 @@ outside claim. Every limit is far above what an honest cell sends; none bounds t
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from typing import Final
 
 from push_ident.errors import InputError, PushIdentError
 
-__all__ = ["LIMITS", "Limit", "check_coordinates", "check_object_id", "check_stamp", "plain_text", "printable"]
+__all__ = ["LIMITS", "Limit", "check_coordinates", "check_object_id", "plain_text", "printable"]
 
 _ID: Final = re.compile(r"[A-Za-z0-9_]+")
 _CONTROL: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
@@ -135,13 +134,6 @@ def check_coordinates(values: object, what: str, *, error: type[PushIdentError] 
     numbers = np.abs(np.asarray(values, dtype=np.float64))
     if numbers.size:
         LIMITS.COORDINATE.check(float(numbers.max()), what, error=error, remedy="Give lengths in metres, in the table frame.")
-
-
-def check_stamp(seconds: float) -> None:
-    """Raise InputError for a stamp [s] that no clock of ROS can give: negative, not finite or too large."""
-    if not (math.isfinite(seconds) and seconds >= 0):
-        raise InputError(f"A stamp is {seconds:g} s, expected 0 to {LIMITS.STAMP.value} s; check the clock of its source.")
-    LIMITS.STAMP.check(math.floor(seconds), "Time", remedy="Check the clock of its source.")
 
 
 def check_object_id(text: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.outline import outline_of_cells, polygon_area
 from push_ident.geometry.se2 import quaternion_of_yaw
-from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, ObjectShape, PushRecord
+from push_ident.types import CameraIntrinsics, CellGrid, ObjectShape, PushRecord
 
 
 def test_topics_are_recognised_under_any_namespace() -> None:
@@ -172,10 +171,18 @@ def test_contract_sample_of_another_maker_is_read() -> None:
 
 def test_accuracy_of_the_camera_is_that_of_every_push_and_one_that_is_none_is_noted(tmp_path: Path) -> None:
     read = []
-    for name, accuracy in (("right", CameraAccuracy(position=2e-3, heading=5e-3)), ("none", SimpleNamespace(position=1e6, heading=0.0))):
+    types = jazzy_typestore().types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 0), "table")
+    place = types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+
+    def covariance(position: float, heading: float) -> object:
+        variance = np.diag([position**2, position**2, 0.0, 0.0, 0.0, heading**2]).ravel()
+        return types["geometry_msgs/msg/PoseWithCovariance"](types["geometry_msgs/msg/Pose"](*place), variance)
+
+    for name, position, heading in (("right", 2e-3, 5e-3), ("none", 1e6, 0.0)):
         with BagWriter(tmp_path / name) as writer:
             writer.write_shape("7", L_SHAPE, 1.0)
-            writer.write_camera_accuracy(1.0, accuracy)  # type: ignore[arg-type]
+            write_raw(writer, Role.CAMERA_ACCURACY, "/depth/camera_accuracy", 10**9, header, covariance(position, heading))
             write_push(writer, 2.0)
         read.append(read_bag(tmp_path / name))
     right, wrong = read

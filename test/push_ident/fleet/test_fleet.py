@@ -7,11 +7,12 @@ import os
 from pathlib import Path
 
 import pytest
+from pyarrow.parquet import read_table
 from typer.testing import CliRunner
 
 from push_ident.cli.main import app
 from push_ident.errors import InputError
-from push_ident.fleet import FleetOptions, find_jobs, read_table, run_fleet, write_index, write_table
+from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
 from push_ident.fleet.job import Outcome
 from push_ident.identification.results.model_file import load_model
 
@@ -73,7 +74,7 @@ def test_one_bad_bag_stops_nothing_and_a_second_run_does_nothing_again(bags: Pat
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "bags").iterdir()} == before
 
     write_table(tmp_path / "results.parquet", again)
-    rows = read_table(tmp_path / "results.parquet")
+    rows = read_table(tmp_path / "results.parquet").to_pylist()
     assert [row["state"] for row in rows] == [o["state"] for o in outcomes]
     assert rows[0]["test_identified_m"] == again[0]["result"]["test"]["identified_m"]
     assert len(rows[0]["map_mass"]) == rows[0]["n_cells"]
@@ -91,4 +92,4 @@ def test_a_fleet_without_a_readable_bag_fails_with_a_count(bags: Path, tmp_path:
     result = CliRunner().invoke(app, ["fleet", str(bags / "monday" / "noise.mcap"), "--out", str(tmp_path), "--workers", "1"])
     assert result.exit_code == 1
     assert "0 of 1 bags identified" in result.output
-    assert read_table(tmp_path / "results.parquet")[0]["state"] == "failed"
+    assert read_table(tmp_path / "results.parquet")["state"].to_pylist() == ["failed"]

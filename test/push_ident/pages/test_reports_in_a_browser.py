@@ -144,13 +144,13 @@ def imports(folder: Path, records: list[PushRecord]) -> None:
     poses, pusher = tracked_rows(records)
     tables = folder / "tables"
     tables.mkdir()
-    files = [
-        table_file(tables / "poses.csv", "time,x,y,yaw", poses),
-        table_file(tables / "pusher.csv", "time,x,y,push", pusher),
-        table_file(tables / "outline.csv", "x,y", records[0].shape.outline),
-    ]
+    files = {
+        "poses": table_file(tables / "poses.csv", "time,x,y,yaw", poses),
+        "pusher": table_file(tables / "pusher.csv", "time,x,y,push", pusher),
+        "outline": table_file(tables / "outline.csv", "x,y", records[0].shape.outline),
+    }
     for name, radius in (("meets", 0.008), ("misses", 0.020)):
-        given = TrackedPoses(*files, radius=radius, position_std=1e-3, yaw_std=8.7e-3, cell_size=0.011)
+        given = TrackedPoses(**files, radius=radius, position_std=1e-3, yaw_std=8.7e-3, cell_size=0.011)
         report = import_tracked_poses(given, folder / f"bag_{name}")
         write_import_page(folder / f"import_{name}.html", report, "poses.csv, pusher.csv, outline.csv")
 

@@ -17,7 +17,7 @@ from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.offline.depth_images import DepthImages
 from push_ident.perception.refusals import Reason
 from push_ident.survey.parameter_file import parameter_text
-from push_ident.survey.scale_check import KnownSize, ScaleError, check_scale, distorted_lengths
+from push_ident.survey.scale_check import KnownSize, ScaleError, check_scale
 from push_ident.survey.survey import frames_at_rest, survey_frames
 from push_ident.survey.survey_picture import draw_survey
 from push_ident.types import DepthFrame
@@ -135,17 +135,6 @@ def test_no_frame_no_depth_and_no_table_are_errors():
 
 
 # The scale
-
-
-@pytest.mark.parametrize(("tilt", "focal", "scale"), [(0.0, 1.25, 1.0), (0.5, 1.0, 1.02), (1.1, 0.9, 1.05)])
-def test_lengths_follow_the_linear_map(tilt, focal, scale):
-    """Across, along and up of a table, through diag(1/s, 1/s, 1) k; the height is that of the parallelepiped."""
-    edges = np.array([(1.0, 0.0, 0.0), (0.0, np.cos(tilt), np.sin(tilt)), (0.0, np.sin(tilt), -np.cos(tilt))])
-    across, along, up = edges * (scale / focal, scale / focal, scale)
-    normal = np.cross(across, along) / np.linalg.norm(np.cross(across, along))
-    measured_tilt = np.arccos(abs(normal[2]))
-    expected = (np.linalg.norm(across), np.linalg.norm(along), abs(up @ normal))
-    assert distorted_lengths(focal, scale, measured_tilt) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(

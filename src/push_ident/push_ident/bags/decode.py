@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from push_ident.errors import BagError, FrameError
-from push_ident.geometry.outline import outline_of_cells, polygon_area
+from push_ident.geometry.outline import polygon_area
 from push_ident.geometry.se2 import transform_points, yaw_of_quaternion
 from push_ident.limits import LIMITS, check_coordinates
 from push_ident.perception.frame.depth_image import check_intrinsics, depth_from_buffer
@@ -26,7 +26,6 @@ __all__ = [
     "outline_std_of",
     "planar_pose_of",
     "stamp_ns",
-    "traced_outline",
 ]
 
 DEFAULT_COVARIANCE: Final = np.diag([1e-3**2, 1e-3**2, np.radians(0.5) ** 2])
@@ -122,11 +121,6 @@ def outline_of(polygon: Any) -> Float64Array | None:
     if len(vertices) < 3 or abs(polygon_area(vertices)) < 1e-9:
         return None
     return vertices
-
-
-def traced_outline(cells: CellGrid, yaw: float) -> Float64Array:
-    """Outline of cells that were recorded without one."""
-    return outline_of_cells(cells.centres, cells.size, yaw=yaw)
 
 
 def cylinder_radius_of(primitive: Any) -> float | None:

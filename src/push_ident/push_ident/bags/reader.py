@@ -14,6 +14,7 @@ from push_ident.bags import decode
 from push_ident.bags.contract import CAMERA_FRAME, OBJECT_ROLES, TABLE_FRAME, Role, TopicRole, role_of
 from push_ident.bags.opening import Connection, OpenBag, open_bag
 from push_ident.errors import BagError, FrameError, InputError
+from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS, plain_text
 from push_ident.pushing.cutter import PushInterval
@@ -305,10 +306,14 @@ def _object_track(
     return ObjectTrack(shape, track.time, track.value[:, :3], covariance, has_outline)
 
 
+def _messages(recorded: dict[TopicRole, _Recorded], role: Role, object_id: str = "") -> list[Any]:
+    """Of a role that has no stamped samples."""
+    return recorded.get(TopicRole(role, object_id), _Recorded()).messages
+
+
 def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> tuple[ObjectShape | None, bool]:
     """Cells and outline from the last message of each, and whether there is an outline."""
-    grids = recorded.get(TopicRole(Role.CELLS, object_id), _Recorded()).messages
-    polygons = recorded.get(TopicRole(Role.OUTLINE, object_id), _Recorded()).messages
+    grids, polygons, deviations = (_messages(recorded, role, object_id) for role in (Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD))
     if not grids:
         notes.append(f"object {object_id}: the bag has no cells.")
         return None, bool(polygons)
@@ -318,9 +323,8 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
         if outline is None:
             lacking = "its outline encloses nothing" if polygons else "no outline"
             notes.append(f"object {object_id}: {lacking}; it is traced from the cells.")
-            outline = decode.traced_outline(cells, yaw)
+            outline = outline_of_cells(cells.centres, cells.size, yaw=yaw)
             LIMITS.VERTICES.check(len(outline), "the traced outline", error=BagError)
-        deviations = recorded.get(TopicRole(Role.OUTLINE_STD, object_id), _Recorded()).messages
         std = decode.outline_std_of(deviations[-1], len(outline)) if deviations and measured is not None else None
         return check_shape(ObjectShape(cells, outline, std)), measured is not None
     except (BagError, InputError) as error:
@@ -329,7 +333,7 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
 
 
 def _pusher_radius(path: Path, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> float | None:
-    shapes = recorded.get(TopicRole(Role.PUSHER_SHAPE), _Recorded()).messages
+    shapes = _messages(recorded, Role.PUSHER_SHAPE)
     radius = decode.cylinder_radius_of(shapes[-1]) if shapes else None
     if radius is None:
         notes.append(f"{'`pusher/shape` is not a cylinder' if shapes else 'no `pusher/shape`'}: its radius is unknown.")
@@ -342,7 +346,7 @@ def _pusher_radius(path: Path, recorded: dict[TopicRole, _Recorded], notes: list
 
 def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: list[str]) -> tuple[PushInterval, ...]:
     intervals = []
-    for message in recorded.get(TopicRole(Role.PUSH_RECORD), _Recorded()).messages:
+    for message in _messages(recorded, Role.PUSH_RECORD):
         start, end = ((decode.stamp_ns(stamp) - origin) * 1e-9 for stamp in (message.start, message.end))
         if end > start:
             intervals.append(PushInterval(int(message.push_id), str(message.object_id), start, end, int(message.error_code)))
@@ -354,7 +358,7 @@ def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: li
 def _camera_in_table(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> Float64Array | None:
     """Pose of the camera from the chain of static transforms to the table, if there is one."""
     parents = {}
-    for message in recorded.get(TopicRole(Role.TF_STATIC), _Recorded()).messages:
+    for message in _messages(recorded, Role.TF_STATIC):
         LIMITS.TRANSFORMS.check(len(message.transforms), "tf_static", error=BagError)
         for stamped in message.transforms:
             parents[stamped.child_frame_id.strip("/")] = (stamped.header.frame_id.strip("/"), stamped.transform)
@@ -371,11 +375,9 @@ def _camera_in_table(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> 
 
 
 def _camera_accuracy(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> CameraAccuracy | None:
-    messages = recorded.get(TopicRole(Role.CAMERA_ACCURACY), _Recorded()).messages
-    if not messages:
-        return None
-    accuracy = decode.camera_accuracy_of(messages[-1])
-    if accuracy is None:
+    messages = _messages(recorded, Role.CAMERA_ACCURACY)
+    accuracy = decode.camera_accuracy_of(messages[-1]) if messages else None
+    if messages and accuracy is None:
         notes.append(f"`{Role.CAMERA_ACCURACY.value.name}` has no covariance of x, y and yaw; the camera counts as exact.")
     return accuracy
 

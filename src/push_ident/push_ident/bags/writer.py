@@ -23,7 +23,7 @@ from push_ident.errors import BagError
 from push_ident.files import open_new, write_whole
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.geometry.se3 import quaternion_of_pose
-from push_ident.types import BoolArray, CameraAccuracy, CameraIntrinsics, CellGrid, Float64Array, ObjectShape
+from push_ident.types import BoolArray, CameraIntrinsics, CellGrid, Float64Array, ObjectShape
 
 __all__ = ["BagWriter"]
 
@@ -167,12 +167,6 @@ class BagWriter:
             n = len(shape.outline_std)
             layout = self._new("std_msgs/msg/MultiArrayLayout", [self._new("std_msgs/msg/MultiArrayDimension", "edge", n, n)], 0)
             self._write(Role.OUTLINE_STD, stamp, layout, shape.outline_std.astype(np.float32), object_id=object_id)
-
-    def write_camera_accuracy(self, stamp: float, accuracy: CameraAccuracy) -> None:
-        """How well the pose of the camera over the table is known: covariance of the table frame that it sees, in `table`."""
-        variance = np.diag([accuracy.position**2, accuracy.position**2, 0.0, 0.0, 0.0, accuracy.heading**2])
-        body = self._new("geometry_msgs/msg/PoseWithCovariance", self._pose(0.0, 0.0, 0.0, 0.0), variance.ravel())
-        self._write(Role.CAMERA_ACCURACY, stamp, self._header(stamp, TABLE_FRAME), body)
 
     def write_depth(self, stamp: float, depth: NDArray[np.uint16] | NDArray[np.float32], *, frame_id: str = CAMERA_FRAME) -> None:
         """Depth image, shape (height, width): uint16 in millimetres (0: no value) or float32 in metres (NaN: no value)."""

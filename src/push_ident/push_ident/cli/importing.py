@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import typer
@@ -47,29 +46,9 @@ PageOption = Annotated[
 ]
 
 
-class LengthUnit(StrEnum):
-    """Unit of length of a file."""
-
-    m = "m"
-    mm = "mm"
-
-
-class AngleUnit(StrEnum):
-    """Unit of angle of a file."""
-
-    rad = "rad"
-    deg = "deg"
-
-
-class TimeUnit(StrEnum):
-    """Unit of time of a file."""
-
-    s = "s"
-    ms = "ms"
-    us = "us"
-    ns = "ns"
-
-
+LengthUnit = Literal["m", "mm"]
+AngleUnit = Literal["rad", "deg"]
+TimeUnit = Literal["s", "ms", "us", "ns"]
 _SI = {"m": 1.0, "mm": 1e-3, "rad": 1.0, "deg": float(np.pi / 180.0), "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Metres, radians or seconds of each of these units."""
 PositionStdOption = Annotated[
@@ -132,7 +111,6 @@ import_app = typer.Typer(
 )
 
 _MIT = MitOptions()
-_POSE = "X,Y,YAW in metres and radians, such as 0.4,-0.1,1.57"
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="The recording as it was published.", show_default=False)]
 SupportsOption = Annotated[
     tuple[str, str, str] | None,
@@ -224,6 +202,11 @@ def _points(texts: tuple[str, str, str] | None) -> Float64Array | None:
     return points
 
 
+def _pose(text: str) -> Float64Array | None:
+    """Pose of the frame of the pusher (x, y, yaw) [m, m, rad]; None where it is not given."""
+    return parse_floats(text, 3, "--pusher-frame", "X,Y,YAW in metres and radians, such as 0.4,-0.1,1.57") if text else None
+
+
 def _outline(file: Path | None) -> Float64Array | None:
     """Vertices [m], shape (n, 2), from a table x,y."""
     if file is None:
@@ -251,11 +234,11 @@ def csv_command(
     wrench: WrenchOption = None,
     columns: ColumnsOption = "",
     pusher_columns: PusherColumnsOption = "",
-    length_unit: Annotated[LengthUnit, typer.Option(help="Unit of lengths in columns whose names say none.")] = LengthUnit.m,
+    length_unit: Annotated[LengthUnit, typer.Option(help="Unit of lengths in columns whose names say none.")] = "m",
     pusher_length_unit: Annotated[LengthUnit | None, typer.Option(help="Of the pusher, if it has another.", show_default=False)] = None,
     outline_length_unit: OutlineUnitOption = None,
-    angle_unit: Annotated[AngleUnit, typer.Option(help="Unit of yaw in columns whose names say none.")] = AngleUnit.rad,
-    time_unit: TimeUnitOption = TimeUnit.s,
+    angle_unit: Annotated[AngleUnit, typer.Option(help="Unit of yaw in columns whose names say none.")] = "rad",
+    time_unit: TimeUnitOption = "s",
     pusher_time_unit: Annotated[TimeUnit | None, typer.Option(help="Of pusher and force, if another.", show_default=False)] = None,
     axes: AxesOption = "x,y,z",
     pusher_axes: PusherAxesOption = "x,y,z",
@@ -290,7 +273,7 @@ def csv_command(
         yaw_std=yaw_std,
         lifted_above=lifted_above,
         time_offset=time_offset,
-        pusher_frame=parse_floats(pusher_frame, 3, "--pusher-frame", _POSE) if pusher_frame else None,
+        pusher_frame=_pose(pusher_frame),
     )
     run_import(lambda: import_tracked_poses(tables, out), out, f"{tables.poses.name} and {pusher.name}", page, json)
 
@@ -311,7 +294,7 @@ def rosbag_command(
     radius: RadiusOption,
     out: BagOption,
     object_id: Annotated[str, typer.Option("--object", metavar="ID", help="Id of the object in the new bag.")] = "1",
-    outline_length_unit: Annotated[LengthUnit, typer.Option(help="Unit of the outline.")] = LengthUnit.m,
+    outline_length_unit: Annotated[LengthUnit, typer.Option(help="Unit of the outline.")] = "m",
     axes: AxesOption = "x,y,z",
     pusher_axes: PusherAxesOption = "x,y,z",
     log_time: Annotated[bool, typer.Option("--log-time", help="Take the times of recording, not the stamps.")] = False,
@@ -335,7 +318,7 @@ def rosbag_command(
         yaw_std=yaw_std,
         lifted_above=lifted_above,
         time_offset=time_offset,
-        pusher_frame=parse_floats(pusher_frame, 3, "--pusher-frame", _POSE) if pusher_frame else None,
+        pusher_frame=_pose(pusher_frame),
     )
     source = RosbagTopics(
         bag=bag,
@@ -372,16 +355,12 @@ def run_import(importer: Callable[[], ImportReport], out: Path, source: str, pag
         report = importer()
     except OverlapError as error:
         write_refusal_page(file, error.overlap, str(error))
-        _say_page(file)
+        say(f"page of the import: {file}")
         raise
     write_import_page(file, report, source)
     _show(report)
-    _say_page(file)
-    write_json(json, _content(report, file))
-
-
-def _say_page(file: Path) -> None:
     say(f"page of the import: {file}")
+    write_json(json, _content(report, file))
 
 
 def _show(report: ImportReport) -> None:

@@ -6,7 +6,6 @@ import importlib.metadata
 import os
 import shutil
 import sys
-from enum import StrEnum
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -22,7 +21,7 @@ from push_ident.cli.output import JsonOption, OutOption, console, say, warn, wri
 from push_ident.cli.overrides import overrides_of
 from push_ident.cli.restart import RestartPolicy
 from push_ident.cli.robot import RobotOption, robot_for
-from push_ident.cli.supervisor import Supervisor, node_commands, node_names
+from push_ident.cli.supervisor import Kind, Supervisor, node_commands, node_names
 from push_ident.errors import InputError, PushIdentError
 from push_ident.extras import need_ros
 from push_ident.geometry.se3 import quaternion_of_pose
@@ -33,20 +32,12 @@ from push_ident.physics.simulation import compile_kernels
 if TYPE_CHECKING:
     from push_ident_msgs.msg import MassFrictionMap
 
-__all__ = ["CellKind", "doctor_command", "replay_command", "up_command"]
-
-
-class CellKind(StrEnum):
-    """The kinds of cell that `up` starts."""
-
-    sim = "sim"
-    replay = "replay"
-    arm = "arm"
+__all__ = ["doctor_command", "replay_command", "up_command"]
 
 
 def up_command(
     kind: Annotated[
-        CellKind,
+        Kind,
         typer.Argument(metavar="sim|replay|arm", help="sim: simulated cell; replay: a bag; arm: beside a real arm.", show_default=False),
     ],
     bag: Annotated[Path | None, typer.Argument(metavar="[BAG]", help="Bag to play, for replay.", show_default=False)] = None,
@@ -73,13 +64,11 @@ def up_command(
     A node that dies is started again after a pause of 1 s, doubled up to 30 s while it dies early; the maps go on where they were.
     """
     need_ros()
-    names = node_names(kind.value)
-    chosen = None if robot is None else robot_for(kind.value, robot)
+    names = node_names(kind)
+    chosen = None if robot is None else robot_for(kind, robot)
     # Of two rules for one name ROS takes the first: those of the command line come before those of the robot.
     overrides = overrides_of(params or (), [*(remap or ()), *(chosen.remaps if chosen else ())], names)
-    perception = True
-    if kind is CellKind.replay and bag is not None:
-        perception = not read_bag(bag).has_poses
+    perception = kind != "replay" or bag is None or not read_bag(bag).has_poses
     extra = [name for name, wanted in (("bag_recorder_node", record is not None), ("viewer_node", view)) if wanted]
     with TemporaryDirectory(prefix="push_ident_") as until_the_end:
         folder: dict[str, object] = {"state_directory": str((state or Path(until_the_end)).resolve())}
@@ -87,16 +76,16 @@ def up_command(
         for name in ("perception_node", "identification_node") if perception else ("identification_node",):
             own.setdefault(name, {}).update(folder)
         if sensor is not None:
-            if kind is not CellKind.sim:
-                raise InputError(f"--sensor is a model of the simulated camera, and `up {kind.value}` has none.")
+            if kind != "sim":
+                raise InputError(f"--sensor is a model of the simulated camera, and `up {kind}` has none.")
             own.setdefault("sim_cell_node", {})["sensor"] = sensor
         if record is not None:
             # Started again after its death, it must not refuse what it has written.
             own.setdefault("bag_recorder_node", {})["numbered"] = True
-        commands = node_commands(kind.value, bag=bag, record=record, perception=perception, view=view, parameters=own, overrides=overrides)
+        commands = node_commands(kind, bag=bag, record=record, perception=perception, view=view, parameters=own, overrides=overrides)
         show_view(view)
         # A bag that is played again from its start would be another recording.
-        restart = None if kind is CellKind.replay else RestartPolicy()
+        restart = None if kind == "replay" else RestartPolicy()
         raise typer.Exit(Supervisor(commands, console=console, restart=restart).run())
 
 
@@ -122,7 +111,9 @@ def replay_command(
     listeners = 2 if contents.has_poses else 1
     parameters: dict[str, dict[str, object]] = {"bag_player_node": {"rate": rate, "listeners": listeners, "wait": 30.0}}
     if not contents.has_poses and contents.camera_in_table is not None:
-        parameters["perception_node"] = _camera_parameters(contents.camera_in_table)
+        camera = contents.camera_in_table
+        pose = {"camera_position": [float(x) for x in camera[:3, 3]], "camera_quaternion": list(quaternion_of_pose(camera))}
+        parameters["perception_node"] = pose
     commands = node_commands("replay", bag=bag, perception=not contents.has_poses, view=view, parameters=parameters)
     os.environ.setdefault("ROS_DOMAIN_ID", str(own_domain()))
     with console.status("loading the kernels"):
@@ -194,13 +185,6 @@ def _show_replay(latest: MassFrictionMap, counts: dict[str, str], out: Path | No
     if out is not None:
         write_json(out / "result.json", content)
         say(f"written: {out / 'model.json'}, {out / 'result.json'}")
-
-
-def _camera_parameters(camera_in_table: Any) -> dict[str, object]:
-    return {
-        "camera_position": [float(x) for x in camera_in_table[:3, 3]],
-        "camera_quaternion": list(quaternion_of_pose(camera_in_table)),
-    }
 
 
 _PACKAGES = ("numpy", "scipy", "numba", "torch", "opencv-python-headless", "open3d", "pybullet", "pin", "rosbags", "mcap", "matplotlib")

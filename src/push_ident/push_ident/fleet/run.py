@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -15,10 +15,7 @@ from push_ident.extras import need
 from push_ident.files import json_text, write_whole
 from push_ident.fleet.job import FleetOptions, Job, Outcome, identify_bag
 
-__all__ = ["FleetProgress", "run_fleet"]
-
-FleetProgress = Callable[[Outcome], None]
-"""Called with each outcome, those of an earlier run included."""
+__all__ = ["run_fleet"]
 
 
 def run_fleet(
@@ -29,7 +26,7 @@ def run_fleet(
     address: str = "",
     workers: int = 0,
     again: bool = False,
-    on_outcome: FleetProgress | None = None,
+    on_outcome: Callable[[Outcome], None] | None = None,
 ) -> list[Outcome]:
     """Identify all bags that have no outcome in `folder` yet.
 
@@ -40,7 +37,7 @@ def run_fleet(
         address: address of a Ray cluster (`auto`, `ray://host:10001`); empty starts one on this machine.
         workers: processes on this machine; 0: one per core. Ignored with `address`: there all processors of the cluster work.
         again: whether bags that failed in an earlier run are tried again.
-        on_outcome: called with each outcome.
+        on_outcome: called with each outcome, those of an earlier run included.
 
     Returns:
         Outcomes in the order of the jobs.
@@ -50,42 +47,31 @@ def run_fleet(
         MissingPackageError: Ray is not installed.
         PushIdentError: `folder` cannot be written.
     """
+    show = on_outcome or (lambda outcome: None)
     outcomes: dict[str, Outcome] = {}
     todo: list[Job] = []
     for job in jobs:
         known = _read(folder, job)
         if known is not None and not (again and known["state"] == "failed"):
             outcomes[job.key] = known
-            if on_outcome:
-                on_outcome(known)
+            show(known)
         else:
             todo.append(job)
     if todo:
-        _work(todo, options, folder, address, workers, outcomes, on_outcome or (lambda outcome: None))
+        with TemporaryDirectory(prefix="push_ident_ray_", ignore_cleanup_errors=True) as scratch:
+            ray = _start(address, workers, scratch)
+            try:
+                for job, outcome in _run_all(ray, todo, options):
+                    _store(folder, job, outcome)
+                    outcomes[job.key] = outcome
+                    show(outcome)
+            finally:
+                ray.shutdown()
     return [outcomes[job.key] for job in jobs]
 
 
-def _work(
-    todo: Sequence[Job],
-    options: FleetOptions,
-    folder: Path,
-    address: str,
-    workers: int,
-    outcomes: dict[str, Outcome],
-    on_outcome: FleetProgress,
-) -> None:
-    """Run the jobs on Ray and add their outcomes."""
-    with TemporaryDirectory(prefix="push_ident_ray_", ignore_cleanup_errors=True) as scratch:
-        ray = _start(address, workers, scratch)
-        try:
-            _run_all(ray, todo, options, folder, outcomes, on_outcome)
-        finally:
-            ray.shutdown()
-
-
-def _run_all(
-    ray: Any, todo: Sequence[Job], options: FleetOptions, folder: Path, outcomes: dict[str, Outcome], on_outcome: FleetProgress
-) -> None:
+def _run_all(ray: Any, todo: Sequence[Job], options: FleetOptions) -> Iterator[tuple[Job, Outcome]]:
+    """Jobs and their outcomes, as they are done."""
     remote = ray.remote(num_cpus=1, max_retries=1)(identify_bag)
     waiting = list(reversed(todo))
     under_way: dict[Any, Job] = {}
@@ -106,9 +92,7 @@ def _run_all(
                 why = f"its worker died twice ({type(error).__name__}: {lines[0]}); check the memory of the machine"
                 outcome = {"bag": str(job.bag), "state": "failed", "error": why, "host": "", "process": 0, "seconds": 0.0}
             outcome["bag"] = str(job.bag)
-            _store(folder, job, outcome)
-            outcomes[job.key] = outcome
-            on_outcome(outcome)
+            yield job, outcome
 
 
 def _start(address: str, workers: int, scratch: str) -> Any:

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from push_ident.errors import InputError
 from push_ident.extras import need
 from push_ident.files import replaced
 from push_ident.fleet.job import Outcome
 
-__all__ = ["read_table", "row_of", "write_table"]
+__all__ = ["row_of", "write_table"]
 
 _NUMBERS: Final = (
     "map.x",
@@ -69,7 +68,10 @@ def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
         MissingPackageError: pyarrow is not installed.
         PushIdentError: the file cannot be written.
     """
-    pa, parquet = _pyarrow()
+    need("fleet")
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
     text = [(name, pa.string()) for name in ("bag", "state", "error", "host")]
     schema = pa.schema(
         [
@@ -88,24 +90,6 @@ def write_table(path: Path, outcomes: Sequence[Outcome]) -> None:
     )
     with replaced(path, "the table") as file:
         parquet.write_table(pa.Table.from_pylist([row_of(o) for o in outcomes], schema=schema), file)
-
-
-def read_table(path: Path) -> list[dict[str, Any]]:
-    """Rows of a table that `write_table` wrote. Raises InputError where it cannot be read."""
-    _, parquet = _pyarrow()
-    try:
-        rows: list[dict[str, Any]] = parquet.read_table(path).to_pylist()
-    except (OSError, ValueError) as error:
-        raise InputError(f"Cannot read the table {path}: {error}.") from None
-    return rows
-
-
-def _pyarrow() -> tuple[Any, Any]:
-    need("fleet")
-    import pyarrow
-    import pyarrow.parquet
-
-    return pyarrow, pyarrow.parquet
 
 
 def _at(content: Any, where: str) -> Any:

@@ -39,7 +39,7 @@ from push_ident.errors import InputError, PerceptionError
 from push_ident.survey.survey import Survey, SurveyedObject, survey_frames
 from push_ident.types import Float64Array
 
-__all__ = ["KnownSize", "ScaleCheck", "ScaleError", "check_scale", "distorted_lengths"]
+__all__ = ["KnownSize", "ScaleCheck", "ScaleError", "check_scale"]
 
 _SIMILAR: Final = (0.3, 3.0)
 """Range of the measured area relative to the known one [-]: a focal length that is wrong by 70 %. Beyond, it is something else."""
@@ -164,18 +164,6 @@ class _Compared:
         second = np.cross(normal, first)
         to_plane = np.array([[first @ across, first @ along], [second @ across, second @ along]])
         return np.array([*self.moments.edges(to_plane), abs(float(normal @ undo[:, 2])) * self.surveyed.top])
-
-
-def distorted_lengths(focal: float, scale: float, tilt: float) -> tuple[float, float, float]:
-    """Measured over true length across the view, along it, and upwards.
-
-    Args:
-        focal: Focal length in use over the true one, s.
-        scale: Depth in use over the true one, k.
-        tilt: Angle between optical axis and normal of the table as measured with them [rad].
-    """
-    c2, s2 = np.cos(tilt) ** 2, np.sin(tilt) ** 2
-    return scale / focal, float(scale / np.sqrt(focal**2 * c2 + s2)), float(scale * np.sqrt(c2 + s2 / focal**2))
 
 
 def check_scale(survey: Survey, known: KnownSize) -> ScaleCheck:

@@ -27,7 +27,7 @@ from push_ident.perception.settings import PerceptionSettings, TableSettings
 from push_ident.survey.noise_bands import NoiseBand, noise_by_distance
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["Survey", "SurveyedObject", "frames_at_rest", "survey_frames"]
+__all__ = ["Survey", "SurveyedObject", "frames_at_rest", "hull_area", "survey_frames"]
 
 _MOVED: Final = (0.01, 0.01)
 """A pixel whose depth differs by more than the first [m] plus the second times its depth shows something else: three deviations of a
@@ -152,7 +152,7 @@ def survey_frames(frames: Sequence[DepthFrame], camera_in_table: Float64Array | 
         camera = perception.camera_in_table
     points = points_in_table(picture, camera)
     objects = tuple(_object(perception, name, points, picture.depth) for name in ids)
-    refused = () if observation is None else tuple(sorted(observation.refused, key=lambda refusal: -_hull_area(refusal.outline)))
+    refused = () if observation is None else tuple(sorted(observation.refused, key=lambda refusal: -hull_area(refusal.outline)))
     return Survey(
         frame=picture,
         n_frames=len(frames),
@@ -295,7 +295,8 @@ def _edges(outline: Float64Array, n: int = 2000, tip: float = 0.01) -> tuple[flo
     return long, short
 
 
-def _hull_area(hull: Float64Array) -> float:
+def hull_area(hull: Float64Array) -> float:
+    """Area of a polygon [m^2], shape (n, 2); 0 for fewer than three points."""
     return float(cv2.contourArea(hull.astype(np.float32))) if len(hull) > 2 else 0.0
 
 

@@ -17,7 +17,7 @@ from push_ident.geometry.outline import points_in_polygon, signed_distance
 from push_ident.pages.chart import WIDTH, svg_of, titled_polygon
 from push_ident.perception.frame.view import ROBOT, TABLE, FrameView, points_in_table
 from push_ident.perception.refusals import Reason, Refusal
-from push_ident.survey.survey import Survey, SurveyedObject
+from push_ident.survey.survey import Survey, SurveyedObject, hull_area
 from push_ident.types import BoolArray, Float64Array
 
 __all__ = ["SurveyFigure", "draw_survey", "is_small", "size_text"]
@@ -129,8 +129,11 @@ def _pixels_of(survey: Survey, refused: Sequence[Refusal], wall: float = 0.006) 
         rows, columns = np.nonzero(points[..., 2] > 0.5 * survey.least_height)
     own = points[rows, columns, :2].astype(np.float64)
     owner = np.full(len(own), -1)
-    for index in sorted(range(len(refused)), key=lambda i: -_area(refused[i].outline)):
-        owner[points_in_polygon(own, _grown(refused[index].outline))] = index
+    for index in sorted(range(len(refused)), key=lambda i: -hull_area(refused[i].outline)):
+        outline = refused[index].outline
+        middle = outline.mean(axis=0)
+        # A little larger, so that the points that the convex outline was made of lie inside.
+        owner[points_in_polygon(own, middle + 1.02 * (outline - middle))] = index
     for known in survey.objects:
         near = np.flatnonzero(np.all((own > known.outline.min(axis=0) - wall) & (own < known.outline.max(axis=0) + wall), axis=1))
         owner[near[signed_distance(own[near], known.outline) < wall]] = -1
@@ -140,16 +143,6 @@ def _pixels_of(survey: Survey, refused: Sequence[Refusal], wall: float = 0.006) 
         mask[rows[owner == index], columns[owner == index]] = True
         masks.append(mask)
     return masks
-
-
-def _area(outline: Float64Array) -> float:
-    return float(cv2.contourArea(outline.astype(np.float32))) if len(outline) > 2 else 0.0
-
-
-def _grown(outline: Float64Array) -> Float64Array:
-    """A convex outline a little larger, so that the points that it was made of lie inside."""
-    middle = outline.mean(axis=0)
-    return np.asarray(middle + 1.02 * (outline - middle))
 
 
 def _image(survey: Survey) -> tuple[np.ndarray, float]:

@@ -25,8 +25,8 @@ FORCE_ROLES: Final = ("time", "fx", "fy")
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
 
 
-@dataclass(frozen=True, slots=True)
-class TrackedPoses:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackedPoses(RecordingOptions):
     """The files of one recording, and what they do not say."""
 
     poses: Path
@@ -35,11 +35,8 @@ class TrackedPoses:
     """Table of the pusher's axis in `table`: time, x, y, optionally z and push."""
     outline: Path
     """Table of the outline's vertices x, y, object frame, in the order around it."""
-    radius: float
-    """Of the pusher [m]."""
     wrench: Path | None = None
     """Table of the force of the pusher on the object in `table`: time, fx, fy [N]."""
-    object_id: str = "1"
     pose_format: TableFormat = field(default_factory=TableFormat)
     """Of `poses`."""
     pusher_format: TableFormat = field(default_factory=TableFormat)
@@ -50,26 +47,8 @@ class TrackedPoses:
     """Rotation from the axes of `poses` to those of `table`, shape (3, 3); see `parse_axes`."""
     pusher_axes: Float64Array = field(default_factory=lambda: np.eye(3))
     """Likewise of `pusher`."""
-    position_std: float | None = None
-    """See `RecordingOptions`, as the others below."""
-    yaw_std: float | None = None
-    lifted_above: float | None = None
     cell_size: float = CELL_SIZE
-    time_offset: float = 0.0
-    pusher_frame: Float64Array | None = None
-
-    @property
-    def options(self) -> RecordingOptions:
-        """What is not in the tables."""
-        return RecordingOptions(
-            radius=self.radius,
-            object_id=self.object_id,
-            position_std=self.position_std,
-            yaw_std=self.yaw_std,
-            lifted_above=self.lifted_above,
-            time_offset=self.time_offset,
-            pusher_frame=self.pusher_frame,
-        )
+    """[m]"""
 
 
 def import_tracked_poses(tables: TrackedPoses, out_bag: Path) -> ImportReport:
@@ -77,14 +56,14 @@ def import_tracked_poses(tables: TrackedPoses, out_bag: Path) -> ImportReport:
 
     Raises BagError for files of another form, InputError for options out of range.
     """
-    tables.options.check()
+    tables.check()
     shape = read_outline(tables.outline, length=tables.outline_length or tables.pose_format.length, cell_size=tables.cell_size)
     notes: list[str] = []
     poses = _read_poses(tables, notes)
     pusher, numbers = _read_pusher(tables, notes)
     force = _read_force(tables, notes)
     recording = Recording(poses, pusher, shape, numbers, force, (str(tables.poses), str(tables.pusher)), tuple(notes))
-    return import_recording(recording, tables.options, out_bag)
+    return import_recording(recording, tables, out_bag)
 
 
 def read_outline(file: Path, *, length: float, cell_size: float) -> ObjectShape:
