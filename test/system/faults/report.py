@@ -75,13 +75,11 @@ def _row(row: Fault) -> dict[str, Any]:
         "number": row.number,
         "name": row.name,
         "fault": row.what,
-        "holds": row.holds,
         "expected": row.expected,
         "result": "passed",
         "reasons": [],
         "time_to_hold_s": None,
         "allowed_s": None,
-        "lost": row.lost,
         "note": "",
         "seconds": 0.0,
     }

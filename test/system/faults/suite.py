@@ -21,7 +21,6 @@ LEARNED = 60.0
 """For identification to learn a push, or to answer with a model [s]; it gives way to all other work of the machine."""
 SETTLES = 15.0
 """For identification to learn or refuse what came before: a push without a record is refused after 10 s [s]."""
-THE_PUSH = "the push under way"
 
 
 @dataclass(frozen=True)
@@ -32,11 +31,8 @@ class Fault:
     name: str
     what: str
     """The fault, as it is injected."""
-    holds: str
-    """What holds it."""
     expected: str
     """What must be true afterwards."""
-    lost: str
     cell: CellPlan | None
     within: float
     """Time to notice the fault [s], beside 100 ms and braking."""
@@ -47,10 +43,8 @@ class Fault:
 def fault(
     number: int,
     what: str,
-    holds: str,
     expected: str,
     *,
-    lost: str = "nothing",
     cell: CellPlan | None = ARM_CELL,
     within: float = 0.0,
     only_executor: bool = True,
@@ -60,7 +54,7 @@ def fault(
 
     def decorate(test: Callable[..., None]) -> Callable[..., None]:
         name = test.__name__.removeprefix("test_").replace("_", "-")
-        row = Fault(number, name, what, holds, expected, lost, cell, within, only_executor)
+        row = Fault(number, name, what, expected, cell, within, only_executor)
         test = pytest.mark.fault(row)(test)
         return test if fast else pytest.mark.faults(test)
 

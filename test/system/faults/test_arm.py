@@ -12,7 +12,7 @@ from builtin_interfaces.msg import Duration
 from std_msgs.msg import String
 from system.faults.cell import EXECUTOR
 from system.faults.proxy import drop
-from system.faults.suite import THE_PUSH, Trial, fault
+from system.faults.suite import Trial, fault
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from push_ident.cli.supervisor import NodeCommand
@@ -31,12 +31,7 @@ BY_HAND = 0.3
 
 
 @fault(
-    15,
-    "joint states stop in the middle of a push (arm_timeout 0.1 s)",
-    "the watch over the moving arm",
-    "aborted; held within 100 ms of the last joint state",
-    lost=THE_PUSH,
-    within=0.1,
+    15, "joint states stop in the middle of a push (arm_timeout 0.1 s)", "aborted; held within 100 ms of the last joint state", within=0.1
 )
 def test_arm_silent(trial: Trial) -> None:
     cell = trial.cell
@@ -58,11 +53,7 @@ def turned(q: Float64Array, seconds: float) -> JointTrajectory:
 
 
 @fault(
-    16,
-    f"the arm is moved by {BY_HAND} rad while its states are not heard",
-    "the start tolerance; the push is planned from where the arm is",
-    "the next push succeeds without a jump",
-    only_executor=False,
+    16, f"the arm is moved by {BY_HAND} rad while its states are not heard", "the next push succeeds without a jump", only_executor=False
 )
 def test_arm_moved_by_hand(trial: Trial) -> None:
     cell = trial.cell
@@ -78,7 +69,7 @@ def test_arm_moved_by_hand(trial: Trial) -> None:
     trial.expect_speed(since)
 
 
-@fault(17, "a second executor starts during a push", "the lease of the arm", "the second ends with one line; the push goes on")
+@fault(17, "a second executor starts during a push", "the second ends with one line; the push goes on")
 def test_two_executors(trial: Trial) -> None:
     cell = trial.cell
     # The second one loads for a second or two, which takes a processor from this machine.
@@ -91,7 +82,7 @@ def test_two_executors(trial: Trial) -> None:
         trial.expect_code(cell.end(sent), PushCode.NONE)
 
 
-@fault(20, "500 N on pusher/wrench in the middle of a push", "the watch over the moving arm", "FORCE; held at once", lost=THE_PUSH)
+@fault(20, "500 N on pusher/wrench in the middle of a push", "FORCE; held at once")
 def test_force(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin()
@@ -101,13 +92,7 @@ def test_force(trial: Trial) -> None:
     trial.expect_code(result, PushCode.FORCE)
 
 
-@fault(
-    24,
-    "Ctrl-C to the executor in the middle of a push",
-    "the node's end holds the arm first",
-    "held; exit 0 within 2 s, no traceback",
-    lost=THE_PUSH,
-)
+@fault(24, "Ctrl-C to the executor in the middle of a push", "held; exit 0 within 2 s, no traceback")
 def test_interrupt(trial: Trial) -> None:
     cell = trial.cell
     cell.begin()
@@ -118,14 +103,7 @@ def test_interrupt(trial: Trial) -> None:
     cell.recover()
 
 
-@fault(
-    26,
-    f"SIGKILL to the executor at a random moment of a push ({KILLS} times)",
-    "short trajectories that end in a stop; a push without an end record is not learned",
-    "the arm stands within 100 ms and braking",
-    lost=THE_PUSH,
-    fast=True,
-)
+@fault(26, f"SIGKILL to the executor at a random moment of a push ({KILLS} times)", "the arm stands within 100 ms and braking", fast=True)
 def test_executor_killed(trial: Trial) -> None:
     cell = trial.cell
     for moment in np.random.default_rng(0).uniform(0.0, LASTS, KILLS):
@@ -138,9 +116,7 @@ def test_executor_killed(trial: Trial) -> None:
 @fault(
     36,
     f"SIGSTOP to the executor at a random moment of a push, SIGCONT seconds later ({KILLS} times)",
-    "short trajectories that end in a stop",
     "the arm stands within 100 ms and braking, and does not go on",
-    lost=THE_PUSH,
 )
 def test_executor_frozen(trial: Trial) -> None:
     cell = trial.cell
@@ -163,13 +139,7 @@ def summarise(trial: Trial) -> None:
     trial.note = f"{len(trial.holds)} of {KILLS}: at most {1e3 * latest:.0f} ms and {1e3 * furthest:.0f} mm of the tool"
 
 
-@fault(
-    28,
-    "another robot_description in the middle of a push, then a cancel",
-    "the description is fixed while the arm moves",
-    "held at once, in the arm's own joint names",
-    lost=THE_PUSH,
-)
+@fault(28, "another robot_description in the middle of a push, then a cancel", "held at once, in the arm's own joint names")
 def test_description_changed(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin(after=0.05)
@@ -182,7 +152,7 @@ def test_description_changed(trial: Trial) -> None:
     cell.whole_push()
 
 
-@fault(35, "the client cancels in the middle of a push", "the watch over the moving arm", "CANCELED; held at once", lost=THE_PUSH)
+@fault(35, "the client cancels in the middle of a push", "CANCELED; held at once")
 def test_cancel(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin()
@@ -195,9 +165,7 @@ def test_cancel(trial: Trial) -> None:
 @fault(
     37,
     "another node commands the arm in the middle of a push",
-    "pieces of the path that are sent again and again; the tracking tolerance of the watch",
     "back on the path within the tolerance, or aborted and held",
-    lost="nothing, or the push under way",
     within=0.3,
     only_executor=False,
 )

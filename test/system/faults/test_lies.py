@@ -11,13 +11,11 @@ import pytest
 from system.faults.cell import IDENTIFICATION
 from system.faults.oracles import learned_pushes
 from system.faults.proxy import OBJECT_POSE
-from system.faults.suite import THE_PUSH, Trial, fault
+from system.faults.suite import Trial, fault
 
 from push_ident.pushing.push import PushCode
 
 pytestmark = pytest.mark.alone
-
-COMPARED = "each state is compared with what the arm was told; a hold ends that"
 
 
 def push_under_false_states(trial: Trial, lie: Callable[[Any], None]) -> None:
@@ -56,23 +54,14 @@ def first(n: int, change: Callable[[Any], None]) -> Callable[[Any], None]:
 @fault(
     62,
     "joint 1 is reported 0.3 rad off in four joint states in the middle of a push",
-    COMPARED,
     "TRACKING; held, no joint beyond its limit",
-    lost=THE_PUSH,
     within=0.05,
 )
 def test_states_offset(trial: Trial) -> None:
     push_under_false_states(trial, first(4, turn))
 
 
-@fault(
-    63,
-    "the names of two joints are swapped in the middle of a push",
-    COMPARED,
-    "TRACKING; held, no joint beyond its limit",
-    lost=THE_PUSH,
-    within=0.05,
-)
+@fault(63, "the names of two joints are swapped in the middle of a push", "TRACKING; held, no joint beyond its limit", within=0.05)
 def test_states_swapped(trial: Trial) -> None:
     def swap(msg: Any) -> None:
         names = list(msg.name)
@@ -85,22 +74,14 @@ def test_states_swapped(trial: Trial) -> None:
 @fault(
     64,
     "joint states repeat one posture with new stamps in the middle of a push",
-    "an arm that stands although it was told to go on gets nothing more until it has come to where its commands end",
     "TRACKING; it stands on its path soon, and is not pulled back",
-    lost=THE_PUSH,
     within=0.3,
 )
 def test_states_frozen(trial: Trial) -> None:
     push_under_false_states(trial, repeating("position"))
 
 
-@fault(
-    65,
-    "pusher/wrench saturates at 1e6 N in the middle of a push, and stays so",
-    "a force that cannot be trusted is a fault",
-    "FORCE; held at once; the next push is refused",
-    lost=THE_PUSH,
-)
+@fault(65, "pusher/wrench saturates at 1e6 N in the middle of a push, and stays so", "FORCE; held at once; the next push is refused")
 def test_force_saturated(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin()
@@ -112,14 +93,7 @@ def test_force_saturated(trial: Trial) -> None:
     assert refused.error_code == PushCode.FORCE and refused.push_id == 0, f"the next push gave {refused.error_code}"
 
 
-@fault(
-    66,
-    "the last wrench is repeated with its stamp",
-    "a stamp that was there before counts as silence",
-    "FORCE within the time-out of the wrench",
-    lost=THE_PUSH,
-    within=1.1,
-)
+@fault(66, "the last wrench is repeated with its stamp", "FORCE within the time-out of the wrench", within=1.1)
 def test_wrench_repeated(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin()
@@ -129,13 +103,7 @@ def test_wrench_repeated(trial: Trial) -> None:
     trial.expect_code(result, PushCode.FORCE)
 
 
-@fault(
-    67,
-    "SIGSTOP to the recorder for two pushes",
-    "the recorder says twice a second that it writes",
-    "RECORDING for both; pushes again when it goes on",
-    lost=THE_PUSH,
-)
+@fault(67, "SIGSTOP to the recorder for two pushes", "RECORDING for both; pushes again when it goes on")
 def test_recorder_stopped(trial: Trial) -> None:
     cell = trial.cell
     with cell.with_recorder(trial.folder / "bag") as recorder:
@@ -148,12 +116,7 @@ def test_recorder_stopped(trial: Trial) -> None:
         assert cell.push().error_code == PushCode.NONE, "no push was made after the recorder went on"
 
 
-@fault(
-    68,
-    "the covariance of the object's pose is 1 m²",
-    "the place of an object must be known to a third of the clearance",
-    "refused, saying so; nothing moves",
-)
+@fault(68, "the covariance of the object's pose is 1 m²", "refused, saying so; nothing moves")
 def test_pose_uncertain(trial: Trial) -> None:
     cell = trial.cell
 
@@ -173,7 +136,6 @@ def test_pose_uncertain(trial: Trial) -> None:
 @fault(
     69,
     "joint 1 is reported 0.3 rad off from after one push until after the next was requested",
-    "the arm is told slowly to stand where its states say that it stands; they move, so they are not true",
     "TRACKING; no joint beyond its limit; the next push is made once they are right",
 )
 def test_states_wrong_before(trial: Trial) -> None:
@@ -198,13 +160,7 @@ def aside(distance: float) -> Callable[[Any], None]:
     return change
 
 
-@fault(
-    72,
-    "the object's pose is 25 cm aside from the middle of a push to its end",
-    "what a push can have made, by its pusher",
-    "OBJECT_LOST; not learned; the next push is",
-    lost=THE_PUSH,
-)
+@fault(72, "the object's pose is 25 cm aside from the middle of a push to its end", "OBJECT_LOST; not learned; the next push is")
 def test_pose_aside(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin()
@@ -219,12 +175,7 @@ def test_pose_aside(trial: Trial) -> None:
     assert not worse
 
 
-@fault(
-    73,
-    "the object's pose is 8 cm aside for 0.4 s in the middle of a push",
-    "poses that no object can follow are left out, and counted",
-    "the push is made and learned without them",
-)
+@fault(73, "the object's pose is 8 cm aside for 0.4 s in the middle of a push", "the push is made and learned without them")
 def test_pose_excursion(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin(cell.goal(distance=0.08, speed=0.1))

@@ -16,7 +16,7 @@ from system.faults.cell import IDENTIFICATION
 from system.faults.hold import ARM, STANDS
 from system.faults.oracles import learned_pushes
 from system.faults.proxy import OBJECT, OBJECT_POSE, drop
-from system.faults.suite import THE_PUSH, Trial, fault
+from system.faults.suite import Trial, fault
 
 from push_ident.bags.reader import read_bag
 from push_ident.geometry.outline import signed_distance
@@ -45,12 +45,7 @@ DISK, LEAST_FREE = 24, 8
 """Size of the small disk, and `min_free_mib` of the recorder [MiB]."""
 
 
-@fault(
-    18,
-    f"poses {1e2 * ASIDE:.0f} cm beside the object: the push touches nothing",
-    "the executor compares the poses before and after",
-    "NO_CONTACT; the map does not change",
-)
+@fault(18, f"poses {1e2 * ASIDE:.0f} cm beside the object: the push touches nothing", "NO_CONTACT; the map does not change")
 def test_push_misses(trial: Trial) -> None:
     cell = trial.cell
 
@@ -67,13 +62,7 @@ def test_push_misses(trial: Trial) -> None:
     assert learned_pushes(cell) == trial.learned, "the model has changed"
 
 
-@fault(
-    19,
-    "poses stop in the middle of a push",
-    "the watch over the object, lost_timeout 3 s",
-    "OBJECT_LOST; stop, retreat on a checked path; the record says so",
-    lost=THE_PUSH,
-)
+@fault(19, "poses stop in the middle of a push", "OBJECT_LOST; stop, retreat on a checked path; the record says so")
 def test_object_lost(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin(cell.goal(distance=0.12, speed=0.02))
@@ -86,11 +75,7 @@ def test_object_lost(trial: Trial) -> None:
 
 
 @fault(
-    23,
-    "poses that jump by 3 cm and claim 0.1 mm, during a whole push",
-    "what no object can follow is refused; the status of the fit",
-    "refused, or a status that is not success; never confident numbers",
-    lost=THE_PUSH,
+    23, "poses that jump by 3 cm and claim 0.1 mm, during a whole push", "refused, or a status that is not success; never confident numbers"
 )
 def test_poses_that_jump(trial: Trial) -> None:
     cell, rng = trial.cell, np.random.default_rng(0)
@@ -126,9 +111,7 @@ def path_of_the_tool() -> PathRequest:
 @fault(
     61,
     "the corrections of a push along a path stop in the middle of it, some before were of another push",
-    "the watch over promised corrections; the last path that was usable",
     "foreign ones refused and counted; stopped within the time-out, then home",
-    lost=THE_PUSH,
 )
 def test_corrections_stop(trial: Trial) -> None:
     cell, request = trial.cell, path_of_the_tool()
@@ -172,13 +155,9 @@ def mounted(folder: Path, *ways: tuple[str, ...]) -> Iterator[Path]:
         subprocess.run(["umount", "-l", str(folder)], check=False, capture_output=True)
 
 
+# the recorder looks twice a second
 @fault(
-    22,
-    "the disk fills up while a push is recorded",
-    "the recorder looks at the free disk; the executor listens to it",
-    "RECORDING; held; the bag is closed readable; the next push is refused",
-    lost=THE_PUSH,
-    within=0.5,  # the recorder looks twice a second
+    22, "the disk fills up while a push is recorded", "RECORDING; held; the bag is closed readable; the next push is refused", within=0.5
 )
 def test_disk_full(trial: Trial) -> None:
     cell = trial.cell
@@ -194,12 +173,7 @@ def test_disk_full(trial: Trial) -> None:
         trial.note = f"{len(read_bag(disk / 'bag').pusher.time)} poses of the pusher in the bag"
 
 
-@fault(
-    53,
-    "the folder of the checkpoints is mounted read-only during a push",
-    "the guard around the worker of identification",
-    "refused and named; the model in memory is kept",
-)
+@fault(53, "the folder of the checkpoints is mounted read-only during a push", "refused and named; the model in memory is kept")
 def test_state_read_only(trial: Trial) -> None:
     cell = trial.cell
     since, folder = time.monotonic(), cell.state_folder

@@ -23,7 +23,7 @@ from system.faults.monitor import until
 from system.faults.oracles import learned_pushes
 from system.faults.process import TRACEBACK, Process
 from system.faults.proxy import OBJECT, OBJECT_POSE
-from system.faults.suite import THE_PUSH, Trial, fault
+from system.faults.suite import Trial, fault
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
 from push_ident.nodes.base.network import own_domain
@@ -33,7 +33,6 @@ pytestmark = pytest.mark.alone
 
 CLI = (sys.executable, "-m", "push_ident.cli")
 OF_A_MAP = ("mass", "friction", "mass_friction", "mass_friction_std")
-OF_IDENTIFICATION = f"{THE_PUSH} (of identification only)"
 LOWERED = 0.02
 """A tip that moves below this pushes [m]; `push_height` is 0.012."""
 N_MOMENTS = 100
@@ -49,11 +48,7 @@ SPARE = 2
 
 
 @fault(
-    21,
-    "SIGKILL to identification in the middle of a push, then started again",
-    "a checkpoint after every push, replaced as a whole",
-    "resumes with an equal map; the executor does not notice",
-    lost=OF_IDENTIFICATION,
+    21, "SIGKILL to identification in the middle of a push, then started again", "resumes with an equal map; the executor does not notice"
 )
 def test_identification_killed(trial: Trial) -> None:
     cell = trial.cell
@@ -76,7 +71,6 @@ def test_identification_killed(trial: Trial) -> None:
 @fault(
     59,
     f"Ctrl-C or SIGTERM at {N_MOMENTS} random moments of the first {LATEST:.0f} s of nodes",
-    "signals are blocked until the node can handle them",
     "exit 0 within 2 s, no traceback",
     cell=None,
 )
@@ -142,13 +136,7 @@ def waits(pid: int) -> dict[str, float]:
 
 
 @fault(
-    30,
-    "SIGKILL to `push-ident up arm` in the middle of a push",
-    "children that watch their parent",
-    "the arm stands; all children end within 3 s",
-    lost=THE_PUSH,
-    cell=BARE_CELL,
-    within=0.5,
+    30, "SIGKILL to `push-ident up arm` in the middle of a push", "the arm stands; all children end within 3 s", cell=BARE_CELL, within=0.5
 )
 def test_supervisor_killed(trial: Trial) -> None:
     cell = trial.cell
@@ -185,14 +173,7 @@ def pushing_client(cell: Cell) -> None:
 PUSH_CLIENT = NodeCommand("client", (*CLI, "push", "--at", "0.0,0.1", "--direction", "-1.5708", "--in-object", "--object", OBJECT))
 
 
-@fault(
-    70,
-    "SIGKILL to `push-ident push` in the middle of its push",
-    "signs of life that a client promises",
-    "CANCELED; held within the client's time-out",
-    lost=THE_PUSH,
-    within=1.2,
-)
+@fault(70, "SIGKILL to `push-ident push` in the middle of its push", "CANCELED; held within the client's time-out", within=1.2)
 def test_client_killed(trial: Trial) -> None:
     cell = trial.cell
     with cell.with_process(PUSH_CLIENT) as client:
@@ -203,9 +184,7 @@ def test_client_killed(trial: Trial) -> None:
 @fault(
     71,
     "a pose of the object in a wrong frame while `push-ident push` runs, then Ctrl-C",
-    "the guard around every callback of a client; a cancellation from its main thread",
     "held at once; the client ends without a traceback",
-    lost=THE_PUSH,
     within=0.1,
 )
 def test_client_interrupted(trial: Trial) -> None:
@@ -226,13 +205,7 @@ def spin_forever() -> None:
         pass
 
 
-@fault(
-    50,
-    "two busy processes for each core during a push",
-    "the watch over the moving arm",
-    "the push is made, or aborted and held",
-    lost="nothing, or the push under way",
-)
+@fault(50, "two busy processes for each core during a push", "the push is made, or aborted and held")
 def test_processor_taken(trial: Trial) -> None:
     cell = trial.cell
     # `fork`: these processes import nothing.
@@ -252,9 +225,7 @@ def test_processor_taken(trial: Trial) -> None:
 @fault(
     51,
     "identification may not allocate memory in the middle of a push; the kernel ends it",
-    "processes of their own; the checkpoint",
     "the push is made, or aborted and held; nothing that was acknowledged is lost",
-    lost=OF_IDENTIFICATION,
 )
 def test_memory_taken(trial: Trial) -> None:
     cell = trial.cell
