@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import bz2
 import json
 import os
+import sqlite3
+import struct
 import subprocess
 import sys
 import time
@@ -14,16 +17,165 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from backports import zstd
+from rosbags.rosbag2 import StoragePlugin, Writer
 
-from helpers import claims
 from helpers.bags import COVARIANCE, L_SHAPE, bag_error, make_record, write_push
+from push_ident.bags.contract import Role
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
 from push_ident.bags.records import write_records
+from push_ident.bags.typestore import jazzy_typestore
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
 from push_ident.types import Float64Array, ObjectShape
+
+ZEROS = 40_000_000
+MAGIC = b"\x89MCAP0\r\n"
+
+
+def sound(path: Path) -> Path:
+    """A small sound bag: one object, one push."""
+    with BagWriter(path) as writer:
+        writer.write_shape("7", L_SHAPE, 1.0)
+        writer.write_pusher_shape(1.0, 0.01)
+        write_push(writer, 2.0)
+    return path
+
+
+def sqlite_bag(path: Path) -> Path:
+    """A small sound sqlite3 bag."""
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        link = writer.add_connection("/pusher/pose", Role.PUSHER.msgtype, typestore=jazzy_typestore())
+        for k in range(200):
+            writer.write(link, k, bytes(80))
+    return path
+
+
+def record(code: int, content: bytes) -> bytes:
+    return bytes([code]) + struct.pack("<Q", len(content)) + content
+
+
+def text(value: bytes) -> bytes:
+    return struct.pack("<I", len(value)) + value
+
+
+def chunk(data: bytes, compression: bytes, size: int, *, end: int = 2**62) -> bytes:
+    return record(6, struct.pack("<QQQI", 0, end, size, 0) + text(compression) + struct.pack("<Q", len(data)) + data)
+
+
+def mcap(path: Path, *records: bytes) -> Path:
+    """An MCAP file of these records, without an index."""
+    path.write_bytes(
+        MAGIC + record(1, text(b"ros2") + text(b"test")) + b"".join(records) + record(15, bytes(4)) + record(2, bytes(20)) + MAGIC
+    )
+    return path
+
+
+def bomb(path: Path, *, claimed: int | None = None, times: int = 1) -> Path:
+    """Chunks of zeros: 5 kB for 40 MB."""
+    content = record(12, bytes(ZEROS))
+    return mcap(path / "bomb.mcap", chunk(zstd.compress(content), b"zstd", len(content) if claimed is None else claimed) * times)
+
+
+def with_index(path: Path, *, listed: int = 1, offset: int | None = None) -> Path:
+    """A chunk of 100 000 empty messages that the index lists several times, or at another place."""
+    messages = record(5, struct.pack("<HIQQ", 1, 0, 5, 5)) * 100_000
+    begin = MAGIC + record(1, text(b"ros2") + text(b""))
+    one = chunk(zstd.compress(messages), b"zstd", len(messages))
+    at = len(begin) if offset is None else offset
+    entry = (
+        struct.pack("<QQQQ", 0, 2**62, at, len(one))
+        + struct.pack("<I", 0)
+        + bytes(8)
+        + text(b"zstd")
+        + struct.pack("<QQ", 0, len(messages))
+    )
+    body = begin + one
+    pose = Role.PUSHER.msgtype.encode()
+    summary = record(3, struct.pack("<H", 1) + text(pose) + text(b"ros2msg") + text(b"uint8 x"))
+    summary += record(4, struct.pack("<HH", 1, 1) + text(b"/pusher/pose") + text(b"cdr") + struct.pack("<I", 0))
+    summary += record(8, entry) * listed
+    (path / "indexed.mcap").write_bytes(body + summary + record(2, struct.pack("<QQI", len(body), 0, 0)) + MAGIC)
+    return path / "indexed.mcap"
+
+
+def with_schema(path: Path, definition: bytes) -> Path:
+    """One pusher pose of another definition."""
+    messages = record(3, struct.pack("<H", 1) + text(Role.PUSHER.msgtype.encode()) + text(b"ros2msg") + text(definition))
+    messages += record(4, struct.pack("<HH", 1, 1) + text(b"/pusher/pose") + text(b"cdr") + struct.pack("<I", 0))
+    return mcap(path / "schema.mcap", messages, record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + b"\x00\x01\x00\x00" + b"\xff" * 60))
+
+
+def with_grid(path: Path, side: int) -> Path:
+    """An object with a full grid of `side` x `side` cells."""
+    sound(path / "small")
+    store = jazzy_typestore()
+    types = store.types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 0), "object_7")
+    pose = types["geometry_msgs/msg/Pose"](
+        types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    )
+    info = types["nav_msgs/msg/MapMetaData"](header.stamp, 0.001, side, side, pose)
+    grid = types["nav_msgs/msg/OccupancyGrid"](header, info, np.full(side * side, 100, np.int8))
+    with BagWriter(path / "grid") as writer:
+        writer.write_raw("/objects/7/cells", Role.CELLS.msgtype, 10**9, store.serialize_cdr(grid, Role.CELLS.msgtype))
+        write_push(writer, 2.0)
+    return path / "grid"
+
+
+def with_objects(path: Path, n: int) -> Path:
+    with BagWriter(path / "objects") as writer:
+        write_push(writer, 2.0)
+        for k in range(n):
+            writer.write_pose(f"x{k}", 2.0, (0.0, 0.0, 0.0), COVARIANCE)
+    return path / "objects"
+
+
+def with_metadata(path: Path, change: Callable[[dict], None] | str) -> Path:  # type: ignore[type-arg]
+    """A sound bag with another metadata.yaml."""
+    file = sound(path / "bag") / "metadata.yaml"
+    if isinstance(change, str):
+        file.write_text(change)
+    else:
+        content = yaml.safe_load(file.read_text())
+        change(content["rosbag2_bagfile_information"])
+        file.write_text(yaml.safe_dump(content))
+    return path / "bag"
+
+
+def with_statements(path: Path, statements: str) -> Path:
+    """A sqlite3 bag that was changed."""
+    file = sqlite_bag(path / "bag") / "bag.db3"
+    database = sqlite3.connect(file)
+    database.executescript(statements)
+    database.close()
+    return file
+
+
+def rosbag1_bomb(path: Path) -> Path:
+    """Forty chunks of 50 MB of zeros in a ROS 1 bag."""
+
+    def fields(**values: bytes) -> bytes:
+        joined = b"".join(struct.pack("<I", len(k) + 1 + len(v)) + k.encode() + b"=" + v for k, v in values.items())
+        return struct.pack("<I", len(joined)) + joined
+
+    data = bz2.compress(bytes(ZEROS))
+    one = fields(op=b"\x05", compression=b"bz2", size=struct.pack("<I", ZEROS)) + struct.pack("<I", len(data)) + data
+
+    def head(index: int) -> bytes:
+        counts = {"conn_count": bytes(4), "chunk_count": struct.pack("<I", 40)}
+        return b"#ROSBAG V2.0\n" + fields(op=b"\x03", index_pos=struct.pack("<Q", index), **counts) + bytes(4)
+
+    begin = len(head(0))
+    places = (struct.pack("<Q", begin + number * len(one)) for number in range(40))
+    times = {"ver": struct.pack("<I", 1), "start_time": bytes(8), "end_time": bytes(8), "count": bytes(4)}
+    index = b"".join(fields(op=b"\x06", chunk_pos=place, **times) + bytes(4) for place in places)
+    (path / "bomb.bag").write_bytes(head(begin + 40 * len(one)) + one * 40 + index)
+    return path / "bomb.bag"
+
 
 RECURSIVE_VIEW = """
 ALTER TABLE messages RENAME TO m;
@@ -47,26 +199,26 @@ def elsewhere(information: dict[str, Any]) -> None:
 
 
 CLAIMS: dict[str, tuple[Callable[[Path], Path], str]] = {
-    "bomb": (lambda path: claims.bomb(path, times=60), "content uncompressed"),
-    "bomb that claims little": (lambda path: claims.bomb(path, claimed=1000), "expected 1000"),
-    "bomb that claims much": (lambda path: claims.bomb(path, claimed=2**63), "expected at most 67,108,864 bytes"),
-    "chunk listed often": (lambda path: claims.with_index(path, listed=1000), "overlaps others"),
-    "chunk listed elsewhere": (lambda path: claims.with_index(path, offset=20), "damaged"),
-    "chunk listed beyond the end": (lambda path: claims.with_index(path, offset=2**63), "where there is none"),
-    "type that contains itself": (lambda path: claims.with_schema(path, b"PoseStamped x"), "contains itself"),
-    "array of 2^31 numbers": (lambda path: claims.with_schema(path, b"float64[2147483647] x"), "array of 2147483647"),
-    "array without content": (lambda path: claims.with_schema(path, NOTHING_INSIDE), "array of"),
-    "long definition": (lambda path: claims.with_schema(path, b"#" * 5_000_000), "message definition"),
-    "grid of a million cells": (lambda path: claims.with_grid(path, 1000), "number of cells of one object"),
-    "more objects than a cell has": (lambda path: claims.with_objects(path, 60), "number of objects"),
-    "nested metadata": (lambda path: claims.with_metadata(path, "[" * 1_000_000), "nested deeper"),
-    "metadata that laugh": (lambda path: claims.with_metadata(path, "a: &a [1]\nb: [*a, *a]\n"), "aliases"),
-    "long metadata": (lambda path: claims.with_metadata(path, "#" * 30_000_000), "larger than"),
-    "file above the folder": (lambda path: claims.with_metadata(path, elsewhere), "not in the folder"),
-    "file listed twice": (lambda path: claims.with_metadata(path, twice), "twice"),
-    "view without end": (lambda path: claims.with_statements(path, RECURSIVE_VIEW), "expected a plain table"),
-    "computed column": (lambda path: claims.with_statements(path, COMPUTED), "expected a plain table"),
-    "bomb of ROS 1": (claims.rosbag1_bomb, "content uncompressed"),
+    "bomb": (lambda path: bomb(path, times=60), "content uncompressed"),
+    "bomb that claims little": (lambda path: bomb(path, claimed=1000), "expected 1000"),
+    "bomb that claims much": (lambda path: bomb(path, claimed=2**63), "expected at most 67,108,864 bytes"),
+    "chunk listed often": (lambda path: with_index(path, listed=1000), "overlaps others"),
+    "chunk listed elsewhere": (lambda path: with_index(path, offset=20), "damaged"),
+    "chunk listed beyond the end": (lambda path: with_index(path, offset=2**63), "where there is none"),
+    "type that contains itself": (lambda path: with_schema(path, b"PoseStamped x"), "contains itself"),
+    "array of 2^31 numbers": (lambda path: with_schema(path, b"float64[2147483647] x"), "array of 2147483647"),
+    "array without content": (lambda path: with_schema(path, NOTHING_INSIDE), "array of"),
+    "long definition": (lambda path: with_schema(path, b"#" * 5_000_000), "message definition"),
+    "grid of a million cells": (lambda path: with_grid(path, 1000), "number of cells of one object"),
+    "more objects than a cell has": (lambda path: with_objects(path, 60), "number of objects"),
+    "nested metadata": (lambda path: with_metadata(path, "[" * 1_000_000), "nested deeper"),
+    "metadata that laugh": (lambda path: with_metadata(path, "a: &a [1]\nb: [*a, *a]\n"), "aliases"),
+    "long metadata": (lambda path: with_metadata(path, "#" * 30_000_000), "larger than"),
+    "file above the folder": (lambda path: with_metadata(path, elsewhere), "not in the folder"),
+    "file listed twice": (lambda path: with_metadata(path, twice), "twice"),
+    "view without end": (lambda path: with_statements(path, RECURSIVE_VIEW), "expected a plain table"),
+    "computed column": (lambda path: with_statements(path, COMPUTED), "expected a plain table"),
+    "bomb of ROS 1": (rosbag1_bomb, "content uncompressed"),
 }
 
 READ = """
@@ -107,14 +259,14 @@ def test_what_a_bag_claims_costs_neither_time_nor_memory(tmp_path: Path) -> None
 
 
 def test_messages_in_the_journal_of_a_killed_recorder_are_not_lost_silently(tmp_path: Path) -> None:
-    bag = claims.sqlite_bag(tmp_path / "bag")
+    bag = sqlite_bag(tmp_path / "bag")
     (bag / "bag.db3-wal").write_bytes(bytes(100))
     assert "wal_checkpoint" in bag_error(bag)
 
 
 def test_tables_that_are_linked_in_a_circle_end(tmp_path: Path) -> None:
     """Every entry of an inner page leads to the same leaf."""
-    file = claims.sqlite_bag(tmp_path / "bag") / "bag.db3"
+    file = sqlite_bag(tmp_path / "bag") / "bag.db3"
     data = bytearray(file.read_bytes())
     inner = next(page for page in range(4096, len(data), 4096) if data[page] == 5)
     data[inner + 3 : inner + 5] = (1900).to_bytes(2, "big")
@@ -136,11 +288,11 @@ def test_a_file_in_zstd_is_read_and_a_bomb_of_one_refused(tmp_path: Path, monkey
         information["compression_format"], information["compression_mode"] = "zstd", "file"
         information["relative_file_paths"] = ["bag.mcap.zstd"]
 
-    bag = claims.with_metadata(tmp_path, compressed)
-    raw = claims.zstd.compress((bag / "bag.mcap").read_bytes())
+    bag = with_metadata(tmp_path, compressed)
+    raw = zstd.compress((bag / "bag.mcap").read_bytes())
     (bag / "bag.mcap.zstd").write_bytes(raw)
     assert len(read_bag(bag).pusher) == 31
-    (bag / "bag.mcap.zstd").write_bytes(claims.zstd.compress(bytes(11_000_000)))
+    (bag / "bag.mcap.zstd").write_bytes(zstd.compress(bytes(11_000_000)))
     assert "content uncompressed" in bag_error(bag)
 
 
