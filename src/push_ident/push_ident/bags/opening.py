@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 from urllib.parse import quote
 
-from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Nodetype
 from rosbags.rosbag1 import Reader as Rosbag1Reader
 from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.rosbag2.storage_mcap import McapReader
@@ -22,7 +22,6 @@ from rosbags.typesys.store import Typestore
 
 from push_ident.bags.compression import uncompress_file, uncompressed_message
 from push_ident.bags.contract import size_limit
-from push_ident.bags.definitions import check_definitions
 from push_ident.bags.folder import read_folder
 from push_ident.bags.mcap_records import IntactRecords, Message
 from push_ident.bags.migration import Migration, migration_of
@@ -31,9 +30,10 @@ from push_ident.bags.typestore import jazzy_typestore
 from push_ident.errors import BagError, PushIdentError
 from push_ident.limits import LIMITS
 
-__all__ = ["Connection", "OpenBag", "open_bag"]
+__all__ = ["SUFFIXES", "Connection", "OpenBag", "open_bag"]
 
-_SUFFIXES: Final = (".mcap", ".db3", ".bag")
+SUFFIXES: Final = (".mcap", ".db3", ".bag")
+"""Of the files of a bag."""
 _CAPITAL_PACKAGE: Final = re.compile(r"\b[A-Z]\w*(?=/\w)")
 
 _Reader = Rosbag1Reader | Rosbag2Reader
@@ -77,7 +77,7 @@ class OpenBag:
         for topic in topics:
             if _lower_package(topic.msgtype) not in self._store.fielddefs:
                 types = _definitions(topic, self._store)
-                check_definitions({**self._store.fielddefs, **types}, topic.topic)
+                _check_definitions({**self._store.fielddefs, **types}, topic.topic)
                 self._store.register(types)
 
     def messages(self, topics: Iterable[Connection]) -> Iterator[tuple[Connection, int, Any]]:
@@ -149,7 +149,7 @@ def _migration(topic: Connection) -> Migration | None:
     try:
         has_text = topic.msgdef.format is MessageDefinitionFormat.MSG
         types = get_types_from_msg(topic.msgdef.data, topic.msgtype) if has_text else {}
-        check_definitions(types, topic.topic)
+        _check_definitions(types, topic.topic)
     except Exception:  # A foreign definition: the parser raises almost anything. Played as it is, as before.
         return None
     return migration_of(topic.msgtype, types)
@@ -165,23 +165,60 @@ def _definitions(topic: Connection, known: Typestore) -> dict[str, Any]:
     return {name: fields for name, fields in types.items() if name not in known.fielddefs}
 
 
+def _check_definitions(types: dict[str, Any], topic: str) -> None:
+    """Raise BagError for types that would cost without bound: recursive ones, giant arrays, arrays of what takes no byte."""
+    sizes: dict[str, int] = {}
+    for name in types:
+        _least_size(name, types, sizes, 0, topic)
+    if (total := sum(len(fields) for _, fields in types.values())) > LIMITS.FIELDS.value:
+        raise BagError(f"the message types of {topic} have {total} fields, expected at most {LIMITS.FIELDS.value}; the bag is damaged.")
+
+
+def _least_size(name: str, types: dict[str, Any], sizes: dict[str, int], depth: int, topic: str) -> int:
+    """Least serialised size of a message [bytes]."""
+    if depth > (most := LIMITS.NESTING.value):
+        raise BagError(f"type {name[:100]} of {topic} is nested deeper than {most}, or contains itself; the bag is damaged.")
+    if name not in sizes:
+        fields = types[name][1] if name in types else ()
+        sizes[name] = sum(_field_size(kind, types, sizes, depth, topic) for _, kind in fields)
+    return sizes[name]
+
+
+def _field_size(kind: Any, types: dict[str, Any], sizes: dict[str, int], depth: int, topic: str) -> int:
+    node, argument = kind
+    if node == Nodetype.BASE:
+        return 1
+    if node == Nodetype.NAME:
+        return _least_size(argument, types, sizes, depth + 1, topic)
+    element, count = argument
+    size = _field_size(element, types, sizes, depth + 1, topic)
+    if size == 0:
+        raise BagError(f"a type of {topic} has an array of messages without content, which could be endless; the bag is damaged.")
+    if node == Nodetype.SEQUENCE:
+        return 4
+    most = LIMITS.ARRAY.value if element[0] == Nodetype.NAME else LIMITS.MESSAGE.value
+    if not 0 < count <= most or count * size > LIMITS.MESSAGE.value:
+        raise BagError(f"a type of {topic} has an array of {count} elements, expected 1 to {most}; the bag is damaged.")
+    return int(count * size)
+
+
 def _storage_of(path: Path) -> Path:
     """A bag folder with metadata, or a storage file. Raises BagError when there is no bag at `path`."""
     if not os.path.exists(path):  # unlike that of Path it raises for no name
-        raise BagError(f"{path}: there is no such bag; give a bag folder or a {', '.join(_SUFFIXES)} file.")
+        raise BagError(f"{path}: there is no such bag; give a bag folder or a {', '.join(SUFFIXES)} file.")
     if path.name == "metadata.yaml":
         path = path.parent
     if path.is_dir():
         if (path / "metadata.yaml").exists():
             return path
-        files = sorted(file for file in path.iterdir() if file.suffix in _SUFFIXES)
+        files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
         if not files:
-            raise BagError(f"{path}: the folder holds no bag (no metadata.yaml, no {', '.join(_SUFFIXES)} file).")
+            raise BagError(f"{path}: the folder holds no bag (no metadata.yaml, no {', '.join(SUFFIXES)} file).")
         if len(files) > 1:
             raise BagError(f"{path}: the folder holds {len(files)} storage files and no metadata.yaml; name one of them.")
         path = files[0]
-    if path.suffix not in _SUFFIXES:
-        raise BagError(f"{path}: not the name of a bag; expected a bag folder or a {', '.join(_SUFFIXES)} file.")
+    if path.suffix not in SUFFIXES:
+        raise BagError(f"{path}: not the name of a bag; expected a bag folder or a {', '.join(SUFFIXES)} file.")
     return path
 
 

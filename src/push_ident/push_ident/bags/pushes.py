@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -14,14 +15,17 @@ from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushCutter
 from push_ident.types import CameraAccuracy, PushRecord
 
-__all__ = ["count_pushes", "pushes_by_object", "split_pushes"]
+__all__ = ["PAUSE", "count_pushes", "pushes_by_object", "split_pushes"]
+
+PAUSE: Final = 0.5
+"""A longer pause of the pusher ends a push [s]."""
 
 
-def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> list[PushRecord]:
+def split_pushes(contents: BagContents, object_id: str) -> list[PushRecord]:
     """The pushes of one object in a bag, in order of time, cut by the rules of `pushing/cutter.py`.
 
     Where the bag has push records, they give the intervals of the pushes, and only those with error code 0 are used. Else a pause of the
-    pusher over `gap` [s] ends a push; a single push beside the topic of the records, without a record, was broken off and is left out.
+    pusher over 0.5 s ends a push; a single push beside the topic of the records, without a record, was broken off and is left out.
 
     Failed pushes and those with fewer than 2 pusher samples or 2 poses are left out with a line in `contents.notes`; `source` still
     counts them, from 1. Raises BagError for an unknown object, one without cells or poses, or a bag without a single usable push.
@@ -35,7 +39,7 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
             raise BagError(f"{contents.path}: {reasons[0]}")
         lacking = "cells" if track.shape is None else "poses"
         raise BagError(f"{contents.path}: object {object_id} has no {lacking}; track it in the depth images, or record `objects/<id>/*`.")
-    pushes = _cutter_of(contents, [object_id], gap).finished(flush=True)
+    pushes = _cutter_of(contents, [object_id]).finished(flush=True)
     LIMITS.PUSHES.check(len(pushes), str(contents.path), error=BagError, remedy="Split the bag.")
     records = [
         replace(record, source=f"{contents.path.name} push {number}") for number, push in enumerate(pushes, 1) for record in push.records
@@ -51,27 +55,27 @@ def split_pushes(contents: BagContents, object_id: str, gap: float = 0.5) -> lis
     return records
 
 
-def pushes_by_object(contents: BagContents, gap: float = 0.5) -> dict[str, list[PushRecord]]:
+def pushes_by_object(contents: BagContents) -> dict[str, list[PushRecord]]:
     """The usable pushes of every object that has cells and poses, cut once for all of them."""
     usable = [object_id for object_id, track in contents.objects.items() if track.shape is not None and len(track.time) >= 2]
     found: dict[str, list[PushRecord]] = {object_id: [] for object_id in usable}
-    for push in _cutter_of(contents, usable, gap).finished(flush=True):
+    for push in _cutter_of(contents, usable).finished(flush=True):
         for record in push.records:
             found[record.object_id].append(record)
     return found
 
 
-def count_pushes(contents: BagContents, gap: float = 0.5) -> int:
+def count_pushes(contents: BagContents) -> int:
     """Pushes that a bag has, whether or not anything was seen of them: its records without an error, else its motions of the pusher."""
     if contents.push_intervals:
         return sum(interval.error_code == 0 for interval in contents.push_intervals)
-    return 1 + int(np.sum(np.diff(contents.pusher.time) > gap))
+    return 1 + int(np.sum(np.diff(contents.pusher.time) > PAUSE))
 
 
-def _cutter_of(contents: BagContents, object_ids: Sequence[str], gap: float) -> PushCutter:
+def _cutter_of(contents: BagContents, object_ids: Sequence[str]) -> PushCutter:
     """A cutter with all samples of the bag for these objects."""
-    cutter = PushCutter(gap, capacity=None, find_runs=not contents.push_intervals)
-    cutter.expects_records = _has_record_topic(contents) and int(np.sum(np.diff(contents.pusher.time) > gap)) == 0
+    cutter = PushCutter(PAUSE, capacity=None, find_runs=not contents.push_intervals)
+    cutter.expects_records = _has_record_topic(contents) and int(np.sum(np.diff(contents.pusher.time) > PAUSE)) == 0
     cutter.set_radius(contents.pusher_radius or 0.0)
     cutter.set_camera(contents.camera_accuracy or CameraAccuracy())
     for interval in contents.push_intervals:

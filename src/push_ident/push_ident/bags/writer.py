@@ -168,38 +168,36 @@ class BagWriter:
             layout = self._new("std_msgs/msg/MultiArrayLayout", [self._new("std_msgs/msg/MultiArrayDimension", "edge", n, n)], 0)
             self._write(Role.OUTLINE_STD, stamp, layout, shape.outline_std.astype(np.float32), object_id=object_id)
 
-    def write_depth(self, stamp: float, depth: NDArray[np.uint16] | NDArray[np.float32], *, frame_id: str = CAMERA_FRAME) -> None:
+    def write_depth(self, stamp: float, depth: NDArray[np.uint16] | NDArray[np.float32]) -> None:
         """Depth image, shape (height, width): uint16 in millimetres (0: no value) or float32 in metres (NaN: no value)."""
         pixel, encoding = (np.dtype("<u2"), "16UC1") if depth.dtype == np.uint16 else (np.dtype("<f4"), "32FC1")
         data = np.ascontiguousarray(depth, dtype=pixel)
         rows = (data.shape[0], data.shape[1], encoding, 0, data.shape[1] * pixel.itemsize, data.view(np.uint8).ravel())
-        self._write(Role.DEPTH, stamp, self._header(stamp, frame_id), *rows)
+        self._write(Role.DEPTH, stamp, self._header(stamp, CAMERA_FRAME), *rows)
 
-    def write_camera_info(self, stamp: float, intrinsics: CameraIntrinsics, *, frame_id: str = CAMERA_FRAME) -> None:
+    def write_camera_info(self, stamp: float, intrinsics: CameraIntrinsics) -> None:
         """Intrinsics of a rectified depth camera."""
         fx, fy, cx, cy = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
         k = np.array([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
         p = np.array([fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0])
         roi = self._new("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
         camera = (intrinsics.height, intrinsics.width, "plumb_bob", np.zeros(5), k, np.eye(3).ravel(), p)
-        self._write(Role.CAMERA_INFO, stamp, self._header(stamp, frame_id), *camera, 0, 0, roi)
+        self._write(Role.CAMERA_INFO, stamp, self._header(stamp, CAMERA_FRAME), *camera, 0, 0, roi)
 
-    def write_extrinsics(self, stamp: float, camera_in_table: ArrayLike, *, frame_id: str = CAMERA_FRAME) -> None:
+    def write_extrinsics(self, stamp: float, camera_in_table: ArrayLike) -> None:
         """Pose of the optical frame in `table`, homogeneous, shape (4, 4), as a static transform."""
         transform = np.asarray(camera_in_table, dtype=np.float64)
         turn = self._new("geometry_msgs/msg/Quaternion", *quaternion_of_pose(transform))
         shift = self._new("geometry_msgs/msg/Vector3", *(float(t) for t in transform[:3, 3]))
         body = self._new("geometry_msgs/msg/Transform", shift, turn)
-        stamped = self._new("geometry_msgs/msg/TransformStamped", self._header(stamp, TABLE_FRAME), frame_id, body)
+        stamped = self._new("geometry_msgs/msg/TransformStamped", self._header(stamp, TABLE_FRAME), CAMERA_FRAME, body)
         self._write(Role.TF_STATIC, stamp, [stamped])
 
-    def write_push_record(
-        self, push_id: int, object_id: str, start: float, end: float, *, error_code: int = 0, error_text: str = ""
-    ) -> None:
+    def write_push_record(self, push_id: int, object_id: str, start: float, end: float, *, error_code: int = 0) -> None:
         """Record of a push from `start` to `end` [s]; fields of its plan are left empty."""
         times = (self._time(start), self._time(0.0), self._time(end), self._time(end))
         plan = (self._new("geometry_msgs/msg/Point", 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0)
-        self._write(Role.PUSH_RECORD, end, self._header(end, TABLE_FRAME), push_id, object_id, error_code, error_text, *times, *plan)
+        self._write(Role.PUSH_RECORD, end, self._header(end, TABLE_FRAME), push_id, object_id, error_code, "", *times, *plan)
 
     @property
     def _storage(self) -> Path:

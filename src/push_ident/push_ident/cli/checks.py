@@ -21,22 +21,22 @@ __all__ = ["above_zero", "at_least_zero", "finite", "new_bag", "parse_floats", "
 
 def above_zero(value: float | None) -> float | None:
     """Callback of an option: a finite number above 0, or none."""
-    if value is not None and not (math.isfinite(value) and value > 0):
-        raise typer.BadParameter(f"{value:g} is given, expected a finite number above 0.")
-    return value
+    return _in_range(value, value is None or value > 0, "a finite number above 0")
 
 
 def at_least_zero(value: float | None) -> float | None:
     """Callback of an option: a finite number of 0 or more, or none."""
-    if value is not None and not (math.isfinite(value) and value >= 0):
-        raise typer.BadParameter(f"{value:g} is given, expected a finite number of 0 or more.")
-    return value
+    return _in_range(value, value is None or value >= 0, "a finite number of 0 or more")
 
 
 def finite(value: float | None) -> float | None:
     """Callback of an option: a finite number, or none."""
-    if value is not None and not math.isfinite(value):
-        raise typer.BadParameter(f"{value:g} is given, expected a finite number.")
+    return _in_range(value, True, "a finite number")
+
+
+def _in_range(value: float | None, is_in_range: bool, expected: str) -> float | None:
+    if value is not None and not (math.isfinite(value) and is_in_range):
+        raise typer.BadParameter(f"{value:g} is given, expected {expected}.")
     return value
 
 

@@ -20,7 +20,6 @@ from push_ident.cli.identify import (
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, progress, say, warn, write_json
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
-from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
@@ -88,16 +87,12 @@ def _show(diagnosis: Diagnosis) -> None:
     if diagnosis.check:
         say(f"Without a push: {diagnosis.check}")
     if diagnosis.next_push is not None and diagnosis.next_push.push.plan is not None:
-        say(_describe_push(diagnosis.next_push))
+        enough = "is expected to" if diagnosis.next_push.resolves else "will hardly"
+        say(f"The push that {diagnosis.next_push.aim}: {describe_push(diagnosis.next_push.push)}. One such push {enough} be enough.")
     elif diagnosis.confusion_set:
         say("No push within its limits would resolve what is still open.")
     if diagnosis.selection is not None:
         console.print(_ranking(diagnosis.selection))
-
-
-def _describe_push(proposal: SeparatingPush) -> str:
-    expectation = "One such push is expected to be enough." if proposal.resolves else "One such push will hardly be enough."
-    return f"The push that {proposal.aim}: {describe_push(proposal.push)}. {expectation}"
 
 
 def _ranking(selection: Selection) -> Table:

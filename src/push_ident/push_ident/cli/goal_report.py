@@ -116,8 +116,10 @@ class GoalReport:
 
     def content(self) -> dict[str, Any]:
         """For JSON."""
+        from push_ident.planning.goal import GoalCode
+
         result = self.result
-        names = {value: name for name, value in _codes().items()}
+        names = {code.value: code.name for code in GoalCode}
         return {
             "reached": self.is_reached,
             "code": names.get(int(result.error_code), str(result.error_code)),
@@ -181,12 +183,6 @@ class PathReport:
             "rms_yaw_rad": float(rms[1]) if reached else None,
             "goals": [report.content() for report in self.reports],
         }
-
-
-def _codes() -> dict[str, int]:
-    from push_ident.planning.goal import GoalCode
-
-    return {code.name: code.value for code in GoalCode}
 
 
 def last_feedback(result: PushToGoal.Result, latest: PushToGoal.Feedback, pose: Float64Array) -> PushToGoal.Feedback:

@@ -41,15 +41,9 @@ from push_ident.physics.simulation import compile_kernels
 from push_ident.types import Float64Array
 
 __all__ = [
-    "CameraOption",
-    "FrictionOption",
-    "NominalMassOption",
-    "ObjectOption",
-    "TotalMassOption",
-    "identify_command",
-    "prior_of_options",
+    "CameraOption", "FrictionOption", "NominalMassOption", "ObjectOption", "TotalMassOption", "identify_command", "prior_of_options",
     "read_camera",
-]
+]  # fmt: skip
 
 _NOMINAL = Prior()
 ObjectOption = Annotated[
@@ -115,7 +109,8 @@ def identify_command(
             on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
         report("predicting the pushes")
-        fitted, held_out = (push_errors(result, loaded.records, pushes) for pushes in (chosen, _others(chosen, loaded)))
+        others = [i for i in range(len(loaded.records)) if i not in chosen]
+        fitted, held_out = (push_errors(result, loaded.records, pushes) for pushes in (chosen, others))
     found = result.explanation.notes([loaded.records[i].source for i in chosen])
     _show_errors(loaded, fitted, held_out)
     _show_identifiability(result)
@@ -168,10 +163,6 @@ def _chosen(numbers: list[int] | None, n_pushes: int) -> list[int]:
     if wrong := [i for i in numbers if i >= n_pushes]:
         raise InputError(f"--train names push {wrong[0]}, but there are {n_pushes} pushes, 0 to {n_pushes - 1}.")
     return numbers
-
-
-def _others(chosen: Sequence[int], loaded: LoadedPushes) -> list[int]:
-    return [i for i in range(len(loaded.records)) if i not in chosen]
 
 
 def _show_errors(loaded: LoadedPushes, fitted: PushErrors, held_out: PushErrors) -> None:

@@ -19,7 +19,7 @@ from push_ident.cli.checks import above_zero, at_least_zero, new_bag
 from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import JsonOption, OutOption, console, say, warn, write_json
 from push_ident.cli.overrides import overrides_of
-from push_ident.cli.restart import RestartPolicy
+from push_ident.cli.processes import RestartPolicy
 from push_ident.cli.robot import RobotOption, robot_for
 from push_ident.cli.supervisor import Kind, Supervisor, node_commands, node_names
 from push_ident.errors import InputError, PushIdentError
@@ -112,7 +112,10 @@ def replay_command(
     parameters: dict[str, dict[str, object]] = {"bag_player_node": {"rate": rate, "listeners": listeners, "wait": 30.0}}
     if not contents.has_poses and contents.camera_in_table is not None:
         camera = contents.camera_in_table
-        pose = {"camera_position": [float(x) for x in camera[:3, 3]], "camera_quaternion": list(quaternion_of_pose(camera))}
+        pose: dict[str, object] = {
+            "camera_position": [float(x) for x in camera[:3, 3]],
+            "camera_quaternion": list(quaternion_of_pose(camera)),
+        }
         parameters["perception_node"] = pose
     commands = node_commands("replay", bag=bag, perception=not contents.has_poses, view=view, parameters=parameters)
     os.environ.setdefault("ROS_DOMAIN_ID", str(own_domain()))

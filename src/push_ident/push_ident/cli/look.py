@@ -10,6 +10,7 @@ from typing import Annotated, Final
 import typer
 
 from push_ident.bags.contract import Role, topic_of
+from push_ident.bags.opening import SUFFIXES
 from push_ident.bags.reader import read_depth
 from push_ident.cli.checks import above_zero, parse_floats, writable_folder
 from push_ident.cli.identify import CameraOption, read_camera
@@ -21,15 +22,12 @@ from push_ident.offline.depth_images import DepthImages
 from push_ident.survey.parameter_file import parameter_text
 from push_ident.survey.scale_check import KnownSize, ScaleCheck, check_scale
 from push_ident.survey.survey import Survey, frames_at_rest, survey_frames
-from push_ident.survey.survey_json import survey_json
-from push_ident.survey.survey_page import table_sentence, write_survey_page
+from push_ident.survey.survey_page import survey_json, table_sentence, write_survey_page
 from push_ident.survey.survey_picture import is_small, size_text
 from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["look_command"]
 
-_BAGS: Final = (".mcap", ".db3", ".bag")
-"""Suffixes of the files of a bag."""
 _FILES: Final = ("look.html", "perception.yaml")
 _TOPIC: Final = topic_of(Role.DEPTH)
 """Of the camera that is listened to where no other is given: that of perception_node."""
@@ -159,8 +157,8 @@ def _listen(topic: str, seconds: float, show: Callable[[str], None]) -> _Seen:
 
 def _is_bag(source: Path) -> bool:
     if source.is_dir():
-        return (source / "metadata.yaml").exists() or any(path.suffix in _BAGS for path in source.iterdir())
-    return source.suffix in _BAGS
+        return (source / "metadata.yaml").exists() or any(path.suffix in SUFFIXES for path in source.iterdir())
+    return source.suffix in SUFFIXES
 
 
 def _intrinsics(text: str) -> tuple[float, float, float, float] | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,8 +20,6 @@ from push_ident.limits import printable
 from push_ident.types import Float64Array
 
 if TYPE_CHECKING:
-    from rich.status import Status
-
     from push_ident.nodes.client.cell_client import CellClient
     from push_ident_msgs.action import PushToGoal
 
@@ -227,7 +224,11 @@ def _pursue(goals: Sequence[PushToGoal.Goal], reports: list[GoalReport]) -> None
         for number, goal in enumerate(goals, 1):
             prefix = f"goal {number} of {len(goals)}: " if len(goals) > 1 else ""
             reports.append(GoalReport(goal))
-            push_to_goal(client, reports[-1], partial(_show, status, prefix))
+
+            def show(text: str, prefix: str = prefix) -> None:
+                status.update(escape(prefix + text))
+
+            push_to_goal(client, reports[-1], show)
             if not reports[-1].is_reached:
                 break
 
@@ -242,10 +243,6 @@ def _write(content: dict[str, Any], out: Path | None, json: Path | None) -> None
         page = out / "report.html"
         write_goal_page(page, content)
         say(f"written: {page}, {out / 'result.json'}")
-
-
-def _show(status: Status, prefix: str, text: str) -> None:
-    status.update(escape(prefix + text))
 
 
 def _finish_path(report: PathReport) -> None:

@@ -6,6 +6,7 @@ import difflib
 import importlib
 import json as jsonlib
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -111,9 +112,7 @@ def _parameter_text(robot: Robot, description: Path) -> str:
 def _content(robot: Robot, findings: list[Finding], reach: Reach | None) -> dict[str, Any]:
     content: dict[str, Any] = {
         "robot": robot.file.name,
-        "findings": [
-            {"about": f.about, "level": f.level.value, "what": f.what, "expected": f.expected, "remedy": f.remedy} for f in findings
-        ],
+        "findings": [asdict(finding) | {"level": finding.level.value} for finding in findings],
     }
     if reach is not None:
         content["reach"] = {

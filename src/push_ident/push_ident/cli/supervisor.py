@@ -18,8 +18,7 @@ from rich.console import Console
 from rich.text import Text
 
 from push_ident.cli.overrides import Overrides
-from push_ident.cli.processes import LAST_LINES, NodeCommand, NodeExit, NodeProcess
-from push_ident.cli.restart import Backoff, RestartPolicy
+from push_ident.cli.processes import LAST_LINES, Backoff, NodeCommand, NodeExit, NodeProcess, RestartPolicy
 from push_ident.errors import InputError, PushIdentError
 from push_ident.limits import printable
 from push_ident.nodes.base.lifetime import LIFETIME, stopping_in_order
@@ -290,7 +289,6 @@ def node_commands(
     view: bool = False,
     parameters: Mapping[str, Mapping[str, object]] | None = None,
     overrides: Overrides = _NO_OVERRIDES,
-    log_level: str = "info",
 ) -> list[NodeCommand]:
     """The processes of one kind of cell, as the launch files start them.
 
@@ -303,7 +301,6 @@ def node_commands(
         view: Whether to start the viewer for browsers.
         parameters: Parameters by name of the node; they override the installed parameter files.
         overrides: Parameter files and remappings of the user, for all nodes.
-        log_level: ROS log level of all nodes.
 
     Raises:
         InputError: `bag` and `kind` contradict each other, or `parameters` names a node that is not started.
@@ -323,7 +320,7 @@ def node_commands(
     unknown = sorted(set(own) - set(names))
     if unknown:
         raise InputError(f"parameters are given for {', '.join(unknown)}, expected nodes of `{kind}`: {', '.join(names)}")
-    return [node_command(name, _defaults_of(name, kind) | own.get(name, {}), log_level, overrides) for name in names]
+    return [node_command(name, _defaults_of(name, kind) | own.get(name, {}), overrides) for name in names]
 
 
 def _defaults_of(name: str, kind: Kind) -> dict[str, object]:
@@ -341,7 +338,7 @@ def node_names(kind: Kind) -> tuple[str, ...]:
     return (*_NODES[kind], "bag_recorder_node", "viewer_node")
 
 
-def node_command(name: str, parameters: Mapping[str, object], log_level: str = "info", overrides: Overrides = _NO_OVERRIDES) -> NodeCommand:
+def node_command(name: str, parameters: Mapping[str, object], overrides: Overrides = _NO_OVERRIDES) -> NodeCommand:
     """The process of one node, with its parameters, in its own enclave of SROS 2 (`security/policy.xml`)."""
     if name in _SIM_NODES:
         package, file, program = "push_ident_sim", "sim.yaml", "push_ident_sim"
@@ -351,5 +348,5 @@ def node_command(name: str, parameters: Mapping[str, object], log_level: str = "
     # JSON is YAML: text stays text even if it looks like a number.
     arguments += [part for key, value in parameters.items() for part in ("-p", f"{key}:={json.dumps(value)}")]
     arguments += overrides.arguments()
-    argv = (sys.executable, "-m", program, name, "--ros-args", *arguments, "--enclave", f"/push_ident/{name}", "--log-level", log_level)
+    argv = (sys.executable, "-m", program, name, "--ros-args", *arguments, "--enclave", f"/push_ident/{name}", "--log-level", "info")
     return NodeCommand(name, argv, may_end=name == "bag_player_node", is_node=True)

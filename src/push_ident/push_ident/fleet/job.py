@@ -10,9 +10,10 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import push_ident
+from push_ident.bags.opening import SUFFIXES
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.fitting.budget import Budget
 from push_ident.identification.fitting.fit import FitOptions
@@ -29,8 +30,6 @@ __all__ = ["FleetOptions", "Job", "Outcome", "find_jobs", "identify_bag"]
 Outcome = dict[str, Any]
 """JSON of one bag: `bag`, `state` ("done" or "failed"), `error`, `host`, `process`, `seconds`, and if identified `result`, `model` and,
 where asked for, `page`."""
-
-_SUFFIXES: Final = (".mcap", ".db3", ".bag")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +75,7 @@ def find_jobs(paths: Sequence[Path], options: FleetOptions) -> list[Job]:
             raise InputError(f"{path} does not exist; name bags, or folders with bags in them.")
         in_path = list(_bags_in(path))
         if not in_path:
-            raise InputError(f"There is no bag in {path}, expected files {', '.join(_SUFFIXES)} or folders with metadata.yaml.")
+            raise InputError(f"There is no bag in {path}, expected files {', '.join(SUFFIXES)} or folders with metadata.yaml.")
         bags.update(dict.fromkeys(sorted(in_path)))
     text = json.dumps(asdict(options), sort_keys=True) + push_ident.__version__
     return [Job(bag, f"{bag.stem}-{_digest(bag, text)}") for bag in bags]
@@ -124,7 +123,7 @@ def _bags_in(path: Path) -> Iterator[Path]:
         for entry in sorted(path.iterdir()):
             if entry.is_dir():
                 yield from _bags_in(entry)
-            elif entry.suffix in _SUFFIXES:
+            elif entry.suffix in SUFFIXES:
                 yield entry
 
 

@@ -12,16 +12,8 @@ from push_ident.fleet.job import Outcome
 
 __all__ = ["row_of", "write_table"]
 
-_NUMBERS: Final = (
-    "map.x",
-    "map.y",
-    "map.mass",
-    "map.friction",
-    "map.mass_friction",
-    "map.mass_friction_std",
-    "train.per_push_m",
-    "test.per_push_m",
-)
+_MAP: Final = ("x", "y", "mass", "friction", "mass_friction", "mass_friction_std")
+_NUMBERS: Final = (*(f"map.{name}" for name in _MAP), "train.per_push_m", "test.per_push_m")
 """Columns that are lists of numbers."""
 _COLUMNS: Final = {
     "status": ("string", "result.status"),
@@ -31,12 +23,11 @@ _COLUMNS: Final = {
     "n_simulations": ("int64", "result.n_simulations"),
     "time_s": ("float64", "result.time_s"),
     "misfit": ("float64", "result.misfit"),
-    "train_uniform_m": ("float64", "result.train.uniform_m"),
-    "train_scalar_m": ("float64", "result.train.scalar_m"),
-    "train_identified_m": ("float64", "result.train.identified_m"),
-    "test_uniform_m": ("float64", "result.test.uniform_m"),
-    "test_scalar_m": ("float64", "result.test.scalar_m"),
-    "test_identified_m": ("float64", "result.test.identified_m"),
+    **{
+        f"{part}_{model}_m": ("float64", f"result.{part}.{model}_m")
+        for part in ("train", "test")
+        for model in ("uniform", "scalar", "identified")
+    },
     "pusher_friction": ("float64", "result.pusher_friction.value"),
     "pusher_friction_std": ("float64", "result.pusher_friction.std"),
     "total_mass": ("float64", "result.total_mass.value"),

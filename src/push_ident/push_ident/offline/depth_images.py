@@ -23,23 +23,13 @@ from push_ident.limits import LIMITS, plain_text
 from push_ident.perception.frame.depth_image import check_intrinsics, check_size
 from push_ident.types import CameraIntrinsics, DepthFrame
 
-__all__ = ["CAMERA_INFO", "DepthImages", "OrganisedCloud", "read_camera_info", "read_cloud"]
+__all__ = ["DepthImages"]
 
-CAMERA_INFO: Final = "camera_info.yaml"
+_CAMERA_INFO: Final = "camera_info.yaml"
 """File with the intrinsics beside the images, as `camera_calibration` of ROS writes it."""
 _SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".pcd")
 _PLAUSIBLE: Final = (0.05, 20.0)
 """Range of the median depth of an image of a table [m]: nearer than any depth camera measures, and farther."""
-
-
-@dataclass(frozen=True, slots=True)
-class OrganisedCloud:
-    """A point cloud that is an image."""
-
-    frame: DepthFrame
-    """Its depth, with the intrinsics that its points show; stamp 0."""
-    label: NDArray[np.int64] | None
-    """Its field `label`, shape (height, width); None where it has none."""
 
 
 @dataclass(slots=True)
@@ -69,7 +59,7 @@ class DepthImages:
                 if first is not None and frame.intrinsics != first.intrinsics and path.suffix.lower() != ".pcd":
                     raise FrameError(f"{path.name} has other intrinsics or another size than the images before it; keep one camera.")
             except PushIdentError as error:
-                if first is None and (self.source.is_file() or _is_of_camera(error)):
+                if first is None and (self.source.is_file() or isinstance(error, _CameraError | _NoIntrinsicsError)):
                     raise
                 self.skipped.append(str(error))
                 continue
@@ -88,9 +78,8 @@ class DepthImages:
 
     def _read(self, path: Path, stamp: float) -> DepthFrame:
         if path.suffix.lower() == ".pcd":
-            cloud = read_cloud(path).frame
-            intrinsics = cloud.intrinsics if self.intrinsics is None else self._camera(path, cloud.depth.shape)
-            return DepthFrame(stamp, cloud.depth, intrinsics)
+            depth, intrinsics = _read_cloud(path)
+            return DepthFrame(stamp, depth, intrinsics if self.intrinsics is None else self._camera(path, depth.shape))
         depth = _metres(path, _array_of(path), self.unit)
         frame = DepthFrame(stamp, depth, self._camera(path, depth.shape))
         try:
@@ -103,13 +92,13 @@ class DepthImages:
     def _camera(self, path: Path, shape: tuple[int, ...]) -> CameraIntrinsics:
         if self.intrinsics is not None:
             return CameraIntrinsics(shape[1], shape[0], *self.intrinsics)
-        file = path.parent / CAMERA_INFO
+        file = path.parent / _CAMERA_INFO
         if not file.exists():
             raise _NoIntrinsicsError(
-                f"{path} has no intrinsics: there is no {CAMERA_INFO} beside it; put that file there, as camera_calibration writes it, "
+                f"{path} has no intrinsics: there is no {_CAMERA_INFO} beside it; put that file there, as camera_calibration writes it, "
                 "or give --intrinsics fx,fy,cx,cy in pixels."
             )
-        return read_camera_info(file)
+        return _read_camera_info(file)
 
 
 class _CameraError(FrameError):
@@ -120,11 +109,7 @@ class _NoIntrinsicsError(InputError):
     """There are no intrinsics: likewise."""
 
 
-def _is_of_camera(error: PushIdentError) -> bool:
-    return isinstance(error, _CameraError | _NoIntrinsicsError)
-
-
-def read_camera_info(path: Path) -> CameraIntrinsics:
+def _read_camera_info(path: Path) -> CameraIntrinsics:
     """Intrinsics of a rectified image from a file of `camera_calibration`, or from a printed message sensor_msgs/CameraInfo.
 
     The projection matrix is that of the rectified image and is preferred; a file without one has a camera matrix.
@@ -156,8 +141,8 @@ def read_camera_info(path: Path) -> CameraIntrinsics:
     return camera
 
 
-def read_cloud(path: Path) -> OrganisedCloud:
-    """Read an organised cloud (PCD); the intrinsics follow from the points themselves.
+def _read_cloud(path: Path) -> tuple[NDArray[np.float32], CameraIntrinsics]:
+    """Depth of an organised cloud (PCD) [m], and the intrinsics, which follow from the points themselves.
 
     Raises:
         InputError: It cannot be read, is not organised, or has too few points.
@@ -174,13 +159,12 @@ def read_cloud(path: Path) -> OrganisedCloud:
     if height < 2 or "positions" not in cloud.point or len(cloud.point["positions"]) != width * height:
         raise InputError(f"{path} is {width} x {height} points, not organised; expected the rows and columns of an image.")
     points = cloud.point["positions"].numpy().reshape(height, width, 3).astype(np.float64)
-    label = cloud.point["label"].numpy().reshape(height, width).astype(np.int64) if "label" in cloud.point else None
     depth = points[..., 2].astype(np.float32)
     with np.errstate(invalid="ignore"):
         depth[~(np.isfinite(points).all(axis=2) & (depth > 0))] = np.nan
     if np.count_nonzero(np.isfinite(depth)) < 100:  # they determine four intrinsics
         raise InputError(f"{path} has {np.count_nonzero(np.isfinite(depth))} measured points, expected at least 100.")
-    return OrganisedCloud(DepthFrame(0.0, depth, _intrinsics(points, depth)), label)
+    return depth, _intrinsics(points, depth)
 
 
 def _size_of_cloud(path: Path) -> tuple[int, int]:

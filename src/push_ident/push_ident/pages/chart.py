@@ -265,7 +265,7 @@ def row_chart(title: str, rows: Sequence[Row], series: Sequence[Series], unit: s
     def x_of(value: float) -> float:
         return labels + MARGIN + width * max(0.0, value) / top
 
-    parts = [part for y, lines in enumerate(legend) for part in _shifted(lines, MARGIN + 16.0 * y)]
+    parts = [f'<g transform="translate(0,{MARGIN + 16.0 * y:.1f})">{"".join(lines)}</g>' for y, lines in enumerate(legend)]
     step = round_below(top / 4) or top
     for k in range(int(top / step) + 1):
         x = x_of(k * step)
@@ -290,10 +290,6 @@ def row_chart(title: str, rows: Sequence[Row], series: Sequence[Series], unit: s
 def _legend(series: Sequence[Series]) -> list[list[str]]:
     """One line for each kind of mark."""
     return [[_mark(one, MARGIN + 6, 4.0, one.name), f'<text x="{MARGIN + 18:.1f}" y="8">{clean(one.name)}</text>'] for one in series]
-
-
-def _shifted(parts: Sequence[str], y: float) -> list[str]:
-    return [f'<g transform="translate(0,{y:.1f})">', *parts, "</g>"]
 
 
 def _mark(series: Series, x: float, y: float, text: str) -> str:

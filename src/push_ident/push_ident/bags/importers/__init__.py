@@ -11,17 +11,6 @@ from push_ident.bags.importers.tables import TableFormat
 from push_ident.bags.importers.tracked_poses import TrackedPoses, import_tracked_poses
 
 __all__ = [
-    "MIT_SHAPES",
-    "ImportReport",
-    "MitOptions",
-    "MocapObject",
-    "RosbagTopics",
-    "TableFormat",
-    "TrackedPoses",
-    "import_cmu_icra16",
-    "import_cmu_mocap",
-    "import_mit",
-    "import_rosbag",
-    "import_tracked_poses",
-    "mit_sets",
-]
+    "MIT_SHAPES", "ImportReport", "MitOptions", "MocapObject", "RosbagTopics", "TableFormat", "TrackedPoses", "import_cmu_icra16",
+    "import_cmu_mocap", "import_mit", "import_rosbag", "import_tracked_poses", "mit_sets",
+]  # fmt: skip

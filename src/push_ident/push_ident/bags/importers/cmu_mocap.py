@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from push_ident.bags.importers.recording import ascending
 from push_ident.bags.importers.report import ImportReport, contact_tolerance, distance_warnings
-from push_ident.bags.importers.samples import ascending
 from push_ident.bags.importers.shapes import check_supports, pose_covariance, right_triangle, shape_of_outline
 from push_ident.bags.opening import open_bag
 from push_ident.bags.writer import BagWriter
@@ -155,7 +155,8 @@ def _read(file: Path, frame_in_body: Float64Array) -> tuple[Float64Array, Float6
         connections = [connection for connection in bag.topics if connection.topic in rows]
         bag.register(connections)
         for connection, log_time, message in bag.messages(connections):
-            if values := _row(connection.topic, message):
+            values = _numbers(connection.topic, message)
+            if values and np.isfinite(values).all():
                 rows[connection.topic].append((log_time * 1e-9, *values))
     if missing := [topic for topic, values in rows.items() if len(values) < 2]:
         raise BagError(f"{file}: no messages of {', '.join(missing)}; not a recording of this format.")
@@ -166,19 +167,14 @@ def _read(file: Path, frame_in_body: Float64Array) -> tuple[Float64Array, Float6
     return body[:, 0], pose, robot, measured
 
 
-def _row(topic: str, message: Any) -> tuple[float, ...]:
-    """Numbers of one message; empty where the body was not detected or a number is not finite."""
-    numbers = _numbers(topic, message)
-    return numbers if np.isfinite(numbers).all() else ()
-
-
 def _numbers(topic: str, message: Any) -> tuple[float, ...]:
+    """Of one message; none where the body was not detected."""
     if topic == "/Mocap":
         if not message.body_poses:
-            return (np.nan,)
+            return ()
         position, turn = message.body_poses[0].position, message.body_poses[0].orientation
         quaternion = (turn.x, turn.y, turn.z, turn.w)
-        return (position.x, position.y, position.z, *quaternion) if 0.0 < sum(q * q for q in quaternion) < np.inf else (np.nan,)
+        return (position.x, position.y, position.z, *quaternion) if 0.0 < sum(q * q for q in quaternion) < np.inf else ()
     if topic == "/robot_CartesianLog":
         return (message.x, message.y, message.z)
     return (message.wrench.force.x, message.wrench.force.y)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -12,19 +12,23 @@ from typing import Any, Final
 import numpy as np
 
 from push_ident import __version__
-from push_ident.bags.importers.import_figures import overlap_figures
 from push_ident.bags.importers.overlap import Overlap
 from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
 from push_ident.errors import BagError
+from push_ident.geometry.se2 import inverse, transform_points
+from push_ident.pages.outline_chart import Placed, outline_panel
 from push_ident.pages.page import write_page
+from push_ident.pages.time_chart import Line, time_chart
 from push_ident.types import Float64Array, PushRecord
 
 __all__ = ["write_import_page", "write_refusal_page"]
 
 _MOST_ROWS: Final = 60
 """Pushes in the table; of more, those that miss most."""
+_CIRCLE: Final = np.linspace(0.0, 2.0 * np.pi, 41)[:-1]
+_Centre = Callable[[int], Float64Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +101,11 @@ def write_refusal_page(path: Path, overlap: Overlap, reason: str) -> None:
             "checks": [],
             "rows": [],
             "n_pushes": 0,
-            "facts": _facts_of_shape(overlap),
+            "facts": [
+                ("object", f"{_size(overlap.shape.outline)}, {len(overlap.shape.cells)} cells"),
+                ("pusher", _pusher(overlap.radius)),
+                ("accepted distance of pusher and outline", f"{1e3 * overlap.tolerance:.1f} mm"),
+            ],
             "notes": [],
             "steps": [*_mend(overlap), ("Then import again.", "")],
         },
@@ -106,7 +114,7 @@ def write_refusal_page(path: Path, overlap: Overlap, reason: str) -> None:
 
 def _context(overlap: Overlap | None) -> dict[str, Any]:
     """What both pages have."""
-    figures = overlap_figures(overlap) if overlap is not None and len(overlap.push) else []
+    figures = _overlap_figures(overlap) if overlap is not None and len(overlap.push) else []
     return {
         "figures": figures,
         "explanation": "" if overlap is None else overlap.explanation(),
@@ -159,7 +167,10 @@ def _checks(report: ImportReport, back: _ReadBack | None, problem: str) -> list[
 def _rows(report: ImportReport, back: _ReadBack | None) -> list[dict[str, str]]:
     """What each push is, of more than `_MOST_ROWS` those that miss most."""
     pushes = {} if back is None else {int(push.source.rpartition(" ")[2]) - 1: push for push in back.pushes}
-    median = _medians(report.overlap)
+    overlap = report.overlap
+    median = {}  # distance of pusher and outline while the object moves [m]
+    if overlap is not None:
+        median = {int(push): float(np.median(overlap.distance[overlap.push == push])) for push in np.unique(overlap.push)}
     missed = [np.nanmax(np.abs([0.0, report.contact_distance[k], median.get(k, np.nan)])) for k in range(report.n_pushes)]
     shown = sorted(np.argsort(missed, kind="stable")[-_MOST_ROWS:].tolist())
     return [
@@ -174,13 +185,6 @@ def _rows(report: ImportReport, back: _ReadBack | None) -> list[dict[str, str]]:
         }
         for k in shown
     ]
-
-
-def _medians(overlap: Overlap | None) -> dict[int, float]:
-    """Median distance of pusher and outline while the object moves, by the number of the push [m]."""
-    if overlap is None:
-        return {}
-    return {int(push): float(np.median(overlap.distance[overlap.push == push])) for push in np.unique(overlap.push)}
 
 
 def _facts(report: ImportReport, back: _ReadBack | None) -> list[tuple[str, str]]:
@@ -204,14 +208,6 @@ def _facts(report: ImportReport, back: _ReadBack | None) -> list[tuple[str, str]
     if report.surface:
         facts.append(("surface of the table", report.surface))
     return facts
-
-
-def _facts_of_shape(overlap: Overlap) -> list[tuple[str, str]]:
-    return [
-        ("object", f"{_size(overlap.shape.outline)}, {len(overlap.shape.cells)} cells"),
-        ("pusher", _pusher(overlap.radius)),
-        ("accepted distance of pusher and outline", f"{1e3 * overlap.tolerance:.1f} mm"),
-    ]
 
 
 def _steps(report: ImportReport, back: _ReadBack | None, is_good: bool) -> list[tuple[str, str]]:
@@ -280,3 +276,81 @@ def _millimetres(metres: float) -> str:
 
 def _count(n: int, what: str) -> str:
     return f"{n} {what}{'' if n == 1 else 'es'}"
+
+
+def _overlap_figures(overlap: Overlap, most: int = 12) -> list[tuple[str, str]]:
+    """Caption and drawing of the first pushes in the table frame, in the object frame, and over time. There is one frame at least.
+
+    `most`: pushes that are drawn; with more, circles and outlines cover each other.
+    """
+    pushes = np.unique(overlap.push)[:most]
+    n = len(np.unique(overlap.push))
+    some = "" if n == len(pushes) else f" (the first {len(pushes)} of {n} pushes)"
+    captions = (
+        f"As the object begins to move, on the table: each circle, the pusher, should touch its outline{some}",
+        f"The same in the object frame: the circles should lie against the outline, outside of it{some}",
+        f"While the object moves, the distance of pusher and outline should stay in the green band{some}",
+    )
+    drawings = (
+        _on_table(captions[0], overlap, pushes),
+        _in_object_frame(captions[1], overlap, pushes),
+        _over_time(captions[2], overlap, pushes),
+    )
+    return list(zip(captions, drawings, strict=True))
+
+
+def _on_table(title: str, overlap: Overlap, pushes: Float64Array) -> str:
+    placed = []
+    for push in pushes:
+        k = _first(overlap, push)
+        text = f"object as push {push + 1:.0f} begins to move it"
+        placed.append(Placed(transform_points(overlap.pose[k], overlap.shape.outline), "outline", text))
+    for push in pushes:
+        path = overlap.pusher[overlap.push == push]
+        placed.append(Placed(path, "trace", f"path of the pusher while push {push + 1:.0f} moves the object", closed=False))
+    return _panel(title, placed, overlap, pushes, lambda k: overlap.pusher[k])
+
+
+def _in_object_frame(title: str, overlap: Overlap, pushes: Float64Array) -> str:
+    def centre(k: int) -> Float64Array:
+        return transform_points(inverse(overlap.pose[k]), overlap.pusher[k : k + 1])[0]
+
+    return _panel(title, [Placed(overlap.shape.outline, "outline", "outline of the object")], overlap, pushes, centre)
+
+
+def _panel(title: str, placed: list[Placed], overlap: Overlap, pushes: Float64Array, centre: _Centre) -> str:
+    """What is placed already, and a circle for each push where `centre` has the pusher in a frame; one that is a point is seen as well."""
+    first = [_first(overlap, push) for push in pushes]
+    centres = np.array([centre(k) for k in first])
+    every = np.vstack([*(one.corners for one in placed), centres - overlap.radius, centres + overlap.radius])
+    frame = np.array([every.min(axis=0), every.max(axis=0)])
+    radius = max(overlap.radius, 0.006 * float(np.max(frame[1] - frame[0])))
+    circle = radius * np.column_stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
+    for push, k, middle in zip(pushes, first, centres, strict=True):
+        style = "meets" if abs(overlap.distance[k]) <= overlap.tolerance else "missed"
+        text = f"pusher of push {push + 1:.0f}: {1e3 * overlap.distance[k]:.1f} mm from the outline"
+        placed.append(Placed(middle + circle, style, text, label=f"{push + 1:.0f}"))
+    return outline_panel(title, placed, frame)
+
+
+def _over_time(title: str, overlap: Overlap, pushes: Float64Array) -> str:
+    lines = []
+    for push in pushes:
+        own = overlap.push == push
+        distance = 1e3 * overlap.distance[own]
+        style = "trace" if abs(np.median(distance)) <= 1e3 * overlap.tolerance else "missed"
+        lines.append(Line(overlap.time[own], distance, style, f"push {push + 1:.0f}: {np.median(distance):.1f} mm in the median"))
+    return time_chart(
+        title,
+        lines,
+        x_axis="since the object began to move [s]",
+        y_axis="pusher to outline [mm], negative: inside",
+        band=1e3 * overlap.tolerance,
+    )
+
+
+def _first(overlap: Overlap, push: float) -> int:
+    """The first frame in which a push moves the object: one far before the next, by twice the median step, is noise."""
+    own = np.flatnonzero(overlap.push == push)
+    step = np.diff(overlap.time[own])
+    return int(own[np.argmax(step <= 2.0 * np.median(step))]) if len(step) else int(own[0])

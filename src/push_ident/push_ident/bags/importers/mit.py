@@ -20,8 +20,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from push_ident.bags.importers.recording import ascending
 from push_ident.bags.importers.report import ImportReport, contact_of, contact_tolerance, contact_warnings
-from push_ident.bags.importers.samples import ascending
 from push_ident.bags.importers.shapes import pose_covariance, shape_of_outline
 from push_ident.bags.records import write_records
 from push_ident.errors import BagError, InputError

@@ -5,23 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from push_ident.bags.importers.overlap import NOISE_FACTOR, Overlap, Streams, overlap_of
 from push_ident.bags.importers.report import Contact, ImportReport, contact_of, contact_tolerance, contact_warnings
 from push_ident.bags.importers.shapes import pose_covariance
+from push_ident.bags.pushes import PAUSE
 from push_ident.bags.records import FIRST_STAMP
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError, InputError
 from push_ident.limits import LIMITS, check_object_id
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
-__all__ = ["OverlapError", "Recording", "RecordingOptions", "import_recording", "moved_by", "without_gaps"]
+__all__ = ["OverlapError", "Recording", "RecordingOptions", "ascending", "import_recording", "moved_by", "without_gaps"]
 
-_PAUSE: Final = 0.5
-"""Shortest pause that separates two pushes [s], as in the bag contract."""
 _LEAST_POSITION_STD, _LEAST_YAW_STD = 1e-4, float(np.radians(0.05))
 """Least standard deviations that are taken from the scatter at rest: the error that all poses share does not scatter."""
 
@@ -80,12 +78,8 @@ class Recording:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Span:
-    """One push: samples of the pusher, rows (time, x, y, z) [s, m]."""
-
-    pusher: Float64Array
-    contact: Contact
+_Push = tuple[Float64Array, Contact]
+"""Samples of the pusher, rows (time, x, y, z) [s, m], and its contact."""
 
 
 def import_recording(recording: Recording, options: RecordingOptions, out_bag: Path) -> ImportReport:
@@ -120,9 +114,9 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
         )
     LIMITS.PUSHES.check(len(spans), recording.names[1], error=BagError, remedy="Split the recording.")
     _write(out_bag, options, streams, force, spans, covariance)
-    contacts = [span.contact for span in spans]
+    contacts = [contact for _, contact in spans]
     warnings = contact_warnings(contacts, tolerance)
-    overlap = overlap_of(Streams(poses, [span.pusher for span in spans], shape, options.radius, tolerance))
+    overlap = overlap_of(Streams(poses, [run for run, _ in spans], shape, options.radius, tolerance))
     if warnings or not overlap.fits:
         warnings = (*warnings, overlap.explanation())
     return ImportReport(
@@ -134,6 +128,11 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
         warnings=warnings,
         overlap=overlap,
     )
+
+
+def ascending(samples: Float64Array) -> Float64Array:
+    """Samples, shape (n, n_columns), time [s] in the first column, without those whose time does not advance."""
+    return samples[np.append(True, np.diff(np.maximum.accumulate(samples[:, 0])) > 0)] if len(samples) else samples
 
 
 def without_gaps(rows: Float64Array, needed: Sequence[bool], places: Sequence[object], what: str, notes: list[str]) -> Float64Array:
@@ -210,12 +209,12 @@ def _motions(pusher: Float64Array, lifted_above: float | None) -> list[Float64Ar
     if lifted_above is not None:
         pusher = pusher[pusher[:, 3] <= lifted_above]
     motions = []
-    for run in np.split(pusher, np.flatnonzero(np.diff(pusher[:, 0]) > _PAUSE) + 1):
+    for run in np.split(pusher, np.flatnonzero(np.diff(pusher[:, 0]) > PAUSE) + 1):
         if len(run) < 2:
             continue
         time = run[:, 0]
         least = max(0.5e-3, NOISE_FACTOR * np.sqrt(2.0) * _path_noise(run[:, 1:3]))
-        early, late = np.clip(time - 0.5 * _PAUSE, time[0], time[-1]), np.clip(time + 0.5 * _PAUSE, time[0], time[-1])
+        early, late = np.clip(time - 0.5 * PAUSE, time[0], time[-1]), np.clip(time + 0.5 * PAUSE, time[0], time[-1])
         way = [np.interp(late, time, run[:, axis]) - np.interp(early, time, run[:, axis]) for axis in (1, 2)]
         moving = np.flatnonzero(np.hypot(*way) > least)
         if len(moving):
@@ -237,11 +236,11 @@ def _noise(poses: Float64Array, runs: list[Float64Array], name: str, options: Re
     if options.position_std is not None and options.yaw_std is not None:
         return options.position_std, options.yaw_std
     least = 10  # frames of a block
-    busy = [(run[0, 0] - 0.5 * _PAUSE, run[-1, 0] + 0.5 * _PAUSE) for run in runs]
+    busy = [(run[0, 0] - 0.5 * PAUSE, run[-1, 0] + 0.5 * PAUSE) for run in runs]
     scatter = []
     for start, end in _between(busy, float(poses[0, 0]), float(poses[-1, 0])):
         rest = poses[(poses[:, 0] >= start) & (poses[:, 0] <= end)]
-        for part in np.split(rest, np.flatnonzero(np.diff(rest[:, 0]) > _PAUSE) + 1):
+        for part in np.split(rest, np.flatnonzero(np.diff(rest[:, 0]) > PAUSE) + 1):
             # Short blocks: between two pushes the object may be put elsewhere by hand, which the median then leaves out.
             for block in np.array_split(part, max(1, len(part) // least)):
                 if len(block) >= least:
@@ -269,42 +268,42 @@ def _between(busy: list[tuple[float, float]], start: float, end: float) -> Itera
         start = max(start, last)
 
 
-def _pushes(streams: Streams) -> list[_Span]:
+def _pushes(streams: Streams) -> list[_Push]:
     """The runs of the pusher with their contacts."""
     spans, time = [], streams.poses[:, 0]
     for run in streams.runs:
         # As a bag is cut into pushes: the poses around the run, and where there is none at rest the nearest one on that side.
         start, end = run[0, 0], run[-1, 0]
-        low = min(np.searchsorted(time, start - _PAUSE), max(np.searchsorted(time, start, side="right") - 1, 0))
-        high = max(np.searchsorted(time, end + _PAUSE, side="right"), np.searchsorted(time, end) + 1)
+        low = min(np.searchsorted(time, start - PAUSE), max(np.searchsorted(time, start, side="right") - 1, 0))
+        high = max(np.searchsorted(time, end + PAUSE, side="right"), np.searchsorted(time, end) + 1)
         part = streams.poses[low:high]
         contact = contact_of(part[:, 0], part[:, 1:], run[:, :3], shape=streams.shape, radius=streams.radius, tolerance=streams.tolerance)
-        spans.append(_Span(run, contact))
+        spans.append((run, contact))
     return spans
 
 
-def _with_contact(spans: list[_Span], tolerance: float, notes: list[str]) -> list[_Span]:
+def _with_contact(spans: list[_Push], tolerance: float, notes: list[str]) -> list[_Push]:
     """The motions in which the object moves or the pusher reaches it."""
-    found = [span for span in spans if span.contact.moved or span.contact.nearest <= tolerance]
+    found = [(run, contact) for run, contact in spans if contact.moved or contact.nearest <= tolerance]
     if missed := len(spans) - len(found):
         notes.append(f"{missed} motions in which the pusher does not reach the object are left out")
     return found
 
 
 def _write(
-    out_bag: Path, options: RecordingOptions, streams: Streams, force: Float64Array, spans: list[_Span], covariance: Float64Array
+    out_bag: Path, options: RecordingOptions, streams: Streams, force: Float64Array, spans: list[_Push], covariance: Float64Array
 ) -> None:
     poses = streams.poses
-    first = float(min(poses[0, 0], spans[0].pusher[0, 0]))
+    first = float(min(poses[0, 0], spans[0][0][0, 0]))
     with BagWriter(out_bag) as writer:
         writer.write_shape(options.object_id, streams.shape, first)
         writer.write_pusher_shape(first, options.radius)
         for time, *pose in poses.tolist():
             writer.write_pose(options.object_id, time, pose, covariance)
-        for number, span in enumerate(spans, 1):
-            for time, x, y, z in span.pusher.tolist():
+        for number, (run, _) in enumerate(spans, 1):
+            for time, x, y, z in run.tolist():
                 writer.write_pusher(time, (x, y), z=z)
-            start, end = float(span.pusher[0, 0]), float(span.pusher[-1, 0])
+            start, end = float(run[0, 0]), float(run[-1, 0])
             for time, *newtons in force[(force[:, 0] >= start) & (force[:, 0] <= end)].tolist():
                 writer.write_wrench(time, newtons)
             writer.write_push_record(number, options.object_id, start, end)
