@@ -31,7 +31,7 @@ from push_ident.physics.effect_values import effect_values
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, body_of_cells, simulate
 from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherPath
-from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
+from push_ident_sim.engines.bullet.support import cone_friction_correction
 
 HEIGHT = 0.04
 BULLET_SWELLING = 1e-3

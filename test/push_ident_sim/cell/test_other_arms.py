@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from helpers.robots import NAMES, changed, robot_path
-from helpers.sim_objects import CAMERA, block
+from helpers.sim_objects import block
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.motion import plan_push
 from push_ident.pushing.robot.description import read_urdf
 from push_ident.pushing.robot.robot_file import motion_settings, push_settings, read_robot
 from push_ident.pushing.sampling import push_from_goal
-from push_ident_sim.cell.camera import DepthCamera
 from push_ident_sim.cell.robot import cell_robot
 from push_ident_sim.cell.world import CellWorld
 from push_ident_sim.recordings.truth import true_model
@@ -48,19 +47,6 @@ def test_arm_of_a_robot_file_pushes_as_planned(name: str) -> None:
         assert world.object_pose() == pytest.approx([distance, 0.0, 0.0], abs=2e-3)
     finally:
         world.close()
-
-
-def test_camera_sees_the_links_of_the_arm_of_the_file() -> None:
-    robot = cell_robot(str(robot_path("ur5e")))
-    sim_object = block(2, 2)
-    camera = DepthCamera(sim_object, CAMERA, description=robot.description)
-    world = CellWorld(sim_object, robot=replace(robot, start=robot.neutral))
-    try:
-        empty, seen = (camera.render((5.0, 5.0, 0.0), poses) for poses in ({}, world.robot_link_poses()))
-    finally:
-        world.close()
-    nearer = np.isfinite(seen) & ~(empty <= seen + 0.05)
-    assert 0.02 < np.mean(nearer) < 0.6
 
 
 def test_arm_whose_meshes_are_not_there_is_refused(tmp_path: Path) -> None:

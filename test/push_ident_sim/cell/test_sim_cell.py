@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.robots import robot_path
 from helpers.sim_objects import CAMERA, block, points_in_table
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.nodes.base.network import own_domain
-from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import simulate
-from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath
 from push_ident_sim.cell.camera import DepthCamera, DepthNoise
-from push_ident_sim.cell.robot import HOME, JOINT_NAMES, PUSHER_RADIUS, robot_description
+from push_ident_sim.cell.robot import HOME, JOINT_NAMES, PUSHER_RADIUS, cell_robot, robot_description
 from push_ident_sim.cell.trajectory import JointTrajectory
 from push_ident_sim.cell.world import CellWorld, WorldConfig
 from push_ident_sim.injected import InjectedEffects
@@ -172,23 +171,6 @@ def test_slow_central_push_needs_the_sliding_friction_force() -> None:
     assert touched == pytest.approx(-0.06 - PUSHER_RADIUS, abs=4e-4)
 
 
-def test_push_ends_where_the_planar_model_predicts() -> None:
-    toolbox = make_object("toolbox", 0)
-    with cell(toolbox) as world:
-        rows = push(world, (0.11, 0.03), (-1.0, 0.0), speed=0.1, distance=0.12)
-    model = ObjectModel(
-        ObjectShape(CellGrid(toolbox.cells, toolbox.cell_size), toolbox.outline),
-        toolbox.mass,
-        toolbox.friction,
-        toolbox.pusher_friction,
-    )
-    predicted = simulate(model, PushScenario(PusherPath(rows[:, 0], rows[:, 3:5], PUSHER_RADIUS), np.zeros(3), rows[-1:, 0])).pose[0]
-    assert np.linalg.norm(rows[-1, 5:7]) > 0.04 and abs(rows[-1, 7]) > 0.1
-    assert np.linalg.norm(rows[:, 1:3] - rows[:, 3:5], axis=1).max() < 1e-3, "the arm tracks its path"
-    np.testing.assert_allclose(rows[-1, 5:7], predicted[:2], atol=1e-3)
-    assert rows[-1, 7] == pytest.approx(predicted[2], abs=0.01)
-
-
 def test_object_is_put_back_or_replaced_unless_the_pusher_is_there() -> None:
     first, second = block(friction=0.35), make_object("book", 3)
     with cell(first) as world:
@@ -278,19 +260,16 @@ def test_perfect_camera_sees_a_flat_table_and_cells_of_their_height() -> None:
         np.testing.assert_allclose(points[on_top][:, 2], height, atol=1e-4)
 
 
-def test_camera_sees_the_pusher_where_the_arm_has_it() -> None:
-    sim_object = block(friction=0.35)
-    with cell(sim_object) as world:
-        points = points_in_table(DepthCamera(sim_object, CAMERA).render((5.0, 5.0, 0.0), world.robot_link_poses()))
-        tip = world.tool_tip()
-    near = (
-        (points[..., 2] > tip[2] + 0.002)
-        & (points[..., 2] < tip[2] + 0.03)
-        & (np.hypot(*np.moveaxis(points[..., :2] - tip[:2], 2, 0)) < 0.03)
-    )
-    assert near.sum() > 100
-    distance = np.hypot(*(points[near][:, :2] - tip[:2]).T)
-    assert distance.max() < PUSHER_RADIUS + 1e-4 and distance.min() > PUSHER_RADIUS - 3e-4
+@pytest.mark.parametrize("name", ["", "ur5e"])
+def test_camera_sees_the_pusher_where_the_arm_has_it(name: str) -> None:
+    robot, sim_object = cell_robot(str(robot_path(name)) if name else ""), block(friction=0.35)
+    world = CellWorld(sim_object, robot=replace(robot, start=robot.neutral))
+    camera = DepthCamera(sim_object, CAMERA, description=robot.description)
+    points, tip = points_in_table(camera.render((5.0, 5.0, 0.0), world.robot_link_poses())), world.tool_tip()
+    world.close()
+    beside = np.hypot(*np.moveaxis(points[..., :2] - tip[:2], 2, 0))
+    distance = beside[(points[..., 2] > tip[2] + 0.002) & (points[..., 2] < tip[2] + 0.03) & (beside < 0.03)]
+    assert len(distance) > 100 and robot.pusher_radius - 3e-4 < distance.min() <= distance.max() < robot.pusher_radius + 1e-4
 
 
 def test_depth_noise_has_the_published_spread_whole_millimetres_and_a_seed() -> None:

@@ -43,8 +43,5 @@ def test_object_stands_over_the_end_of_its_table_or_falls_out_of_view() -> None:
         np.testing.assert_array_equal(seen[np.isfinite(empty)], empty[np.isfinite(empty)], "nothing is left on the table")
     finally:
         world.close()
-
-
-def test_effects_are_refused_for_an_object_that_may_fall() -> None:
     with pytest.raises(InputError, match="table_tilt"):
         WorldConfig(table=BOUNDS, effects=InjectedEffects.of({"table_tilt": [0.01, 0.0]}))

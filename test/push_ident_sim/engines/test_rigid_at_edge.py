@@ -70,7 +70,7 @@ def test_pushes_at_the_edge_are_predicted_as_well_as_pushes_on_the_table(world: 
             errors[where].append(error(with_edge[-1], end))
             if where == "edge":
                 errors["edge ignored"].append(error(without[-1], end))
-    mean = {where: np.mean(found, axis=0) for where, found in errors.items()}
+    mean = {where: np.mean(each, axis=0) for where, each in errors.items()}
     assert np.all(mean["edge"] < 1.3 * mean["table"] + [5e-4, 5e-3])
     assert np.all(mean["edge ignored"] > [1.1, 1.6] * mean["edge"])
 

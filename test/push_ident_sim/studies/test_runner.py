@@ -17,7 +17,7 @@ from helpers.paths import ROOT
 from push_ident.cli.main import app
 from push_ident.errors import InputError
 from push_ident_sim.studies.common import runner
-from push_ident_sim.studies.common.pages import write_benchmarks, write_experiments
+from push_ident_sim.studies.common.pages import write_experiments
 from push_ident_sim.studies.common.runner import RunOptions
 from push_ident_sim.studies.common.study import Settings
 from push_ident_sim.studies.registry import BENCHMARKS, EXPERIMENTS
@@ -105,18 +105,12 @@ def test_published_page_is_made_from_its_file_and_its_seeds_are_those_of_the_mak
         (["experiment", "maps", "--variants", "x"], "four"),
         (["experiment", "goals", "--objects", "hammer"], "uneven"),
         (["bench", "alchemy"], "engine"),
+        (["experiment", "report", "--results", "nowhere"], "--json"),
     ],
 )
 def test_unknown_name_is_refused_with_those_that_there_are(arguments: list[str], known: str) -> None:
     with pytest.raises(InputError, match=known):
         command(*arguments)
-
-
-def test_page_without_results_names_the_command_that_makes_them(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--json"):
-        write_experiments(EXPERIMENTS.values(), tmp_path, "command")
-    with pytest.raises(InputError, match="push-ident bench"):
-        write_benchmarks(BENCHMARKS.values(), tmp_path / "benchmarks.md")
 
 
 # --- benchmarks

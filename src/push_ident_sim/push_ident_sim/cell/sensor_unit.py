@@ -35,14 +35,10 @@ class Sensor:
     """
 
     def __init__(self, model: str | SensorModel = PLAIN, seed: int = 0, noise_scale: float = 1.0) -> None:
-        """A model, or its name in `SENSOR_NAMES`.
+        """A model, or its name in `SENSOR_NAMES`. Raises InputError where no sensor has that name.
 
-        Args:
-            seed: Of the errors that stand still: another seed is another unit.
-            noise_scale: Of the axial noise; with 0 the plain sensor has neither holes at edges nor steps of disparity.
-
-        Raises:
-            InputError: No sensor has that name.
+        `seed`: of the errors that stand still, another seed is another unit; `noise_scale`: of the axial noise, with 0 the plain sensor has
+        neither holes at edges nor steps of disparity.
         """
         if isinstance(model, str):
             check_name(model)
@@ -74,9 +70,7 @@ class Sensor:
     def table_as_seen(self, camera_in_table: Float64Array, reported: Float64Array) -> Float64Array:
         """The true table frame in that of perception (x, y, yaw), shape (3,): the error of the extrinsics that is left.
 
-        Args:
-            camera_in_table: pose of the camera as perception has it, after it found the plane of the table, shape (4, 4).
-            reported: the pose that this unit publishes, shape (4, 4).
+        `camera_in_table`: as perception has it, after it found the plane of the table; `reported`: as this unit publishes it; both (4, 4).
         """
         if not self._model:
             return np.zeros(3)
@@ -86,13 +80,10 @@ class Sensor:
     def camera(
         self, sim_object: SimObject, reported: Float64Array, intrinsics: CameraIntrinsics | None = None, description: str | None = None
     ) -> DepthCamera:
-        """Camera with the true lens and the true pose of this unit.
+        """Camera with the true lens and the true pose of this unit, before `sim_object`.
 
-        Args:
-            sim_object: What lies before it.
-            reported: Its pose in `table` as it is published, shape (4, 4).
-            intrinsics: True ones but for the distortion; None: the published ones.
-            description: URDF of the arm before it; None: the iiwa.
+        `reported`: its pose in `table` as it is published, shape (4, 4); `intrinsics`: true ones but for the distortion, None: the
+        published ones; `description`: URDF of the arm before it, None: the iiwa.
         """
         pinhole = intrinsics or self.intrinsics
         if not self._model:

@@ -29,8 +29,7 @@ from push_ident_sim.engines.bullet.bullet_object import (
 )
 from push_ident_sim.engines.bullet.rigid_object import RigidObject
 from push_ident_sim.injected import InjectedEffects
-from push_ident_sim.injected.actuation import ToolErrors
-from push_ident_sim.injected.shared import bearing_torque, restitution
+from push_ident_sim.injected.shared import ToolErrors, bearing_torque, restitution
 from push_ident_sim.objects import SimObject
 
 

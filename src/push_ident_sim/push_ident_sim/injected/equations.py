@@ -61,16 +61,7 @@ def pusher_friction(effects: InjectedEffects, coefficient: float) -> float:
 
 
 def driven_position(effects: InjectedEffects, time_step: float, reported: Float64Array) -> Float64Array:
-    """Where the tool is at the end of a path.
-
-    Args:
-        effects: of the world.
-        time_step: between two places [s].
-        reported: places (x, y) in `table` since the motion began [m], shape (n, 2).
-
-    Returns:
-        The last place (x, y) [m], shape (2,).
-    """
+    """Where the tool is at the end of a path (x, y) [m], shape (2,), that the arm `reported` [m], shape (n, 2), every `time_step` [s]."""
     path = np.zeros((len(reported), 3), dtype=np.complex128)
     path[:, :2] = reported
     for effect, values in _injected(effects, OnPusherPath):

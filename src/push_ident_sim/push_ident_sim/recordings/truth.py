@@ -109,15 +109,8 @@ def make_pushes(
 ) -> list[TrueMotion]:
     """Random pushes as in the paper: any pose on the table, contact uniform over the outline, direction in a cone about its normal.
 
-    Args:
-        thing: what is pushed; it is placed anew for each push.
-        seed: integers >= 0; push number i depends only on them and on i.
-        settings: of the pushes.
-        in_a_row: the object is placed once, at (0, 0, 0), and each push starts where the last one ended.
-        engine: that pushes `thing`, with the effects of the settings; Bullet by default.
-
-    Returns:
-        `settings.n_train + settings.n_test` motions.
+    Gives `settings.n_train + settings.n_test` motions. Push number i depends only on the integers >= 0 of `seed` and on i. With `in_a_row`
+    the object is placed once, at (0, 0, 0), and each push starts where the last one ended. `engine`: Bullet by default.
     """
     settings = settings or TruthSettings()
     if engine is not None:
@@ -220,14 +213,9 @@ def _read_motions(path: Path) -> list[TrueMotion]:
 def load_truth(
     folder: Path, name: str, seed: int, settings: TruthSettings | None = None, noise: CameraNoise | None = None
 ) -> tuple[list[PushRecord], list[PushRecord], SimObject]:
-    """Training pushes, test pushes and the truth of `make_object(name, seed)`; they are simulated first where the folder has none.
+    """Training pushes, test pushes and the truth of `make_object(name, seed)`; they are simulated first where `folder` has none.
 
-    Args:
-        folder: of the files.
-        name: one of `OBJECT_NAMES`.
-        seed: of the object, its pushes and their noise.
-        settings: of the pushes.
-        noise: of their observation.
+    `seed`: of the object, its pushes and their noise; `noise`: of their observation.
     """
     settings, noise = settings or TruthSettings(), noise or CameraNoise()
     sim_object = make_object(name, seed)
@@ -244,14 +232,8 @@ def load_truth(
 def observe_motion(
     motion: TrueMotion, radius: float, noise: CameraNoise, rng: np.random.Generator, effects: InjectedEffects | None = None
 ) -> tuple[PoseTrack, PusherPath, WrenchTrack | None]:
-    """The sensors' record of a motion; before and after it everything is at rest.
-
-    Args:
-        motion: the true motion.
-        radius: of the pusher [m].
-        noise: of camera and force sensor.
-        rng: of the noise.
-        effects: of the world; those on poses and camera act here.
+    """The sensors' record of a true motion; before and after it everything is at rest. `radius` of the pusher [m]; effects on poses and
+    camera act here.
     """
     effects = effects or InjectedEffects()
     # A generator of its own, so that lost frames do not change the noise.

@@ -58,12 +58,9 @@ def _random_start(outline: Float64Array, rng: np.random.Generator) -> Float64Arr
 def _overhang(pushed: PushedObject, start: Float64Array) -> Json:
     """Push an object from a start to a pre-grasp pose at the edge.
 
-    Where it is not known well enough, it is pushed at random once more, as long as it is on the table and such pushes are left.
-
-    Returns:
-        How it ended (`end`: the status of planning, the code of the refusal, FELL, or MISSED where the object was said to be there and was
-        not), `pushes` and their `time_s`, the processor time of the first plan (`first_plan_s`), the true distance from the pre-grasp
-        pose (`error_m`), and the least true distance of the centre of mass from the border of its support (`margin_m`).
+    Where it is not known well enough, it is pushed at random once more, as long as it is on the table and such pushes are left. `end`: the
+    status of planning, the code of the refusal, FELL, or MISSED where the object was said to be there and was not. `error_m`: the true
+    distance from the pre-grasp pose; `margin_m`: the least true distance of the centre of mass from the border of its support.
     """
     pushed.pose = start
     outcome: Json = {"end": "", "pushes": 0, "time_s": 0.0, "first_plan_s": None, "error_m": None, "margin_m": None}

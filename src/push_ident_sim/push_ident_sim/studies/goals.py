@@ -43,9 +43,8 @@ def _run(case: Case, settings: CaseSettings) -> Json:
 def _reach(pushed: PushedObject, pose: Float64Array) -> Json:
     """Push an object to a goal, shape (3,), to one tolerance after the other.
 
-    Returns:
-        By level whether the object was said to be there and was (`reached`), and the `pushes` and their time [s] until then, from the
-        start; of each push the expected probability that it ends at the goal, and whether it did (`chances`); whether the object `fell`.
+    By level whether the object was said to be there and was (`reached`), and the `pushes` and their time [s] until then; of each push the
+    expected probability that it ends at the goal, and whether it did (`chances`).
     """
     outcome: Json = {"reached": {}, "pushes": {}, "time_s": {}, "chances": [], "fell": False}
     pushes, time = 0, 0.0

@@ -81,17 +81,9 @@ def find_sets(folder: Path) -> dict[str, RecordedSet]:
 
 
 def draw_pushes(recorded: RecordedSet, n: int, rng: np.random.Generator, *, ends_only: bool = False, with_forces: bool = True) -> Drawn:
-    """Random pushes of a set.
+    """`n` random pushes of a set, or all where it has fewer, with the poses at rest alone, or without forces, where that is requested.
 
-    Args:
-        recorded: the set.
-        n: how many; all where it has fewer.
-        rng: draws them.
-        ends_only: whether only the poses at rest before and after a push are kept.
-        with_forces: whether measured forces are kept.
-
-    Raises:
-        PushIdentError: the set cannot be read.
+    Raises PushIdentError where the set cannot be read.
     """
     is_one_file = len(recorded.paths) == 1
     paths = recorded.paths if is_one_file else _some(recorded.paths, n, rng)

@@ -45,16 +45,8 @@ _PATIENCE: Final = 60
 class FilmedObject:
     """An object pushed by a rod and observed only by a depth camera.
 
-    Args:
-        sim_object: the object.
-        seed: of its places and of the noise of the camera.
-        sensor: model of the camera, at a pose that suits it; perception gets the pose and the intrinsics that the unit publishes.
-        unit: seed of the calibration errors of the camera.
-        rest: frames before and after each push.
-
-    Raises:
-        InputError: no sensor has that name.
-        PerceptionError: the object was not found.
+    The camera has the pose that suits its `sensor`; perception gets the pose and the intrinsics that the unit publishes. `unit`: seed of
+    the calibration errors; `rest`: frames before and after each push. Raises PerceptionError where the object was not found.
     """
 
     shape: ObjectShape

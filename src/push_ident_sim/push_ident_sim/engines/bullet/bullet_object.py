@@ -18,8 +18,7 @@ from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-unt
 
 from push_ident.errors import InputError
 from push_ident.types import Float64Array
-from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
-from push_ident_sim.engines.bullet.support import SupportEffects
+from push_ident_sim.engines.bullet.support import SupportEffects, cone_friction_correction
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.shared import friction_of_pusher, outline_growth, restitution
 from push_ident_sim.objects import SimObject, outline_rectangles

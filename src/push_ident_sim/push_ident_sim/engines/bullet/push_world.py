@@ -14,8 +14,7 @@ from push_ident_sim.engines.bullet.bullet_object import OUTLINE_GROUP, PUSHER_GR
 from push_ident_sim.engines.bullet.rigid_object import RigidObject
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.injected import InjectedEffects
-from push_ident_sim.injected.actuation import ToolErrors
-from push_ident_sim.injected.shared import bearing_torque, restitution
+from push_ident_sim.injected.shared import ToolErrors, bearing_torque, restitution
 from push_ident_sim.objects import SimObject
 
 _FAR_AWAY = np.array([10.0, 10.0])
@@ -35,15 +34,10 @@ class PushWorld:
         pusher_height: float | None = None,
         rigid: bool = False,
     ) -> None:
-        """An object on the table.
+        """`pusher_radius` [m] > 0, `time_step` [s]; effects on poses and camera do not act here.
 
-        Args:
-            sim_object: the object.
-            pusher_radius: [m], > 0.
-            time_step: [s].
-            effects: that act; those on poses and camera do not act here.
-            pusher_height: of the contact above the table [m]; half the height of the object by default.
-            rigid: one body that may tilt and fall, without effects, instead of cells that each rest on their own weight.
+        `pusher_height`: of the contact above the table [m], half the height of the object by default; `rigid`: one body that may tilt and
+        fall, without effects, instead of cells that each rest on their own weight.
         """
         effects = effects or InjectedEffects()
         self.pusher_radius = pusher_radius
@@ -145,13 +139,9 @@ class PushWorld:
     def begin(
         self, pose_object_in_table: ArrayLike, tool: Float64Array, *, velocity: ArrayLike = (0.0, 0.0, 0.0), pushes_done: int = 0
     ) -> None:
-        """Place the object and the pusher, for a push that `advance` makes step by step.
+        """Place the object and the pusher, for a push that `advance` makes step by step; arguments as in `push`.
 
-        Args:
-            pose_object_in_table: as in `push`.
-            tool: axis of the pusher as its arm reports it [m], shape (2,).
-            velocity: as in `push`.
-            pushes_done: as in `push`.
+        `tool`: axis of the pusher as its arm reports it [m], shape (2,).
         """
         start = self._begin(tool)
         # Bullet keeps a contact of the push before where both bodies were put elsewhere, as long as they parted along its normal: it then

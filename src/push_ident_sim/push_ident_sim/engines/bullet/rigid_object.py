@@ -13,7 +13,7 @@ from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-unt
 
 from push_ident.types import Float64Array
 from push_ident_sim.engines.bullet.bullet_object import CELL_GROUP, OUTLINE_GROUP, PUSHER_GROUP, TABLE_GROUP, BulletBody, outline_shape
-from push_ident_sim.engines.bullet.cone_friction import cone_friction_correction
+from push_ident_sim.engines.bullet.support import cone_friction_correction
 from push_ident_sim.objects import SimObject
 
 

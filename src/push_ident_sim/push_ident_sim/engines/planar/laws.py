@@ -142,17 +142,9 @@ def laws_of(
 ) -> Laws:
     """The laws of one push.
 
-    Args:
-        effects: of the world; those on the tool's path and on what is reported act elsewhere.
-        outside: sizes of effects of `OUTSIDE`.
-        sim_object: what is pushed.
-        pusher_radius: [m].
-        gravity: [m/s^2].
-        pushes_done: before this one.
-        first_centre: the centre of mass where the object was put down first [m].
-
-    Raises:
-        InputError: an effect that is not known, or out of its range.
+    `pusher_radius` [m], `gravity` [m/s^2]; `pushes_done` before this one; `first_centre`: the centre of mass where the object was put down
+    first [m]. Effects on the tool's path and on what is reported act elsewhere. Raises InputError for an effect of `outside` that is not
+    known, or out of its range.
     """
     _check_outside(outside)
     tilt = np.sin(effects["table_tilt"])

@@ -14,8 +14,8 @@ from push_ident_sim.engines.planar.integrator import Body, Clock, Path, State, S
 from push_ident_sim.engines.planar.laws import Laws, laws_of
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.injected import InjectedEffects
-from push_ident_sim.injected.actuation import ToolErrors
 from push_ident_sim.injected.equations import TableEquations
+from push_ident_sim.injected.shared import ToolErrors
 from push_ident_sim.objects import SimObject
 
 
@@ -62,15 +62,7 @@ class PlanarWorld:
         rest_speed: float = 1e-4,
         longest_rest: float = 1.0,
     ) -> TrueMotion:
-        """Place the object and move the pusher along `path`, then wait until the object rests.
-
-        Args:
-            pose_object_in_table: first pose (x, y, yaw), shape (3,), clear of the first position of the pusher.
-            path: of the pusher, as its arm reports it; its clock starts at the first sample. After the last sample the pusher is at rest.
-            velocity: first velocity of the object's frame (vx, vy, yaw rate) [m/s, m/s, rad/s], shape (3,).
-            pushes_done: number of earlier pushes; some effects grow with it.
-            rest_speed: the object rests when it is slower than this [m/s] and turns at less than ten times it [rad/s].
-            longest_rest: wait no longer than this after the path [s].
+        """Place the object and move the pusher along `path`, then wait until the object rests; as `PushWorld.push`.
 
         Raises:
             InputError: a pose or velocity that is not three finite numbers.

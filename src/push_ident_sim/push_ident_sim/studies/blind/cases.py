@@ -156,15 +156,8 @@ def _drawn(effect: InjectedEffect, size: float, sim_object: SimObject, rng: np.r
 def make_records(truth: Truth, object_name: str, model: int, n_pushes: int, noise: CameraNoise) -> list[PushRecord]:
     """The observed pushes of a case; the first ones do not depend on their number.
 
-    Args:
-        truth: what is in it.
-        object_name: what is pushed.
-        model: seed of the object, of the pushes and of all noise.
-        n_pushes: how many.
-        noise: of poses and forces; a rendered camera has its own.
-
-    Raises:
-        PushIdentError: the object tips over, or was not perceived.
+    `model`: seed of the object, of the pushes and of all noise. A rendered camera has its own noise in place of `noise`. Raises
+    PushIdentError where the object tips over, or was not perceived.
     """
     if truth.scenario.engine == "camera":
         return _filmed(truth, object_name, model, n_pushes)
@@ -179,14 +172,9 @@ def make_records(truth: Truth, object_name: str, model: int, n_pushes: int, nois
 def make_requested_record(
     truth: Truth, object_name: str, model: int, requested: PlannedPush, number: int, noise: CameraNoise
 ) -> PushRecord | None:
-    """A push that a diagnosis requests, of an object that is placed where the diagnosis plans it; other arguments as in `make_records`.
+    """A push that a diagnosis requests after `number` others, of an object that is placed where the diagnosis plans it.
 
-    Args:
-        requested: the push.
-        number: of pushes before it.
-
-    Returns:
-        None through a rendered camera, where the object lies where it came to rest.
+    None through a rendered camera, where the object lies where it came to rest. Other arguments as in `make_records`.
     """
     if truth.scenario.engine == "camera" or requested.plan is None:
         return None

@@ -39,10 +39,7 @@ def twins_of(name: str) -> tuple[str, ...]:
 def true_values(effects: InjectedEffects, name: str, put_down: Float64Array) -> Float64Array:
     """An injected effect with all its parameters, shape (n_parameters,).
 
-    Args:
-        effects: that were injected.
-        name: of one of them.
-        put_down: the centre of mass where the object was put down first [m], shape (2,); the anchor of a tether that states none.
+    A tether that states no anchor has it at `put_down`, the centre of mass where the object was put down first [m], shape (2,).
     """
     given = effects[name]
     if len(given) < len(EFFECTS[name].parameters):
@@ -61,14 +58,8 @@ def score_case(
 ) -> Json:
     """Diagnose the pushes of a case and compare the result with the truth.
 
-    Args:
-        records: the pushes.
-        truth: of the case.
-        sim_object: what was pushed.
-        settings: of the diagnosis.
-        make_push: makes a push that the diagnosis requests; without it, confusion sets stay as they are.
-        make_plain: makes the same pushes with the same noise without any effect; without it, the visibility of effects outside the
-            catalogue is not computed.
+    `make_push` makes a push that the diagnosis requests; without it, confusion sets stay as they are. `make_plain` makes the same pushes
+    with the same noise without any effect; without it, the visibility of effects outside the catalogue is not computed.
     """
     start = time.process_time()
     diagnosis = diagnose(records, settings)
@@ -166,13 +157,9 @@ def _detectability(information: EffectInformation | None, wanted: Mapping[str, F
 
 
 def _visibility(base: Fit, plain: Sequence[PushRecord]) -> float:
-    """Noncentrality of the change of the poses by all effects, beside everything that the base model fits.
+    """Noncentrality of the change of the poses by all effects, from the same pushes without them, beside all that the base model fits.
 
     With the whitened derivative J of the fit and the precision P of its prior, d' (I - J (J'J + P)^-1 J') d of the whitened difference d.
-
-    Args:
-        base: fit to the pushes.
-        plain: the same pushes without effects, by their order.
     """
     problem = base.problem
     linear = problem.linearise(base.x)

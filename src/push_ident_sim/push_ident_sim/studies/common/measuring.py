@@ -110,16 +110,10 @@ Result = TypeVar("Result")
 
 
 def interleaved(calls: Mapping[Name, Callable[[], Result]], rounds: int) -> tuple[dict[Name, dict[str, Any]], dict[Name, Result]]:
-    """Time calls in turn, so that a slow period of the machine affects all of them.
+    """Time calls in turn, so that a slow period of the machine affects all of them: `statistics` of each [s], and what it gave.
 
-    The clock is the processor time of this process, on which other processes weigh less than on the wall clock.
-
-    Args:
-        calls: each is run once before the clock starts.
-        rounds: how often each has its turn.
-
-    Returns:
-        `statistics` of each call [s], and what it gave.
+    Each is run once before the clock starts, then has `rounds` turns. The clock is the processor time of this process, on which other
+    processes weigh less than on the wall clock.
     """
     results = {name: call() for name, call in calls.items()}
     seconds: dict[Name, list[float]] = {name: [] for name in calls}

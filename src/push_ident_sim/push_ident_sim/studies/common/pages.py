@@ -47,20 +47,10 @@ processor seconds, medians with their quartiles, unless the wall clock is named.
 
 
 def write_experiments(experiments: Iterable[Experiment], folder: Path, command: str) -> list[Path]:
-    """Write the page of each experiment (Markdown), its figures, and the list of all results from the JSON files in a folder.
+    """Write the page of each experiment that has a file, its figures, and the list of all results; what was written.
 
-    A file may hold a `remark`, a sentence for its reader.
-
-    Args:
-        experiments: in their order; those without a file are left out.
-        folder: such as `docs/results`, for the files `docs/results/NAME.json`.
-        command: that makes the pages, for their reader.
-
-    Returns:
-        What was written.
-
-    Raises:
-        InputError: no file is there, or one cannot be read.
+    `folder`, such as `docs/results`, has the files `NAME.json`, which may hold a `remark`, a sentence for its reader; `command` makes the
+    pages, for their reader. Raises InputError where no file is there, or one cannot be read.
     """
     runs = _runs(experiments, folder, f"push-ident experiment NAME --json {folder}/NAME.json")
     written: list[Path] = []

@@ -36,12 +36,8 @@ REST: Final = 0.4
 class PushedObject:
     """An object in Bullet, observed by a camera, and what is known of it.
 
-    Args:
-        sim_object: the true one.
-        kind: one of `KINDS`.
-        rng: of exploring pushes and of noise.
-        rigid: one body that may tilt and fall, instead of cells that each rest on their own weight.
-        pushes: limits of the pushes; by default those of the paper's experiments.
+    `kind`: one of `KINDS`; `rng`: of exploring pushes and of noise; `rigid`: one body that may tilt and fall, instead of cells that each
+    rest on their own weight; `pushes`: limits, by default those of the paper's experiments.
     """
 
     def __init__(

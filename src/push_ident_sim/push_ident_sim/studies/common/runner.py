@@ -141,11 +141,8 @@ def _no_result(experiment: Experiment, options: RunOptions, outcomes: Sequence[J
 def run_benchmark(benchmark: Benchmark, settings: Settings, on_progress: Progress | None = None) -> Json:
     """Measure every piece of a benchmark in a fresh process.
 
-    Returns:
-        What the run was (`benchmark, seed, quick, date, machine`), and the benchmark's `summary`.
-
-    Raises:
-        PushIdentError: a piece could not be measured.
+    Gives what the run was (`benchmark, seed, quick, date, machine`) and the benchmark's `summary`. Raises PushIdentError where a piece
+    could not be measured.
     """
     report = on_progress or (lambda what, done, total: None)
     machine, pieces = describe_machine(1), benchmark.pieces(settings)
