@@ -26,12 +26,8 @@ from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec, nuisance_effects
 from push_ident.types import PushRecord
 
-__all__ = ["Earlier", "identify"]
-
 _SCALARS: Final = "scalars"
 """Name of the start of the fit of equal cells, after those of the solver."""
-_WARM_STEPS: Final = 4
-"""Of the fit of equal cells after one push more: nothing depends on it then but what equal cells are compared by."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +79,8 @@ def identify(
     # candidate fits them to the end where that decides something.
     problem = FitProblem(records, scalars, noise=options.noise, settings=options.numerics)
     warm = next((start.x for start in earlier.warm_starts if start.name == _SCALARS), np.empty(0))
-    start, steps = problem.continued(np.zeros(problem.size), warm), _WARM_STEPS if len(warm) else options.max_iterations
-    scalar = Fit(problem, *minimise_roughly(problem, start, steps))
+    steps = 4 if len(warm) else options.max_iterations  # after one push more, only the evidence of equal cells depends on it
+    scalar = Fit(problem, *minimise_roughly(problem, problem.continued(np.zeros(problem.size), warm), steps))
     past = earlier.past if solver.capabilities.takes_past else None
     fit = solver.fit(FitTask(records, unknowns, options, meter, scalar, earlier.warm_starts, past, earlier.known))
     explanation = explain(fit.posterior, records, settings=options.numerics)

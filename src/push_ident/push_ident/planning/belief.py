@@ -20,8 +20,6 @@ from push_ident.physics.simulation import SimulationSettings, body_of_cells
 from push_ident.physics.tape import N_BODY_PARAMETERS
 from push_ident.types import Float64Array, ObjectModel, ObjectShape
 
-__all__ = ["Belief"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:

@@ -25,8 +25,6 @@ from push_ident.pushing.push import PushSettings
 from push_ident.pushing.tool_path import Corridor
 from push_ident.types import Float64Array
 
-__all__ = ["N_LIMITS", "N_SEGMENTS", "CurvedPushes", "Face", "Horizon", "PushStart", "RolledPushes", "face_of", "never_late"]
-
 _BREAKS: Final = np.array([0.0, 0.15, 0.45, 1.0])
 """Ends of the segments as shares of the horizon [1]: the first is the one that will be made before the next plan."""
 N_SEGMENTS: Final = len(_BREAKS) - 1

@@ -28,8 +28,6 @@ from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.tool_path import Corridor
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["CurvedPathPlanner", "CurvedPush"]
-
 
 @dataclass(frozen=True, slots=True)
 class CurvedPlannerOptions:

@@ -18,8 +18,6 @@ from push_ident.planning.hold import RISK, EdgeHold
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
 
-__all__ = ["EdgeGoal", "edge_target", "edges_of", "held_target", "pregrasp"]
-
 
 @dataclass(frozen=True, slots=True)
 class PregraspOptions:

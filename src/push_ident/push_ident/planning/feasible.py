@@ -15,8 +15,6 @@ from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["Surroundings", "is_possible"]
-
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:

@@ -13,8 +13,6 @@ from push_ident.geometry.se2 import wrap_angle
 from push_ident.planning.hold import EdgeHold
 from push_ident.types import Float64Array
 
-__all__ = ["CERTAIN", "Goal", "Target", "GoalCode", "GoalRefusedError"]
-
 
 class GoalCode(IntEnum):
     """How pushing to a goal ended; the numbers are those of the result of action/PushToGoal, which calls success NONE: no error."""

@@ -16,8 +16,6 @@ from push_ident.pages.outline_chart import Placed, outline_panel
 from push_ident.pages.page import FigureSection, write_page
 from push_ident.types import Float64Array
 
-__all__ = ["write_goal_page"]
-
 _ENDED = {
     "SUCCESS": "at the goal",
     "CANCELED": "canceled",

@@ -21,22 +21,6 @@ from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import Float64Array
 
-__all__ = [
-    "GoalOutcome",
-    "GoalPorts",
-    "GoalProgress",
-    "GoalRequest",
-    "GoalState",
-    "KnownModel",
-    "PathPorts",
-    "PushReport",
-    "PushUnderWay",
-    "SessionLimits",
-    "SteeredUnderWay",
-    "UnderWay",
-    "Wish",
-]
-
 T_co = TypeVar("T_co", covariant=True)
 
 

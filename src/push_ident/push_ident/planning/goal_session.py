@@ -33,9 +33,6 @@ from push_ident.planning.target_choice import TargetChoice
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 
-__all__ = ["Ended", "GoalSession"]
-
-
 T = TypeVar("T")
 
 

@@ -19,8 +19,6 @@ from push_ident.geometry.se2 import rotation
 from push_ident.physics.overhang import TableEdge
 from push_ident.types import Float64Array
 
-__all__ = ["RISK", "EdgeHold"]
-
 RISK: Final = 0.01
 """Default of the largest chance that a push brings the centre of mass nearer to the border than the margin [1]: that of a fall is much
 smaller."""

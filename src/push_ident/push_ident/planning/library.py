@@ -27,8 +27,6 @@ from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
 from push_ident.types import CellGrid, Float64Array, ObjectShape, PusherPath
 
-__all__ = ["BATCH_STEP", "DRAW_STEP", "Library", "Strokes", "moved", "path_of", "placed", "simulated", "strokes", "compile_planning"]
-
 
 @dataclass(frozen=True, slots=True)
 class LibraryOptions:

@@ -21,8 +21,6 @@ from push_ident.physics.batch import BatchClock, BatchModel, ModelBatch
 from push_ident.planning.curved import Face
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["ModelWeights", "touching"]
-
 
 @dataclass(frozen=True, slots=True)
 class WeightOptions:

@@ -27,8 +27,6 @@ from push_ident.pushing.push import PushSettings
 from push_ident.pushing.tool_path import Corridor
 from push_ident.types import Float64Array
 
-__all__ = ["Correction", "FollowerOptions", "FollowStatus", "PathFollower", "guesses_around", "ContactTracker"]
-
 _MOTION_STD: Final = np.array([0.1, 2.0])
 """Standard deviation of the predicted motion, as a share of the motion [1], and of its turn by its length [rad/m]."""
 _REST_STD: Final = np.array([1e-4, 1e-4, 2e-3])

@@ -16,8 +16,6 @@ from push_ident.planning.goal import GoalCode, GoalRefusedError
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["PathGoal", "check_path", "read_path"]
-
 _SPACING: Final = 0.004
 """Between the poses that the path is sampled at [m]: that of the lengths of pushes in the library."""
 _LEVER: Final = 0.05

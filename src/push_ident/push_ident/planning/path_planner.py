@@ -28,8 +28,6 @@ from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["PathPlanner", "PathOptions", "PathPush", "PathStatus"]
-
 
 @dataclass(frozen=True, slots=True)
 class PathOptions:

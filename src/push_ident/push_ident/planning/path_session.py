@@ -18,8 +18,6 @@ from push_ident.planning.planner import PlanStatus
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode
 
-__all__ = ["PathSession"]
-
 
 class _Watched:
     """A push under way during which poses are observed."""

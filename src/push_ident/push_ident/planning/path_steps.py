@@ -17,8 +17,6 @@ from push_ident.planning.path_planner import PathOptions, PathPlanner, PathPush,
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["PathStep", "PathSteps", "may_steer_after"]
-
 
 @dataclass(frozen=True, slots=True)
 class PathStep:

@@ -41,8 +41,6 @@ from push_ident.planning.refine import refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["GoalPlanner", "GoalPush", "PlanStatus", "PlannerOptions"]
-
 
 @dataclass(frozen=True, slots=True)
 class PlannerOptions:

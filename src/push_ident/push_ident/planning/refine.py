@@ -21,8 +21,6 @@ from push_ident.planning.library import Strokes, moved, path_of
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["RefinedStroke", "end_by_push", "refine"]
-
 
 @dataclass(frozen=True, slots=True)
 class RefineOptions:

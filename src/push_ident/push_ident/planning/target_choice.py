@@ -18,8 +18,6 @@ from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["TargetChoice", "push_on_table"]
-
 
 def push_on_table(
     shape: ObjectShape,

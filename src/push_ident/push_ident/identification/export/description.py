@@ -24,16 +24,10 @@ from push_ident.physics.effect_values import EffectValues, changed_friction, eff
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, ObjectModel
 
-__all__ = ["CLEARANCE", "DEFAULT_HEIGHT", "ObjectDescription", "add_comment", "describe", "effect_notes", "numbers", "printable"]
-
 CLEARANCE = 1e-3
 """Height of the outline above the table [m]."""
 DEFAULT_HEIGHT = 0.03
 """Default height of an object [m]."""
-_FOOT_RADIUS = 0.125
-"""Radius of the sphere under a cell, in cell edges: small, so that it lies within the outline also under cells at its edge."""
-_FRAME_SHARE = 1e-10
-"""Mass and inertia of a link other than a cell, as a fraction of the object's: most engines require them for a moving link."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +45,7 @@ class ObjectDescription:
     inertia: Float64Array
     """Inertia of each cell about its centre of mass, (I_xx, I_yy, I_zz) [kg m^2], shape (n_cells, 3), as a square plate."""
     frame_mass: float
-    """Mass of each link other than a cell [kg]."""
+    """Mass of each link other than a cell [kg]: most engines require one, and an inertia, for a moving link."""
     frame_inertia: float
     """Inertia of such a link about each axis [kg m^2]."""
     pieces: tuple[Float64Array, ...]
@@ -63,7 +57,7 @@ class ObjectDescription:
     height: float
     """Height of the top of the outline [m]."""
     foot_radius: float
-    """Radius of the sphere under each cell [m]."""
+    """Radius of the sphere under each cell [m]: small, so that it lies within the outline also under cells at its edge."""
     sliding: bool
     """Whether each cell has its own vertical joint."""
     provenance: str
@@ -124,13 +118,13 @@ def describe(
         mass=model.mass,
         friction=model.friction,
         inertia=np.column_stack([across, across, model.mass * size**2 / 6]),
-        frame_mass=_FRAME_SHARE * total,
-        frame_inertia=_FRAME_SHARE * float(model.mass @ (np.sum(arms**2, axis=1) + size**2 / 6)),
+        frame_mass=1e-10 * total,
+        frame_inertia=1e-10 * float(model.mass @ (np.sum(arms**2, axis=1) + size**2 / 6)),
         pieces=tuple(convex_pieces(model.shape.outline)),
         pusher_friction=changed_friction(acting, model.pusher_friction)[0],
         effects={name: tuple(map(float, acting.values[acting.slice_of(name)])) for name in acting.names},
         height=height,
-        foot_radius=_FOOT_RADIUS * size,
+        foot_radius=0.125 * size,
         sliding=sliding,
         provenance=f"Object {object_id} of {source}, exported by push_ident {__version__}.",
     )

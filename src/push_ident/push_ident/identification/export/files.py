@@ -14,8 +14,6 @@ from push_ident.identification.export.mjcf import mjcf
 from push_ident.identification.export.sdf import sdf
 from push_ident.identification.export.urdf import urdf
 
-__all__ = ["SUFFIXES", "write_description"]
-
 SUFFIXES = {"sdf": ".sdf", "urdf": ".urdf", "mjcf": ".xml"}
 """Suffix of the file of each format."""
 

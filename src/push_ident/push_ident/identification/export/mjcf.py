@@ -8,8 +8,6 @@ from push_ident.identification.export.description import ObjectDescription, add_
 from push_ident.physics.effect import ExportAs
 from push_ident.physics.support import GRAVITY
 
-__all__ = ["mjcf"]
-
 _NOTE = (
     "The friction of cells and outline (priority 1) overrides that of the table and the pusher.",
     'A model to which this one is attached needs the option cone="elliptic" as well.',

@@ -9,8 +9,6 @@ from xml.etree.ElementTree import Element, SubElement
 from push_ident.identification.export.description import ObjectDescription, add_comment, effect_notes, numbers
 from push_ident.physics.effect import ExportAs
 
-__all__ = ["sdf"]
-
 _VERSION = "1.9"
 _CARRIED = {
     ExportAs.PUSHER_FRICTION: "the friction of the outline",

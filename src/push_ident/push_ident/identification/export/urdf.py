@@ -10,8 +10,6 @@ from xml.etree.ElementTree import Element, SubElement
 from push_ident.identification.export.description import ObjectDescription, add_comment, effect_notes, numbers
 from push_ident.physics.effect import ExportAs
 
-__all__ = ["urdf"]
-
 _NOTE = (
     "Friction is in `contact`, an extension of Bullet. Bullet multiplies the coefficients of two bodies: set 1 for table and pusher.",
     "In PyBullet: loadURDF(flags=URDF_USE_INERTIA_FROM_FILE), setPhysicsEngineParameter(enableConeFriction=1), and for all links",

@@ -12,8 +12,6 @@ from push_ident.errors import InputError
 from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import Float64Array
 
-__all__ = ["Budget", "Meter", "Progress", "Sample"]
-
 Progress = Callable[["Sample"], None]
 
 

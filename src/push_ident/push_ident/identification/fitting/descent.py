@@ -9,19 +9,15 @@ import numpy as np
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["descend"]
-
-_FIRST_STEP = 0.3
-"""Length of the first step, in prior standard deviations."""
-_SMALLEST_STEP = 1e-6
-"""Length at which the descent has stalled, in prior standard deviations."""
-
 
 def descend(
     problem: FitProblem,
     x0: Float64Array,
     cost: Callable[[Float64Array], float],
     gradient: Callable[[Float64Array, float], Float64Array | None],
+    *,
+    first_step: float = 0.3,
+    least_step: float = 1e-6,
 ) -> tuple[Float64Array, SolveStatus]:
     """Follow the negative gradient with a step that doubles on success and shrinks to a quarter on failure.
 
@@ -30,14 +26,14 @@ def descend(
         x0: start, shape (problem.size,).
         cost: at a point.
         gradient: of the cost at a point, given the cost there; None where the budget ended first.
+        first_step, least_step: lengths, in prior standard deviations; at the least one the descent has stalled.
     """
     x, meter = np.array(x0), problem.meter
     best = cost(x)
     if not np.isfinite(best):
         return x, SolveStatus.SIMULATION_FAILED
     meter.offer(x, best)
-    step = _FIRST_STEP
-    slowest = meter.seconds  # time of an evaluation: none starts that the budget would not let end
+    step, slowest = first_step, meter.seconds  # time of an evaluation: none starts that the budget would not let end
 
     def spent() -> bool:
         return meter.spent or meter.seconds_left < slowest
@@ -57,7 +53,7 @@ def descend(
             if trial_cost < best:
                 break
             step *= 0.25
-            if step < _SMALLEST_STEP:
+            if step < least_step:
                 return x, SolveStatus.STALLED
             if spent():
                 return x, SolveStatus.BUDGET_SPENT

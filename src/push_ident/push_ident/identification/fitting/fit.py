@@ -28,18 +28,8 @@ from push_ident.physics.effect_values import EffectValues
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
-__all__ = ["AMPLITUDES", "Fit", "FitOptions", "fit_amplitudes"]
-
 AMPLITUDES: Final = (1.0, 0.3, 0.1)
 """Prior standard deviation of the log maps, relative to `Prior.mass_map_std` and `Prior.friction_map_std`; the largest first."""
-_HOPELESS: Final = 20.0
-"""Difference of log evidence [nat] by which a fit must be behind another one, with five times what its next step promises, to be given up:
-odds of 5e8 to 1."""
-_QUANTILE: Final = 0.8
-_EXPECTED_QUANTILE: Final = 4.642
-"""Chi squared with 3 degrees of freedom is below it with probability `_QUANTILE`."""
-_LEAST_FREEDOM: Final = 0.25
-"""Share of the residuals that count as degrees of freedom at least, however many unknowns the pushes determine [-]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,15 +123,16 @@ class Fit:
         """Squared residual per degree of freedom, about 1 where the model is right; from a quantile of the frames, so that a few wrong
         poses do not count."""
         n_residuals = self.end.residual.size
-        size2 = float(np.quantile(np.sum(self.end.residual**2, axis=1), _QUANTILE))
-        return size2 / _EXPECTED_QUANTILE * n_residuals / self.degrees_of_freedom
+        size2 = float(np.quantile(np.sum(self.end.residual**2, axis=1), 0.8))
+        # Chi squared with 3 degrees of freedom is below 4.642 with that probability.
+        return size2 / 4.642 * n_residuals / self.degrees_of_freedom
 
     @property
     def degrees_of_freedom(self) -> float:
         """Residuals beyond the unknowns that the pushes determine, at least a quarter of the residuals."""
         n_residuals = self.end.residual.size
         used = self.unknowns.size - float(np.trace(self._inverse_hessian)) + 3 * len(self.problem.records)
-        return max(n_residuals - used, _LEAST_FREEDOM * n_residuals)
+        return max(n_residuals - used, 0.25 * n_residuals)
 
     def minimum_at(self, amplitude: float) -> Float64Array:
         """Minimum of the cost under another amplitude if the motion were linear in the unknowns: a start that saves steps."""
@@ -179,10 +170,11 @@ def fit_amplitudes(
     return fits
 
 
-def _needed_cost(others: Sequence[Fit]) -> float | NeededCost:
+def _needed_cost(others: Sequence[Fit], hopeless: float = 20.0) -> float | NeededCost:
     """Cost above which a fit is hopeless beside others; none where no other one explains the pushes to their noise.
 
     Steps then promise what they bring. Where a strong effect is missing, kinks make a fit gain hundreds of nat that no step promises.
+    `hopeless` is the difference of log evidence [nat] to another fit, with five times what the next step promises: odds of 5e8 to 1.
     """
-    least = max((fit.log_evidence for fit in others if poorness(fit.end) <= 1.0), default=-np.inf) - _HOPELESS
+    least = max((fit.log_evidence for fit in others if poorness(fit.end) <= 1.0), default=-np.inf) - hopeless
     return np.inf if np.isinf(least) else lambda end: -least - end.log_volume

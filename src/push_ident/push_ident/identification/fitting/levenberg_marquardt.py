@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -11,40 +12,37 @@ from scipy.linalg import cho_factor, cho_solve
 from push_ident.identification.fitting.problem import Evaluation, FitProblem
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["FINE", "MAX_ITERATIONS", "NeededCost", "minimise", "minimise_roughly", "poorness"]
-
 MAX_ITERATIONS = 60
 """Default number of evaluations."""
-_FIRST_DAMPING = 1e-3
-"""Of the diagonal of the Hessian, as all dampings here [-]."""
-_DAMPING = (1e-4, 1e8)
-"""Smallest and largest damping. Below the smallest a step is Newton's anyway, and a failed step would have to climb from there."""
-_FAILED_DAMPING = 1e-2
-"""Smallest damping after a failed step: less would hardly shorten the next one."""
-_TOLERANCE = 5e-3
-"""Converged when a full step is expected to lower the cost by less [nat]: far below a unit of log evidence."""
-_ROUGH = 0.1
-"""Tolerance of fits that others start from, or that decide whether a candidate is negligible [nat]."""
-_FRAME_COST = 1.5
-"""Cost of a frame explained to its noise [nat]: half of its three squared residuals."""
 FINE = 0.02
 """Tolerance of fits that are compared by their evidence: a fiftieth of a unit of it [nat]."""
-_CREEP = 10.0
-_CREEP_STEPS = 6
-"""Converged, too, when this many steps together lowered the cost by less than `_CREEP` tolerances. The cost has kinks (stick and slip),
-and a solve could creep along one for long between points that the data cannot distinguish."""
-_REACH = 5.0
-"""A cost is out of reach when it is further away than this many times the expected gain of the next full step."""
-_SMOOTH_STEPS = 20
-"""Evaluations after which a solve expects kinks; few smooth problems need as many."""
-_PIECES = 8
-"""Largest number of earlier points that describe the cost around a kink."""
-_REFINEMENTS = 3
-"""Largest number of times that a solve goes on with shorter time steps."""
-_STEPS_BEFORE_GIVING_UP = 3
-"""Steps before a solve may end because the needed cost is out of reach."""
 
 
+@dataclass(frozen=True, slots=True)
+class DescentOptions:
+    """Numbers of the trust region, and when a solve ends. Dampings are relative to the diagonal of the Hessian [-]."""
+
+    first_damping: float = 1e-3
+    least_damping: float = 1e-4
+    """Below it a step is Newton's anyway, and a failed step would have to climb from there."""
+    failed_damping: float = 1e-2
+    """Least one after a failed step: less would hardly shorten the next one."""
+    largest_damping: float = 1e8
+    creep: float = 10.0
+    creep_steps: int = 6
+    """Converged, too, when this many steps together lowered the cost by less than `creep` tolerances. The cost has kinks (stick and slip),
+    and a solve could creep along one for long between points that the data cannot distinguish."""
+    reach: float = 5.0
+    """A cost is out of reach when it is further away than this many times the expected gain of the next full step."""
+    patience: int = 3
+    """Steps before a solve may end because the needed cost is out of reach."""
+    smooth_steps: int = 20
+    """Evaluations after which a solve expects kinks; few smooth problems need as many."""
+    pieces: int = 8
+    """Largest number of earlier points that describe the cost around a kink."""
+
+
+_OPTIONS: Final = DescentOptions()
 NeededCost = Callable[[Evaluation], float]
 """The cost at or below which a result matters, were it to end near a point."""
 
@@ -54,7 +52,7 @@ def minimise(
     x0: Float64Array,
     max_iterations: int = MAX_ITERATIONS,
     *,
-    tolerance: float = _TOLERANCE,
+    tolerance: float = 5e-3,
     start: Evaluation | None = None,
     needed_cost: float | NeededCost = np.inf,
     refine: bool = True,
@@ -66,9 +64,9 @@ def minimise(
         problem: to solve.
         x0: start.
         max_iterations: largest number of evaluations, beside the first.
-        tolerance: the solve has converged when a full step is expected to lower the cost by less [nat].
+        tolerance: the solve has converged when a full step is expected to lower the cost by less [nat]: far below a unit of log evidence.
         start: evaluation at `x0`, where it is known already.
-        refine: look at the time steps at the end, and go on with shorter ones where the noise demands it.
+        refine: look at the time steps at the end, and go on with shorter ones where the noise demands it, up to three times.
         needed_cost: the result matters only at this cost or below, which may depend on where it is; the solve ends early (`OUT_OF_REACH`)
             when it cannot get there.
         relative: whether a solve that creeps may end earlier where the pushes are explained worse than noise would allow.
@@ -76,9 +74,9 @@ def minimise(
     Returns:
         The best point, its evaluation, and how the solve ended.
     """
-    creep_at = poorness if relative else _as_it_is
+    creep_at = poorness if relative else lambda end: 1.0
     x, end, status = _descend(problem, np.array(x0, dtype=np.float64), max_iterations, tolerance, start, needed_cost, creep_at)
-    for _ in range(_REFINEMENTS if refine else 0):
+    for _ in range(3 if refine else 0):
         if status not in (SolveStatus.CONVERGED, SolveStatus.STALLED, SolveStatus.MAX_ITERATIONS) or not problem.refine_steps(x):
             break
         finer = problem.evaluate(x)
@@ -97,17 +95,14 @@ def minimise_roughly(
     start: Evaluation | None = None,
     needed_cost: float = np.inf,
 ) -> tuple[Float64Array, Evaluation, SolveStatus]:
-    """As `minimise`, only so far that others may start from the result, and with the time steps as they are."""
-    return _descend(problem, np.array(x0, dtype=np.float64), max_iterations, _ROUGH, start, needed_cost, poorness)
-
-
-def _as_it_is(end: Evaluation) -> float:
-    return 1.0
+    """As `minimise`, only so far that others may start from the result, to a tenth of a nat, and with the time steps as they are."""
+    return _descend(problem, np.array(x0, dtype=np.float64), max_iterations, 0.1, start, needed_cost, poorness)
 
 
 def poorness(end: Evaluation) -> float:
     """Cost in units of what noise alone would cost, 1 at least: pushes explained so much worse tell points apart so much less."""
-    return max(1.0, end.cost / (_FRAME_COST * len(end.residual)))
+    # A frame explained to its noise costs half of its three squared residuals.
+    return max(1.0, end.cost / (1.5 * len(end.residual)))
 
 
 def _descend(
@@ -124,7 +119,7 @@ def _descend(
     if not np.isfinite(best.cost):
         return x, best, SolveStatus.SIMULATION_FAILED
     problem.meter.offer(x, best.cost, problem.unknowns)
-    damping = _FIRST_DAMPING
+    options, damping = _OPTIONS, _OPTIONS.first_damping
     costs = [best.cost]
     pieces = _Pieces([], [], [])
     for _ in range(max_iterations):
@@ -132,14 +127,16 @@ def _descend(
         factor = cho_factor(best.hessian + damping * np.diag(scale))
         step = -cho_solve(factor, best.gradient)
         expected = -float(best.gradient @ step + 0.5 * step @ best.hessian @ step)
-        if len(costs) > _SMOOTH_STEPS and pieces.gradients:
+        if len(costs) > options.smooth_steps and pieces.gradients:
             step, expected = pieces.step(best, factor)
-        arrived = expected < tolerance and damping <= _FAILED_DAMPING
-        creeps = len(costs) > _CREEP_STEPS and costs[-_CREEP_STEPS - 1] - best.cost < _CREEP * tolerance * creep_at(best)
+        arrived = expected < tolerance and damping <= options.failed_damping
+        before = costs[-options.creep_steps - 1] if len(costs) > options.creep_steps else np.inf
+        creeps = before - best.cost < options.creep * tolerance * creep_at(best)
         needed = needed_cost(best) if callable(needed_cost) else needed_cost
         if arrived or creeps:
             return x, best, SolveStatus.CONVERGED if best.cost <= needed else SolveStatus.OUT_OF_REACH
-        if len(costs) > _STEPS_BEFORE_GIVING_UP and damping <= _FAILED_DAMPING and best.cost - _REACH * expected > needed:
+        may_give_up = len(costs) > options.patience and damping <= options.failed_damping
+        if may_give_up and best.cost - options.reach * expected > needed:
             return x, best, SolveStatus.OUT_OF_REACH
         if problem.meter.spent:
             return x, best, SolveStatus.BUDGET_SPENT
@@ -149,10 +146,10 @@ def _descend(
         if gained > 0:
             x, best = x + step, trial
             problem.meter.offer(x, best.cost, problem.unknowns)
-            damping = max(damping * (0.1 if gained > 0.5 * expected else 1.0), _DAMPING[0])
+            damping = max(damping * (0.1 if gained > 0.5 * expected else 1.0), options.least_damping)
         else:
-            damping = max(10.0 * damping, _FAILED_DAMPING)
-            if damping > _DAMPING[1]:
+            damping = max(10.0 * damping, options.failed_damping)
+            if damping > options.largest_damping:
                 return x, best, SolveStatus.STALLED
         costs.append(best.cost)
     return x, best, SolveStatus.MAX_ITERATIONS
@@ -185,7 +182,7 @@ class _Pieces:
             self.costs.append(point.cost)
             self.offsets.append(-step if moved else step)
         for values in (self.gradients, self.costs, self.offsets):
-            del values[:-_PIECES]
+            del values[: -_OPTIONS.pieces]
 
     def step(self, best: Evaluation, factor: tuple[Float64Array, bool]) -> tuple[Float64Array, float]:
         """Minimum of the model, and by how much it is below the cost."""

@@ -29,31 +29,17 @@ from push_ident.identification.unknowns.prior import MapPrior
 from push_ident.identification.unknowns.spec import UnknownsSpec, map_covariance, relative_distances
 from push_ident.types import Float64Array
 
-__all__ = ["STARTS", "EvidenceFit", "LinearEvidence", "MapTransforms", "fit_by_evidence"]
-
 _MAP_BLOCKS: Final = ("mass_map", "pressure_map", "friction_map")
 _WIDTH: Final = np.array([1.0, 1.0, 1.0, 0.5])
 """Standard deviation of the logarithm of each hyperparameter about its start: a factor of 2.7 either way, 1.6 for the length [-]."""
 _LARGEST_STEP: Final = float(np.log(4.0))
 """Of a logarithm in one round: the linear problem holds near the fit that it comes from [-]."""
-_NO_GAIN: Final = 0.1
-"""Expected gain of log evidence at which the search ends [nat]."""
-_ROUNDS: Final = 4
-"""Changes of the hyperparameters."""
-_DIFFERENCE: Final = 1e-4
-"""Of the logarithm of the length, for its derivative [-]."""
-_JITTER: Final = 1e-12
-"""Added to the covariance of the modes, which are independent with a variance of 1 at the caller's length [-]."""
-
-
 STARTS: Final = {
     "uneven mass and friction": MapPrior(0.7, 0.3, 0.7, 0.25),
     "uneven load": MapPrior(0.1, 1.0, 0.1, 0.25),
 }
 """Where the search starts, and the median of the prior of each hyperparameter: an object of uneven material, or one on a base that is
 not even."""
-_WIDE_DIFFERENCE: Final = 0.1
-"""Of the logarithm of a hyperparameter, for the curvature: a tenth of the width of its prior [-]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +103,7 @@ class MapTransforms:
             return np.eye(n_modes)
         if length not in self._of_modes:
             covariance = self._onto_modes @ map_covariance(self._distances, length) @ self._onto_modes.T
-            self._of_modes[length] = np.asarray(np.linalg.cholesky(covariance + _JITTER * np.eye(n_modes)), dtype=np.float64)
+            self._of_modes[length] = np.asarray(np.linalg.cholesky(covariance + 1e-12 * np.eye(n_modes)), dtype=np.float64)
         return self._of_modes[length]
 
 
@@ -128,6 +114,9 @@ def fit_by_evidence(
     prior: MapPrior,
     start: Float64Array,
     max_iterations: int,
+    *,
+    n_rounds: int = 4,
+    no_gain: float = 0.1,
 ) -> EvidenceFit | None:
     """Fit the unknowns and the prior of their maps; None where the pushes cannot be simulated.
 
@@ -138,10 +127,12 @@ def fit_by_evidence(
         prior: where the search begins.
         start: of the unknowns and first poses, in the units of the caller's prior, shape (problem.size,).
         max_iterations: of each fit.
+        n_rounds: changes of the hyperparameters, at most.
+        no_gain: expected gain of log evidence at which the search ends [nat].
     """
     centre, n, transforms = STARTS[name].logs, spec.size, MapTransforms(spec)
     logs, best = prior.logs, None
-    for last in (False,) * _ROUNDS + (True,):
+    for last in (False,) * n_rounds + (True,):
         maps = MapPrior.of_logs(logs)
         transform = transforms.matrix(maps)
         problem = problem_of(transforms.spec_under(maps), transform)
@@ -153,12 +144,12 @@ def fit_by_evidence(
         linear = LinearEvidence(transforms, fit, transform, centre)
         following, gain = (logs, 0.0) if last else linear.maximum(logs)
         start = linear.minimum(following)
-        if gain < _NO_GAIN:
+        if gain < no_gain:
             fit = Fit(problem, *minimise(problem, fit.x, max_iterations, tolerance=FINE, start=fit.end))
         evidence = fit.log_evidence - 0.5 * float(np.sum(((logs - centre) / _WIDTH) ** 2))
         if best is None or evidence > best[0]:
-            best = evidence, maps, fit, linear, transform @ fit.z, gain < _NO_GAIN and not problem.meter.spent
-        if gain < _NO_GAIN or problem.meter.spent:
+            best = evidence, maps, fit, linear, transform @ fit.z, gain < no_gain and not problem.meter.spent
+        if gain < no_gain or problem.meter.spent:
             break
         logs = following
     if best is None:
@@ -216,12 +207,9 @@ class LinearEvidence:
         return total / (2 * n)
 
     def _curvature(self, logs: Float64Array) -> Float64Array:
-        """Second derivative of the cost by the hyperparameters, by differences of the gradient."""
-        rows = []
-        for k in range(len(logs)):
-            step = np.zeros(len(logs))
-            step[k] = _WIDE_DIFFERENCE
-            rows.append((self.cost_and_slope(logs + step)[1] - self.cost_and_slope(logs - step)[1]) / (2 * _WIDE_DIFFERENCE))
+        """Second derivative of the cost by the hyperparameters, by differences of the gradient over a tenth of the width of their prior."""
+        steps = 0.1 * np.eye(len(logs))
+        rows = [(self.cost_and_slope(logs + step)[1] - self.cost_and_slope(logs - step)[1]) / (2 * 0.1) for step in steps]
         return 0.5 * (np.array(rows) + np.array(rows).T)
 
     def _cost(self, logs: Float64Array) -> tuple[float, Float64Array, tuple[Float64Array, bool]]:
@@ -242,7 +230,7 @@ class LinearEvidence:
             at = self._transforms.spec.slices[name]
             # Where the evidence is maximal, unknowns are as large as their prior expects.
             gradient[k] += float(np.sum(1.0 - variance[at] - y[at] ** 2))
-        step = logs.copy()
-        step[3] += _DIFFERENCE
-        gradient[3] = (self._cost(step)[0] - cost) / _DIFFERENCE
+        step, difference = logs.copy(), 1e-4
+        step[3] += difference
+        gradient[3] = (self._cost(step)[0] - cost) / difference
         return cost, gradient

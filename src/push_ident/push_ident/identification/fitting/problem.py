@@ -39,20 +39,13 @@ from push_ident.physics.simulation import Motion, SimulationSettings, StepRespon
 from push_ident.physics.tape import Param
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
-__all__ = ["TAILS", "Evaluation", "FitProblem", "Linearisation", "PushTerms", "RunAll", "unknowns_of_push", "without_first_push"]
-
 TAILS = 4.0
 """Degrees of freedom of the noise of a frame [-]."""
 _PUSHES = "pushes"
 """Block of the nuisance parameters: first pose and displacement of each push."""
 _POSE, _PLANE = 3, 2
-_UNSTABLE = 1e6
-"""Derivative of a pose by the first pose [1, m/rad, rad/m] beyond which a motion is unstable, as of a pusher within the object; short
-steps would follow the instability."""
 _FIRST_LEVEL = 2
 """Finest level of the time steps before a fit has ended: a motion of a poor model may need steps that the right one does not."""
-_CLEAR_SHARE = 0.3
-"""Share of the accepted error of the time steps below which a push is not looked at again after a fit [-]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,7 +250,8 @@ class FitProblem:
         timeline = self._timeline(scenario, push, choice.settings)
         self.meter.count(1)
         motion = mechanics.simulate(scenario, settings=choice.settings, jacobian=jacobian, timeline=timeline)
-        if choice.level > 0 and jacobian and np.max(np.abs(motion.jacobian[:, :, : Param.MASS])) > _UNSTABLE:
+        # With such a derivative by the first pose a motion is unstable, as of a pusher within the object: short steps would follow it.
+        if choice.level > 0 and jacobian and np.max(np.abs(motion.jacobian[:, :, : Param.MASS])) > 1e6:
             self.steps[push] = StepChoice(self.settings, 0, np.inf)
             return self._simulate_push(mechanics, x, push, jacobian)
         return motion
@@ -305,14 +299,10 @@ class FitProblem:
     def refine_steps(self, x: Float64Array) -> bool:
         """Shorten the time steps of pushes where they are too long at `x`, shape (size,); whether there was any.
 
-        Steps never become longer. A push that was far below the accepted error is not looked at.
+        Steps never become longer. A push that was below 0.3 of the accepted error is not looked at.
         """
         mechanics = self.mechanics_at(x)
-        doubtful = {
-            push: before.level
-            for push, before in enumerate(self.steps)
-            if before is not None and _CLEAR_SHARE * SHARE <= before.error < np.inf
-        }
+        doubtful = {push: old.level for push, old in enumerate(self.steps) if old is not None and 0.3 * SHARE <= old.error < np.inf}
         choices = self.run_all(lambda push: self._choose_steps(mechanics, x, push, doubtful[push]), doubtful)
         refined = False
         for (push, level), choice in zip(doubtful.items(), choices, strict=True):

@@ -23,8 +23,6 @@ from push_ident.identification.results.result import Candidate, WarmStart
 from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
-__all__ = ["Capabilities", "CellByCellSolver", "FitTask", "FrameFit", "FrameTask", "MapFit", "Solver"]
-
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:

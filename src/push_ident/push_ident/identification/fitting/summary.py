@@ -21,11 +21,6 @@ from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, PushRecord
 
-__all__ = ["Summary", "summarise"]
-
-_PUSH_STEPS = 2
-"""Newton steps to the best unknowns of the push itself."""
-
 
 @dataclass(frozen=True, slots=True)
 class Summary:
@@ -53,7 +48,7 @@ def summarise(record: PushRecord, posterior: ModelPosterior, noise: NoiseModel |
     problem = FitProblem([record], unknowns, noise=noise, settings=settings)
     n_z, modes, feet = unknowns.size, unknowns.modes, unknowns.prior.feet
     x = np.r_[posterior.z, np.zeros(problem.unknowns_of_push)]
-    for _ in range(_PUSH_STEPS):
+    for _ in range(2):  # Newton steps to the best unknowns of the push itself
         terms = problem.evaluate_push(x, 0)
         if terms is None:
             return Summary(1, modes, Quadratic.zero(n_z), feet)

@@ -32,53 +32,12 @@ from push_ident.physics.effect_values import EffectValues, force_times, measured
 from push_ident.physics.simulation import Motion
 from push_ident.types import BoolArray, Float64Array, ObjectShape, PoseTrack, PushRecord, WrenchTrack
 
-__all__ = [
-    "UNCHECKED",
-    "ForceObservation",
-    "NoiseModel",
-    "Observation",
-    "at_rest",
-    "noise_at_rest",
-    "noise_correlation",
-    "noise_correlation_std",
-    "observe_forces",
-    "observe_push",
-    "pusher_gaps",
-    "rest_frames",
-]
-
 UNCHECKED = 2.0
 """Factor on the stated standard deviation of a pose that nothing checks, where the pushes do not set it [-]."""
 _SHARING = 10
-"""Number of frames of one motion for which `NoiseModel.fit_discrepancy` holds; where there are more, each counts less."""
-_SHARED = 4.0
-"""Discrepancy of a frame in a fit over that of a prediction, as of the defaults of `NoiseModel` [-]."""
-_ENOUGH = 12
-"""Degrees of freedom from which the scatter of frames at rest is used."""
-_ENOUGH_PAIRS = 40
-"""Pairs of neighbouring frames at rest from which their correlation is used."""
+"""Frames of a motion, or windows of forces, for which the discrepancies of `NoiseModel` in a fit hold; of more, each counts less."""
 _MAX_CORRELATION = 0.98
 """Largest correlation of neighbouring frames that is assumed [-]: the mean of 100 frames is then as uncertain as a single one."""
-_OUTLIER = 6.0
-"""A frame at rest this many standard deviations from the median is a wrong pose, not noise."""
-_CLEAR_GAP = 0.01
-"""Gap above which the pusher cannot touch, even with several times the usual errors of tool and camera [m]."""
-_COAST = 0.15
-"""Time within which an object released at 0.3 m/s on friction 0.2 comes to rest [s]."""
-_NEAR = 3e-3
-"""Gap below which the pusher may touch [m]; at least three standard deviations of a position."""
-_DRIVING = 0.05
-"""Share of its top speed above which the pusher counts as driving [-]."""
-_TRAVEL_PER_TURN = 0.05
-"""Travel that counts for a turn of the object [m/rad]: half the size of a usual object."""
-_WINDOWS = 20
-"""Windows of a push at most."""
-_SAMPLES = 3
-"""Samples of a window at least, where a push has so many."""
-_FORCE_SHARING = 10
-"""Windows of a push for which `NoiseModel.force_discrepancy` holds; where there are more, each counts less."""
-_NORMAL = 0.6745
-"""Median of the size of a standard normal number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,11 +81,11 @@ class NoiseModel:
         if shape.outline_error is None or not self.outline_errors:
             return self
         size = float(np.sqrt(np.mean(np.sum((shape.cells.centres - shape.cells.centres.mean(axis=0)) ** 2, axis=1))))
-        slope = shape.outline_error / size
+        slope, shared = shape.outline_error / size, 4.0  # discrepancy of a frame in a fit over that of a prediction, as of the defaults
         return replace(
             self,
-            fit_discrepancy_position=float(np.hypot(self.fit_discrepancy_position, _SHARED * slope)),
-            fit_discrepancy_yaw=float(np.hypot(self.fit_discrepancy_yaw, _SHARED * slope / size)),
+            fit_discrepancy_position=float(np.hypot(self.fit_discrepancy_position, shared * slope)),
+            fit_discrepancy_yaw=float(np.hypot(self.fit_discrepancy_yaw, shared * slope / size)),
             model_discrepancy_position=float(np.hypot(self.model_discrepancy_position, slope)),
             model_discrepancy_yaw=float(np.hypot(self.model_discrepancy_yaw, slope / size)),
         )
@@ -198,7 +157,8 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     pose = np.array([poses.pose[g].mean(axis=0) for g in groups])
     floor = noise.floor
     travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1))])
-    travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + _TRAVEL_PER_TURN * np.abs(pose[:, 2] - pose[0, 2]))
+    # A turn by a radian counts as half the size of a usual object.
+    travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + 0.05 * np.abs(pose[:, 2] - pose[0, 2]))
     growth = noise.fit_discrepancy**2 * max(1.0, len(moving) / _SHARING)
     scatter = _scatter(record, before, after)
     inflation = UNCHECKED if noise.single_frame_inflation is None else noise.single_frame_inflation
@@ -231,7 +191,7 @@ def noise_at_rest(records: Sequence[PushRecord], noise: NoiseModel | None = None
     return replace(noise, correlation=correlation) if correlation > noise.correlation else noise
 
 
-def noise_correlation(records: Sequence[PushRecord], *, enough_pairs: int = _ENOUGH_PAIRS) -> float:
+def noise_correlation(records: Sequence[PushRecord], *, enough_pairs: int = 40) -> float:
     """Correlation of the errors of neighbouring frames, from the frames at rest; NaN where these make fewer than `enough_pairs`.
 
     The errors are assumed to be first-order autoregressive. The estimate is corrected for the mean of each rest, which absorbs a part of
@@ -261,8 +221,8 @@ def _clear_rests(records: Sequence[PushRecord]) -> list[Float64Array]:
     errors = []
     for record in records:
         before, after, _ = rest_frames(record)
-        # With an error of tool or camera, the object moves before the pusher seems to touch it.
-        clear = before[record.poses.time[before] < _first_time(record, pusher_gaps(record) < _CLEAR_GAP)]
+        # With an error of tool or camera, the object moves before the pusher seems to touch it; none is as large as a centimetre.
+        clear = before[record.poses.time[before] < _first_time(record, pusher_gaps(record) < 0.01)]
         for rest in (_agreeing(record, clear), _agreeing(record, after)):
             if len(rest) >= 4:
                 error = record.poses.pose[rest] - record.poses.pose[rest].mean(axis=0)
@@ -270,13 +230,13 @@ def _clear_rests(records: Sequence[PushRecord]) -> list[Float64Array]:
     return errors
 
 
-def _agreeing(record: PushRecord, rest: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Frames at rest without wrong poses: a single one would shift the mean."""
+def _agreeing(record: PushRecord, rest: NDArray[np.intp], outlier: float = 6.0) -> NDArray[np.intp]:
+    """Frames at rest without wrong poses, so many standard deviations from the median: a single one would shift the mean."""
     if len(rest) < 2:
         return rest
     error = record.poses.pose[rest] - np.median(record.poses.pose[rest], axis=0)
     deviation = np.sqrt(np.diagonal(record.poses.covariance[rest], axis1=1, axis2=2))
-    fits = np.max(np.abs(error) / deviation, axis=1) < _OUTLIER
+    fits = np.max(np.abs(error) / deviation, axis=1) < outlier
     return rest[fits] if np.any(fits) else rest
 
 
@@ -292,12 +252,12 @@ def rest_frames(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp],
     Where no frame shows the object after the push, the last frame stands for it.
     """
     poses, pusher = record.poses, record.pusher
-    near = pusher_gaps(record) < max(_NEAR, 3 * float(np.sqrt(np.median(poses.covariance[:, 0, 0]))))
+    near = pusher_gaps(record) < _near_gap(record)
     contact_time = _first_time(record, near)
-    speed = np.linalg.norm(np.gradient(pusher.position, pusher.time, axis=0), axis=1)
-    driving = near & (speed > _DRIVING * max(float(speed.max()), 1e-9))
-    rest_time = float(pusher.time[np.flatnonzero(driving)[-1]]) + _COAST if np.any(driving) else -np.inf
-
+    speed, slow = _pusher_speed(record)
+    driving = near & (speed > slow)
+    coast = 0.15  # time within which an object released at 0.3 m/s on friction 0.2 comes to rest [s]
+    rest_time = float(pusher.time[np.flatnonzero(driving)[-1]]) + coast if np.any(driving) else -np.inf
     before = np.flatnonzero(poses.time <= contact_time)
     before = before if len(before) else np.array([0])
     after = np.flatnonzero(poses.time >= max(rest_time, contact_time)) if np.isfinite(contact_time) else np.array([], dtype=int)
@@ -306,20 +266,31 @@ def rest_frames(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp],
     return before, after, bool(np.any(near))
 
 
+def _near_gap(record: PushRecord) -> float:
+    """Gap below which the pusher may touch [m]: at least three standard deviations of a position."""
+    return max(3e-3, 3 * float(np.sqrt(np.median(record.poses.covariance[:, 0, 0]))))
+
+
+def _pusher_speed(record: PushRecord) -> tuple[Float64Array, float]:
+    """At every pusher sample [m/s], shape (n_samples,), and the speed above which it counts as driving: 5 % of its top speed."""
+    speed = np.linalg.norm(np.gradient(record.pusher.position, record.pusher.time, axis=0), axis=1)
+    return speed, 0.05 * max(float(speed.max()), 1e-9)
+
+
 def _first_time(record: PushRecord, when: BoolArray) -> float:
     """Time of the first true sample of the pusher, shape (n_samples,) [s]; infinity where none is true."""
     return float(record.pusher.time[np.argmax(when)]) if np.any(when) else np.inf
 
 
-def _scatter(record: PushRecord, *rests: NDArray[np.intp]) -> float:
-    """Variance of the frames at rest over the one that their covariance states; 1 where there are too few."""
+def _scatter(record: PushRecord, *rests: NDArray[np.intp], enough: float = 12.0) -> float:
+    """Variance of the frames at rest over the one that their covariance states; 1 where they have less than `enough` degrees of freedom."""
     poses = record.poses
     squares = freedom = 0.0
     for rest in rests:
         error = poses.pose[rest] - poses.pose[rest].mean(axis=0)
         squares += float(np.sum(error**2 / np.diagonal(poses.covariance[rest], axis1=1, axis2=2)))
         freedom += 3.0 * (len(rest) - 1)
-    return squares / freedom if freedom >= _ENOUGH else 1.0
+    return squares / freedom if freedom >= enough else 1.0
 
 
 def pusher_gaps(record: PushRecord) -> Float64Array:
@@ -390,14 +361,16 @@ class ForceObservation:
         return by_unknown, np.einsum("nij,nj->ni", whitened, force), values
 
 
-def observe_forces(record: PushRecord, noise: NoiseModel | None = None) -> ForceObservation | None:
-    """Condense the measured forces of one push; None where there are none."""
+def observe_forces(
+    record: PushRecord, noise: NoiseModel | None = None, *, max_windows: int = 20, least_samples: int = 3
+) -> ForceObservation | None:
+    """Condense the measured forces of one push into windows of some samples each, where it has so many; None where there are none."""
     wrench, noise = record.wrench, noise or NoiseModel()
     if wrench is None or len(wrench.time) < 2:
         return None
     # A sample is the mean since the one before.
     step = float(np.median(np.diff(wrench.time)))
-    n = int(np.clip(len(wrench.time) // _SAMPLES, 1, _WINDOWS))
+    n = int(np.clip(len(wrench.time) // least_samples, 1, max_windows))
     edges = np.linspace(wrench.time[0] - step, wrench.time[-1], n + 1)
     window = np.clip(np.searchsorted(edges, wrench.time - 0.5 * step, side="right") - 1, 0, n - 1)
     count = np.bincount(window, minlength=n)
@@ -405,7 +378,7 @@ def observe_forces(record: PushRecord, noise: NoiseModel | None = None) -> Force
     sums = np.column_stack([np.bincount(window, weights=wrench.force[:, axis], minlength=n) for axis in (0, 1)])
     force = sums / np.maximum(count, 1)[:, None]
     sensor = np.hypot(_sensor_noise(wrench) / np.sqrt(np.maximum(count, 1)), noise.floor_force)
-    discrepancy = noise.force_discrepancy * np.linalg.norm(force, axis=1) * np.sqrt(max(1.0, n / _FORCE_SHARING))
+    discrepancy = noise.force_discrepancy * np.linalg.norm(force, axis=1) * np.sqrt(max(1.0, n / _SHARING))
     rise = min(1.0, noise.force_rise / (edges[1] - edges[0])) * _jumps(force)
     std = np.sqrt(sensor**2 + discrepancy**2 + rise**2)
     return ForceObservation(edges, force, np.where(measured, std, np.inf))
@@ -413,10 +386,8 @@ def observe_forces(record: PushRecord, noise: NoiseModel | None = None) -> Force
 
 def _leans(record: PushRecord, edges: Float64Array) -> BoolArray:
     """Windows in a part of which the pusher stands still where it may touch the object, after it drove there, shape (n,)."""
-    pusher = record.pusher
-    gap, speed = pusher_gaps(record), np.linalg.norm(np.gradient(pusher.position, pusher.time, axis=0), axis=1)
-    slow = _DRIVING * max(float(speed.max()), 1e-9)
-    near = max(_NEAR, 3 * float(np.sqrt(np.median(record.poses.covariance[:, 0, 0]))))
+    pusher, gap, near = record.pusher, pusher_gaps(record), _near_gap(record)
+    speed, slow = _pusher_speed(record)
     arrived = pusher.time[(gap < near) & (speed > slow)]
     if not len(arrived):
         return np.zeros(len(edges) - 1, dtype=bool)
@@ -434,5 +405,5 @@ def _jumps(force: Float64Array) -> Float64Array:
 
 
 def _sensor_noise(wrench: WrenchTrack) -> float:
-    """Standard deviation of a sample about its neighbours [N], robust against the jumps of a contact."""
-    return float(np.median(np.abs(np.diff(wrench.force, axis=0))) / (_NORMAL * np.sqrt(2.0)))
+    """Standard deviation of a sample about its neighbours [N], from the median, robust against the jumps of a contact."""
+    return float(np.median(np.abs(np.diff(wrench.force, axis=0))) / (0.6745 * np.sqrt(2.0)))

@@ -25,8 +25,6 @@ from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.physics.accuracy import quick_steps
 from push_ident.types import Float64Array, ObjectShape, PushRecord, SolveStatus
 
-__all__ = ["FrameUpdate", "OnlineIdentifier", "OnlineState", "running_record"]
-
 
 @dataclass(frozen=True, slots=True)
 class OnlineState:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,18 +32,7 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array, ObjectShape, PusherPath, PushRecord, SolveStatus
 
-__all__ = ["ObjectSession", "SessionOptions"]
-
-_SAMPLES_UNDER_WAY = 12
-"""Models drawn for a prediction in the middle of a push: few, since the next one follows soon."""
-_LATEST = 0.1
-"""The pusher is assumed to keep its mean velocity over this last period [s]."""
-_N_REFERENCES = 12
-"""Reference pushes for the choice of the next push."""
-_SAME_TIME = 1e-6
-"""Between stamps of one time [s], which are rounded where they become numbers."""
-_SOURCES = 200
-"""Number of the latest pushes that a model names as its sources."""
+_Key = tuple[float, float, float]
 REMEMBERED_PUSHES = 10_000
 """Number of the latest pushes that are recognised when they arrive again: memory must not grow with the pushes."""
 
@@ -86,7 +76,7 @@ class ObjectSession:
         """What of the latest finished push is possible."""
         self.n_known_again = 0
         """Number of pushes that arrived a second time (a bag played in a loop, or again after a killed process) and were ignored."""
-        self._known = _KnownPushes()
+        self._known: deque[_Key] = deque(maxlen=REMEMBERED_PUSHES)
         state = OnlineIdentifier.new(shape, options.prior)
         self.restored = False
         """Whether the estimate continues from a file."""
@@ -94,7 +84,8 @@ class ObjectSession:
             kept = load_state(self.file)
             if kept.state.shape.is_same_object(shape):
                 state, self.restored = kept.state, True
-                self.sources, self.record, self._known = list(kept.sources), kept.record, _KnownPushes(kept.pushes)
+                self.sources, self.record = list(kept.sources), kept.record
+                self._known.extend(kept.pushes)
             else:
                 self._rename_file()
         self.online = self._identifier(state)
@@ -174,7 +165,8 @@ class ObjectSession:
         if not solver_of(self.options.method).capabilities.takes_effects:
             raise InputError(f"`{self.options.method}` fits no effects; set the parameter `method` to {DEFAULT_SOLVER}.")
         state = self.online.state
-        shared = sum(float(record.poses.time[-1]) <= until + _SAME_TIME for record in state.records)
+        # Stamps are rounded where they become numbers.
+        shared = sum(float(record.poses.time[-1]) <= until + 1e-6 for record in state.records)
         in_use = {effect.name: effect for effect in effects_in_use(state.posterior)}
         measured = set(state.posterior.effects.names) - set(in_use)
         share = max(0.0, 1.0 - shared / n_pushes)
@@ -236,9 +228,9 @@ class ObjectSession:
         score = score_push(self.online.state.posterior, record, self.n_pushes + 1, noise=self.options.noise)
         result = self.online.add(record)
         score = replace(score, explained=result.explanation.pushes[-1].is_explained and result.status is not SolveStatus.UNEXPLAINED)
-        self._known.add(_key(record))
+        self._known.append(_key(record))
         self.record = self.record.add(score)
-        self.sources = [*self.sources, record.source][-_SOURCES:]
+        self.sources = [*self.sources, record.source][-200:]
         self.save()
         return score
 
@@ -255,29 +247,21 @@ class ObjectSession:
             )
         self.online = self._identifier(OnlineIdentifier.known(posterior))
         self.sources, self.record = [source], RunningRecord()
-        self._known = _KnownPushes()
+        self._known.clear()
         self.save()
 
     def save(self) -> None:
         """Keep the state; the file on disk is complete at any moment."""
         if self.file is not None:
-            save_state(
-                self.file, self.online.state, object_id=self.object_id, sources=self.sources, record=self.record, pushes=self._known.keys
-            )
+            online, known = self.online, tuple(self._known)
+            save_state(self.file, online.state, object_id=self.object_id, sources=self.sources, record=self.record, pushes=known)
 
     def predict_under_way(self, partial: PushRecord, horizon: float) -> Prediction:
-        """Motion of the object during the next `horizon` seconds if the pusher keeps its velocity."""
-        observed = observe_push(partial, self.options.noise)
-        path = _continued(partial.pusher, horizon)
+        """Motion of the object during the next `horizon` seconds if the pusher keeps its velocity; by few models, since others follow."""
+        observed, noise = observe_push(partial, self.options.noise), self.options.noise
         now = float(partial.pusher.time[-1])
-        time = np.linspace(now, now + horizon, 11)
-        return predict(
-            self.posterior,
-            PushScenario(path, observed.pose[0], time),
-            first_covariance=observed.first_covariance,
-            noise=self.options.noise,
-            n_samples=_SAMPLES_UNDER_WAY,
-        )
+        scenario = PushScenario(_continued(partial.pusher, horizon), observed.pose[0], np.linspace(now, now + horizon, 11))
+        return predict(self.posterior, scenario, first_covariance=observed.first_covariance, noise=noise, n_samples=12)
 
     def suggest(
         self,
@@ -286,6 +270,7 @@ class ObjectSession:
         obstacles: Sequence[Float64Array] = (),
         *,
         n_candidates: int = 24,
+        n_references: int = 12,
         is_wanted: Callable[[], bool] = lambda: True,
     ) -> tuple[PlannedPush, Prediction] | None:
         """The push to make next, with its prediction; None where no safe push would add information, or it is no longer wanted.
@@ -295,6 +280,7 @@ class ObjectSession:
             push_settings: limits and ranges of pushes.
             obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
             n_candidates: pushes to choose from.
+            n_references: pushes that are to be predicted well.
             is_wanted: asked before each simulation.
         """
         rng = np.random.default_rng(self.n_pushes)
@@ -302,7 +288,7 @@ class ObjectSession:
             candidates = candidate_pushes(self.shape, pose, rng, n_candidates, push_settings, obstacles)
         except PlanningError:
             return None
-        reference = reference_pushes(self.shape, rng, _N_REFERENCES, push_settings)
+        reference = reference_pushes(self.shape, rng, n_references, push_settings)
         options = RankingOptions(noise=self.options.noise)
         try:
             best = rank_pushes(self.posterior, candidates, reference=reference, rng=rng, options=options, is_wanted=is_wanted).best
@@ -343,44 +329,16 @@ def _is_equal(one: ObjectShape, other: ObjectShape) -> bool:
     return all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs)
 
 
-class _KnownPushes:
-    """The latest pushes of the estimate, in memory of fixed size.
-
-    Args:
-        keys: see `_key`, in the order of arrival.
-    """
-
-    def __init__(self, keys: Sequence[tuple[float, float, float]] = ()) -> None:
-        self._ring = np.full((REMEMBERED_PUSHES, 3), np.nan)
-        self._n = 0
-        for key in keys:
-            self.add(key)
-
-    def add(self, key: tuple[float, float, float]) -> None:
-        """Add a push; the oldest one is forgotten where there are too many."""
-        self._ring[self._n % REMEMBERED_PUSHES] = key
-        self._n += 1
-
-    def __contains__(self, key: tuple[float, float, float]) -> bool:
-        return bool(np.any(np.all(self._ring == key, axis=1)))
-
-    @property
-    def keys(self) -> list[tuple[float, float, float]]:
-        """In the order of arrival."""
-        order = np.arange(max(0, self._n - REMEMBERED_PUSHES), self._n) % REMEMBERED_PUSHES
-        return [(time, x, y) for time, x, y in self._ring[order].tolist()]
-
-
-def _key(record: PushRecord) -> tuple[float, float, float]:
+def _key(record: PushRecord) -> _Key:
     """Identity of a push: when and where it began."""
     time, (x, y) = record.pusher.time[0], record.pusher.position[0]
     return round(float(time), 6), round(float(x), 6), round(float(y), 6)
 
 
 def _continued(pusher: PusherPath, horizon: float) -> PusherPath:
-    """The path so far, continued at its last velocity."""
+    """The path so far, continued at its mean velocity over the last tenth of a second."""
     end = float(pusher.time[-1])
-    since = max(float(pusher.time[0]), end - _LATEST)
+    since = max(float(pusher.time[0]), end - 0.1)
     start = np.array([np.interp(since, pusher.time, pusher.position[:, axis]) for axis in (0, 1)])
     velocity = (pusher.position[-1] - start) / max(end - since, 1e-6)
     time = np.append(pusher.time, end + horizon)

@@ -28,17 +28,9 @@ from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.limits import LIMITS, Limit, check_coordinates, plain_text
 from push_ident.types import CameraAccuracy, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, WrenchTrack
 
-__all__ = ["KeptState", "load_state", "save_state"]
-
 _STATE_FORMAT = "push_ident/state/3"
 _EARLIER = "push_ident/state/2"
 """Its starts of the next solve are of a solver that is no more; the rest is as now."""
-
-
-_REST: Final = 86_400.0
-"""Time between a push and a pose before or after it [s]: a night. The simulation steps through it."""
-_ASYMMETRY: Final = 1e-6
-"""Difference of equal entries of a covariance that were sent in single precision, relative to the largest [-]."""
 _REMEDY: Final = "remove it to start again"
 _Count = Annotated[int, Field(ge=0, le=1_000_000_000)]
 """Far above the pushes of any object, and a number that messages have."""
@@ -294,8 +286,9 @@ def _check_record(record: PushRecord) -> PushRecord:
     _check_path(record.pusher)
     _check_poses(record.poses)
     first, last = record.poses.time[0] - record.pusher.time[0], record.poses.time[-1] - record.pusher.time[-1]
-    if not max(abs(first), abs(last)) <= _REST:
-        raise InputError(f"Poses begin {first:.3g} s and end {last:.3g} s after the pusher, expected at most {_REST:g} s before or after.")
+    rest = 86_400.0  # a night: the simulation steps through it [s]
+    if not max(abs(first), abs(last)) <= rest:
+        raise InputError(f"Poses begin {first:.3g} s and end {last:.3g} s after the pusher, expected at most {rest:g} s before or after.")
     if record.wrench is not None:
         _check_most(record.wrench.time, LIMITS.STAMP, "Forces")
         _check_most(record.wrench.force, LIMITS.FORCE, "Forces")
@@ -321,7 +314,7 @@ def _check_poses(poses: PoseTrack) -> None:
     largest = np.max(np.abs(poses.covariance), axis=(1, 2), keepdims=True)
     asymmetry = np.abs(poses.covariance - np.swapaxes(poses.covariance, 1, 2))
     most = LIMITS.COORDINATE.value**2
-    if np.any(largest > most) or np.any(asymmetry > _ASYMMETRY * largest):
+    if np.any(largest > most) or np.any(asymmetry > 1e-6 * largest):  # equal entries may have been sent in single precision
         raise InputError(f"A covariance of a pose is not symmetric, or has entries over {most} m^2 or rad^2; leave such poses out.")
 
 

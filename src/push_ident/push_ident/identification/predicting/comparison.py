@@ -17,11 +17,6 @@ from push_ident.pages.tables import html_table
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array, PushRecord, SolveStatus, short_repr
 
-__all__ = ["Comparison", "PredictedPush", "compare_pushes"]
-
-_SAME_CELL = 1e-3
-"""Largest distance of the centres of a cell in a model and in a bag [m]; both are written with more digits."""
-
 
 @dataclass(frozen=True, slots=True)
 class PredictedPush:
@@ -93,7 +88,8 @@ def compare_pushes(posterior: ModelPosterior, records: Sequence[PushRecord]) -> 
         raise InputError("There is no push to predict; give at least one push record.")
     expected = posterior.unknowns.shape.cells
     for got in (record.shape.cells for record in records):
-        if len(expected) != len(got) or not np.allclose(expected.centres, got.centres, atol=_SAME_CELL):
+        # Both are written with more digits than a millimetre.
+        if len(expected) != len(got) or not np.allclose(expected.centres, got.centres, atol=1e-3):
             raise InputError(
                 f"The model has {len(expected)} cells, the object in the bag {len(got)} others; "
                 "predict bags that share the cells of the model."

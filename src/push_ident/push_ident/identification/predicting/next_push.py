@@ -6,8 +6,8 @@ after the push then does not depend on its outcome, and is known before the push
     S' = (S^-1 + H(z))^-1            H: expected contribution of the push to the Hessian of the fit, its own first pose marginalised
     error(S) = mean over reference pushes of sqrt(tr(Q G S G')),   G = d(last pose) / dz,   Q: mean square over the cells
 
-The push with the least error(S') is Bayesian A-optimal, not for the maps but for their purpose, predictions; the information gained,
-1/2 log det(S S'^-1), is the D-optimal criterion (Chaloner and Verdinelli, Bayesian Experimental Design, 1995).
+The push with the least error(S') is Bayesian A-optimal, not for the maps but for their purpose, predictions (Chaloner and Verdinelli,
+Bayesian Experimental Design, 1995).
 
 A linearisation describes one side of a switch only (stick or slip, left or right of the centre of friction). So H and G are taken at
 several draws from the posterior as well as at its mean, and the criteria are averaged over them. A model for which the simulation of a
@@ -39,36 +39,11 @@ from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
 from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, short_repr
 
-__all__ = [
-    "CHATTER",
-    "N_CANDIDATES",
-    "PlannedPush",
-    "PoseSensor",
-    "Proposal",
-    "PushValue",
-    "RankedPushes",
-    "RankingOptions",
-    "UnwantedError",
-    "candidate_pushes",
-    "imagine_push",
-    "propose_push",
-    "rank_pushes",
-    "reference_pushes",
-]
-
-_REST = 0.5
-"""Time that a planned pusher stands still before and after the push [s]."""
-_SAMPLING = 100.0
-"""Of planned pusher paths [Hz]."""
 CHATTER = 10.0
 """Largest derivative of the last pose by the first one [-]. It is 1 to 8 in ordinary pushes. Where it is larger, the motion chatters
 between modes of contact: its derivative, though exact, holds over micrometres only and predicts no observation."""
 N_CANDIDATES = 40
 """Random pushes of which the best is proposed: one of the best tenth is among them with a probability of 0.985."""
-_PROPOSAL_REFERENCES = 20
-"""Random pushes that stand for all that may be predicted."""
-_FREE_WORKSPACE: tuple[float, float, float, float] = (-10.0, 10.0, -10.0, 10.0)
-"""Workspace in which nothing is in the way [m]."""
 
 
 class UnwantedError(PushIdentError):
@@ -117,8 +92,6 @@ class PushValue:
     """CONVERGED; candidates with NO_CONTACT or SIMULATION_FAILED add no information and rank last."""
     error_after: float
     """Expected cell error of the reference pushes after a fit to this push [m]."""
-    information: float
-    """Expected information on the unknowns [nat], >= 0."""
     covariance: Float64Array
     """Of the unknowns after this push, linearised at the mean, shape (n_unknowns, n_unknowns)."""
 
@@ -307,7 +280,6 @@ def _value(mean: Mechanics, scale: Float64Array, models: Sequence[_PossibleModel
         push=push,
         status=status,
         error_after=float(np.mean([model.error(root) for model, root in zip(models, roots, strict=True)])),
-        information=float(np.mean([max(0.0, np.sum(np.log(np.diag(root)))) for root in roots])),
         covariance=at_mean.T @ at_mean,
     )
 
@@ -363,14 +335,14 @@ def _freeze(owner: PlannedPush | PoseSensor, name: str, shape: tuple[int, ...]) 
     object.__setattr__(owner, name, array)
 
 
-def _pusher_path(plan: PushPlan2D, settings: PushSettings, acceleration: float) -> PusherPath:
-    """Stand, drive straight through the contact to the end, stand."""
+def _pusher_path(plan: PushPlan2D, settings: PushSettings, acceleration: float, rest: float = 0.5, rate: float = 100.0) -> PusherPath:
+    """Stand for `rest` [s], drive straight through the contact to the end, stand; sampled at `rate` [Hz]."""
     length = settings.clearance + plan.distance
     speed = min(plan.speed, float(np.sqrt(acceleration * length)))
     ramp = speed / acceleration
     end = length / speed + ramp
-    time = np.arange(0.0, end + 2 * _REST, 1.0 / _SAMPLING)
-    since, left = np.clip(time - _REST, 0.0, end), np.clip(_REST + end - time, 0.0, end)
+    time = np.arange(0.0, end + 2 * rest, 1.0 / rate)
+    since, left = np.clip(time - rest, 0.0, end), np.clip(rest + end - time, 0.0, end)
     # At constant speed from the middle of the first ramp to the middle of the last one; the ramps follow.
     travel = np.clip(speed * (since - 0.5 * ramp), 0.0, length)
     if ramp > 0:
@@ -412,14 +384,16 @@ class Proposal:
         return html_table(f"Next push: {self.sentence}", (), ())
 
 
-def propose_push(posterior: ModelPosterior, pusher_radius: float) -> Proposal | None:
-    """The push after which other pushes would be predicted best; None where no candidate would add information."""
-    rng = np.random.default_rng(0)
-    settings = PushSettings(pusher_radius=pusher_radius, workspace=_FREE_WORKSPACE)
-    shape = posterior.unknowns.shape
+def propose_push(posterior: ModelPosterior, pusher_radius: float, n_references: int = 20) -> Proposal | None:
+    """The push after which other pushes would be predicted best; None where no candidate would add information.
+
+    `n_references` random pushes stand for all that may be predicted.
+    """
+    rng, shape = np.random.default_rng(0), posterior.unknowns.shape
+    settings = PushSettings(pusher_radius=pusher_radius, workspace=(-10.0, 10.0, -10.0, 10.0))  # nothing is in the way
     try:
         candidates = candidate_pushes(shape, np.zeros(3), rng, N_CANDIDATES, settings)
-        ranked = rank_pushes(posterior, candidates, reference=reference_pushes(shape, rng, _PROPOSAL_REFERENCES, settings), rng=rng)
+        ranked = rank_pushes(posterior, candidates, reference=reference_pushes(shape, rng, n_references, settings), rng=rng)
     except (PlanningError, InputError):
         return None
     best = ranked.best

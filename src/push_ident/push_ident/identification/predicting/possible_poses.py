@@ -43,24 +43,11 @@ from push_ident.pushing.possible_motion import (
 )
 from push_ident.types import BoolArray, Float64Array, PoseTrack, PushRecord, SolveStatus
 
-__all__ = ["CheckedPoses", "ImpossiblePosesError", "check_poses", "why_no_object_ends_there"]
-
-_LONGEST_EXCURSION: Final = 3.0
-"""Longest excursion after which poses are believed again [s]: as long as an arm may hide the object in a push."""
-_LEAST_KNOWN: Final = 3.0
-"""Largest standard deviation of a pose in a step, over that of the better quarter of its push [-]: a pose of which less is known must not
-connect two that contradict each other. It is left out where it does not fit, but is not called impossible."""
 _TRAVEL_SHARE: Final = 0.5
 """Distance from the end of the nearest drawn object over the travel of the pusher in contact, at most [-]. It was 0.32 at most in 800
 simulated pushes, with any effect of the catalogue at up to three times its usual size, and 0.23 in 130 recorded ones."""
-_NOISE: Final = 10.0
-"""True standard deviation of poses over the stated one, below which they have noise, and beyond which they are wrong [-]."""
-_ENOUGH_STEPS: Final = 6
-"""Steps of which the median shows how large the noise is: one excursion makes two large ones."""
 _DRAWN_OBJECTS: Final = 32
 """Objects that are drawn before an end counts as one that none has."""
-_CLOCKS: Final = np.linspace(-0.5, 0.5, 5)
-"""Times by which an end is compared with ends of simulations [s]: poses may be older than their stamps."""
 
 
 class ImpossiblePosesError(InputError):
@@ -118,7 +105,8 @@ def why_no_object_ends_there(record: PushRecord, known: ModelPosterior, prior: P
         return why
     noise = float(np.linalg.norm(noise_allowance(shape, np.array([of_first, of_last]))))
     possible, nearest = _TRAVEL_SHARE * travel_in_contact(shape, pusher, first, of_first, camera) + noise, np.inf
-    time = np.maximum(end_time + _CLOCKS, float(pusher.time[0]))
+    # Poses may be older than their stamps.
+    time = np.maximum(end_time + np.linspace(-0.5, 0.5, 5), float(pusher.time[0]))
     for ends in _simulated(PushScenario(pusher, first, time, record.order), known, prior):
         nearest = min(nearest, float(np.min(displacement(shape, ends, last))))
         if nearest <= possible:
@@ -154,7 +142,9 @@ class _Steps:
     def __init__(self, record: PushRecord) -> None:
         self._shape, self._poses = record.shape, record.poses
         noise = noise_allowance(record.shape, record.poses.covariance) * _understatement(record)
-        most = _LEAST_KNOWN * float(np.quantile(noise, 0.25))
+        # A pose that is known three times less well than the better quarter of its push must not connect two that contradict each other. It
+        # is left out where it does not fit, but is not called impossible.
+        most = 3.0 * float(np.quantile(noise, 0.25))
         self.certain: BoolArray = noise <= most
         """Of each pose, whether enough is known to call it impossible, shape (n_frames,)."""
         self._noise, self._travel = np.minimum(noise, most), PusherTravel(record.pusher, record.poses.time)
@@ -176,25 +166,31 @@ class _Steps:
         )
 
 
-def _understatement(record: PushRecord) -> float:
-    """How much larger the noise of the poses is than what is allowed for, by the median step while the pusher stands; 1 where it is not."""
+def _understatement(record: PushRecord, enough_steps: int = 6, most: float = 10.0) -> float:
+    """How much larger the noise of the poses is than what is allowed for, by the median step while the pusher stands; 1 where it is not.
+
+    One excursion makes two large steps, hence `enough_steps`. Beyond `most` times the stated noise, poses are wrong.
+    """
     poses, pusher, shape = record.poses, record.pusher, record.shape
     std = pose_std(shape, poses.covariance)
     of_steps = np.hypot(std[1:], std[:-1])
     position = np.column_stack([np.interp(poses.time, pusher.time, pusher.position[:, axis]) for axis in (0, 1)])
     stands = np.linalg.norm(np.diff(position, axis=0), axis=1) <= of_steps
-    if np.sum(stands) < _ENOUGH_STEPS:
+    if np.sum(stands) < enough_steps:
         return 1.0
     ratio = float(np.median(displacement(shape, poses.pose[1:], poses.pose[:-1])[stands] / of_steps[stands]))
-    return ratio / UNDERSTATED if UNDERSTATED < ratio < _NOISE else 1.0
+    return ratio / UNDERSTATED if UNDERSTATED < ratio < most else 1.0
 
 
-def _longest_chain(steps: _Steps, runs: list[NDArray[np.intp]], time: Float64Array) -> list[int]:
-    """Which runs of poses to keep: the most poses in runs that can follow each other within `_LONGEST_EXCURSION`."""
+def _longest_chain(steps: _Steps, runs: list[NDArray[np.intp]], time: Float64Array, longest_excursion: float = 3.0) -> list[int]:
+    """Which runs of poses to keep: the most poses in runs that can follow each other.
+
+    After a longer excursion poses are not believed again [s]: an arm may hide the object for that long in a push.
+    """
     first, last = np.array([run[0] for run in runs]), np.array([run[-1] for run in runs])
     length, previous = np.array([len(run) for run in runs]), np.full(len(runs), -1)
     for k in range(1, len(runs)):
-        near = np.flatnonzero(time[first[k]] - time[last[:k]] <= _LONGEST_EXCURSION)
+        near = np.flatnonzero(time[first[k]] - time[last[:k]] <= longest_excursion)
         possible = near[steps.possible(last[near], np.full(len(near), first[k]))]
         if len(possible):
             previous[k] = possible[np.argmax(length[possible])]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Final
 
 import numpy as np
 
@@ -23,14 +22,8 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.types import CellGrid, Float64Array, ObjectModel, PushRecord, SolveStatus, short_repr
 
-__all__ = ["CHI2_90", "Outcome", "Prediction", "PushErrors", "held_out_errors", "outcomes_of", "predict", "push_errors"]
-
 CHI2_90 = 6.251
 """Chi squared with 3 degrees of freedom is below it with probability 0.9."""
-_LEAST_CHANCE: Final = 0.1
-"""Least chance of an outcome that is reported [1]: a rarer one lies outside the 90 % region of the prediction."""
-_SEPARATION: Final = 2.0
-"""Standard deviations about its mean to which an outcome reaches; outcomes that overlap are one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +200,7 @@ class Outcome:
     """Mean last pose, table frame, shape (3,)."""
 
 
-def outcomes_of(cells: CellGrid, prediction: Prediction) -> list[Outcome]:
+def outcomes_of(cells: CellGrid, prediction: Prediction, *, least_chance: float = 0.1, reach: float = 2.0) -> list[Outcome]:
     """One outcome, or two where the drawn models disagree (the object turns left under some, right under others), the likelier first.
 
     None where the prediction failed.
@@ -219,6 +212,8 @@ def outcomes_of(cells: CellGrid, prediction: Prediction) -> list[Outcome]:
     Args:
         cells: of the object.
         prediction: with its draws.
+        least_chance: of an outcome that is reported [1]: a rarer one lies outside the 90 % region of the prediction.
+        reach: standard deviations about its mean to which an outcome reaches; outcomes that overlap are one.
     """
     ends = prediction.ends
     if len(ends) == 0:
@@ -229,7 +224,7 @@ def outcomes_of(cells: CellGrid, prediction: Prediction) -> list[Outcome]:
     offset = (ends - ends.mean(axis=0)) @ metric.T
     score = offset @ np.linalg.svd(offset, full_matrices=False)[2][0]
     order = np.argsort(score)
-    least = max(1, int(np.ceil(_LEAST_CHANCE * len(ends))))
+    least = max(1, int(np.ceil(least_chance * len(ends))))
     cuts = range(least, len(ends) - least + 1)
     if not cuts:
         return [Outcome(1.0, ends.mean(axis=0))]
@@ -237,8 +232,7 @@ def outcomes_of(cells: CellGrid, prediction: Prediction) -> list[Outcome]:
     parts = [order[:cut], order[cut:]]
     gap = float(np.mean(score[parts[1]]) - np.mean(score[parts[0]]))
     floor = metric @ NoiseModel().floor @ metric.T
-    reach = sum(float(np.sqrt(np.var(score[part]) + np.trace(floor))) for part in parts)
-    if gap <= _SEPARATION * reach:
+    if gap <= reach * sum(float(np.sqrt(np.var(score[part]) + np.trace(floor))) for part in parts):
         return [Outcome(1.0, ends.mean(axis=0))]
     outcomes = [Outcome(len(part) / len(ends), ends[part].mean(axis=0)) for part in parts]
     return sorted(outcomes, key=lambda outcome: -outcome.chance)

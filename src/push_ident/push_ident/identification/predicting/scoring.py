@@ -14,12 +14,7 @@ from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.unknowns.mechanics import uniform_model
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
-from push_ident.types import Float64Array, PushRecord, SolveStatus
-
-__all__ = ["PushScore", "RunningRecord", "ScoreSummary", "score_push", "summarise_scores"]
-
-_REMEMBERED = 200
-"""Number of the latest scores that a running record keeps."""
+from push_ident.types import PushRecord, SolveStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +68,9 @@ class RunningRecord:
     latest: tuple[PushScore, ...] = ()
     """In the order of the pushes, including those that could not be predicted."""
 
-    def add(self, score: PushScore) -> RunningRecord:
-        """With one more push."""
-        record = replace(self, latest=(*self.latest, score)[-_REMEMBERED:])
+    def add(self, score: PushScore, remembered: int = 200) -> RunningRecord:
+        """With one more push; so many of the latest scores are kept."""
+        record = replace(self, latest=(*self.latest, score)[-remembered:])
         if not np.isfinite(score.cell_error):
             return record
         values = (score.cell_error, score.expected_cell_error, score.uniform_cell_error, float(score.within_90))
@@ -90,13 +85,7 @@ class RunningRecord:
         return ScoreSummary(self.n, *(value / self.n for value in self.sums))
 
 
-def score_push(
-    before: ModelPosterior,
-    record: PushRecord,
-    number: int,
-    *,
-    noise: NoiseModel | None = None,
-) -> PushScore:
+def score_push(before: ModelPosterior, record: PushRecord, number: int, *, noise: NoiseModel | None = None) -> PushScore:
     """Predict a finished push with the model of the pushes before it, and compare.
 
     Args:
@@ -114,7 +103,7 @@ def score_push(
     if prediction.status is not SolveStatus.SIMULATION_FAILED:
         error = cell_error(cells, prediction.pose[-1], observed.pose[-1])
         difference = prediction.pose[-1] - observed.pose[-1]
-        covariance = prediction.covariance[-1] + _covariance(observed.whitening[-1])
+        covariance = prediction.covariance[-1] + np.linalg.inv(observed.whitening[-1].T @ observed.whitening[-1])
         mahalanobis2 = float(difference @ np.linalg.solve(covariance, difference))
     return PushScore(
         number=number,
@@ -133,7 +122,3 @@ def summarise_scores(scores: Sequence[PushScore]) -> ScoreSummary:
     for score in scores:
         record = record.add(score)
     return record.summary
-
-
-def _covariance(whitening: Float64Array) -> Float64Array:
-    return np.asarray(np.linalg.inv(whitening.T @ whitening), dtype=np.float64)

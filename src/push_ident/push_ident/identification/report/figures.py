@@ -13,10 +13,6 @@ from push_ident.pages.chart import BLUES, Arrow, CellPanel, Mark, Row, Series, c
 from push_ident.pushing.push import PushPlan2D
 from push_ident.types import Float64Array
 
-__all__ = ["draw_errors", "draw_maps", "draw_push", "draw_record", "shown_pushes"]
-
-_CHI2_90_2D = 4.605
-"""Chi squared with 2 degrees of freedom is below it with probability 0.9."""
 _MAX_ROWS = 40
 """Pushes of a figure; of more, those with the largest errors."""
 _IDENTIFIED, _FITTED, _NOMINAL = "var(--accent, #1f5fa8)", "var(--warm, #c0561d)", "var(--soft, #5b6675)"
@@ -49,7 +45,8 @@ def _centre_ellipse(posterior: ModelPosterior) -> Float64Array:
     value, vector = np.linalg.eigh(rows @ posterior.covariance @ rows.T)
     angle = np.linspace(0, 2 * np.pi, 61)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.asarray(centre + circle * np.sqrt(_CHI2_90_2D * np.maximum(value, 0.0)) @ vector.T)
+    # Chi squared with 2 degrees of freedom is below 4.605 with probability 0.9.
+    return np.asarray(centre + circle * np.sqrt(4.605 * np.maximum(value, 0.0)) @ vector.T)
 
 
 def shown_pushes(train: PushErrors, test: PushErrors) -> list[tuple[int, bool, Float64Array]]:

@@ -24,11 +24,6 @@ from push_ident.identification.results.supports import Support, supports
 from push_ident.pages.page import FigureSection, page_text
 from push_ident.types import SolveStatus
 
-__all__ = ["Provenance", "report_text", "write_report"]
-
-_MIN_SCORES = 2
-"""Number of scores from which the report shows them."""
-
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
@@ -160,7 +155,7 @@ def _support(support: Support) -> str:
 
 def _record(scores: Sequence[PushScore]) -> dict[str, Any] | None:
     """Predictions before each push; None where there are too few."""
-    if len(scores) < _MIN_SCORES:
+    if len(scores) < 2:
         return None
     summary = summarise_scores(scores)
     return {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -12,11 +12,6 @@ from push_ident.identification.predicting.prediction import PushErrors
 from push_ident.identification.results.identifiability import Identifiability, identifiability
 from push_ident.identification.results.result import Candidate, Identification
 from push_ident.identification.results.supports import Support, supports
-
-__all__ = ["knowledge_json", "result_json"]
-
-_SHOWN: Final = 4
-"""Number of combinations that are written cell by cell."""
 
 
 def result_json(result: Identification, object_id: str, train: PushErrors, test: PushErrors, notes: Sequence[str] = ()) -> dict[str, Any]:
@@ -82,8 +77,8 @@ def _support(support: Support) -> dict[str, Any]:
     }
 
 
-def knowledge_json(known: Identifiability) -> dict[str, Any]:
-    """Identifiability: named quantities, and the combinations of all cells, the best determined first."""
+def knowledge_json(known: Identifiability, n_shown: int = 4) -> dict[str, Any]:
+    """Identifiability: named quantities, and the combinations of all cells, the best determined first, `n_shown` of them cell by cell."""
     return {
         "quantities": [
             {"name": q.name, "unit": q.unit, "value": q.value, "std": q.std, "prior_std": q.prior_std, "verdict": q.knowledge.name.lower()}
@@ -96,7 +91,7 @@ def knowledge_json(known: Identifiability) -> dict[str, Any]:
             "share_left": [c.std_ratio for c in known.combinations],
             "best_known": [
                 {"share_left": c.std_ratio, "log_mass": c.log_mass.tolist(), "log_friction": c.log_friction.tolist()}
-                for c in known.combinations[:_SHOWN]
+                for c in known.combinations[:n_shown]
             ],
         },
     }

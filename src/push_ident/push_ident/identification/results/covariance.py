@@ -6,8 +6,6 @@ import numpy as np
 
 from push_ident.types import Float64Array
 
-__all__ = ["lower_root", "square_root"]
-
 
 def lower_root(covariance: Float64Array) -> Float64Array:
     """Lower triangular L with L L' = covariance, shape (n, n): that of Cholesky where there is one.

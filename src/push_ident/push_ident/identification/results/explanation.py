@@ -32,8 +32,6 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
-__all__ = ["Explanation", "PushEvidence", "explain"]
-
 _MOTION_SHARE: Final = 0.5
 """Error of an explained push, as a share of the motion [-]: above it, the model explains less of the motion than it leaves open."""
 _DEVIATIONS: Final = 3.0

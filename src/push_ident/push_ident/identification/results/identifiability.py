@@ -18,13 +18,6 @@ from push_ident.physics.simulation import GRAVITY
 from push_ident.physics.tape import Param
 from push_ident.types import Float64Array
 
-__all__ = ["Combination", "Identifiability", "Knowledge", "Quantity", "before_text", "identifiability", "value_text"]
-
-_PINNED = 1 / 3
-"""Ratio of posterior to prior standard deviation below which a quantity counts as determined [-]."""
-_OPEN = 0.8
-"""Ratio above which the pushes hardly changed what is known [-]."""
-
 
 class Knowledge(Enum):
     """How far the data reduce the prior standard deviation; the value explains it."""
@@ -37,7 +30,7 @@ class Knowledge(Enum):
     @classmethod
     def of(cls, std_ratio: float) -> Knowledge:
         """The knowledge at a ratio of posterior to prior standard deviation."""
-        return cls.PINNED if std_ratio < _PINNED else cls.NARROWED if std_ratio < _OPEN else cls.OPEN
+        return cls.PINNED if std_ratio < 1 / 3 else cls.NARROWED if std_ratio < 0.8 else cls.OPEN
 
 
 @dataclass(frozen=True, slots=True)

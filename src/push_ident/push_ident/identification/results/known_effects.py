@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from scipy.special import chdtri
@@ -20,13 +19,6 @@ from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.identification.unknowns.spec import UnknownsSpec, nuisance_effects
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array
-
-__all__ = ["KnownEffect", "check_agreement", "effects_cost", "effects_in_use", "effects_text", "with_known_effects"]
-
-_BY_CHANCE: Final = 1e-3
-"""Probability with which the pushes of the model contradict a right value by chance [1]: one right diagnosis in a thousand is refused."""
-_LEAST_STD: Final = 1e-15
-"""Least standard deviation, in the unit of the value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +115,7 @@ def effects_in_use(posterior: ModelPosterior) -> tuple[KnownEffect, ...]:
     effects, measured = posterior.effects, _measured(posterior)
     low, high = (np.array([getattr(parameter, bound) for parameter in effects.parameters]) for bound in ("low", "high"))
     # A file or a fit may lie beside a bound by rounding.
-    value, std = np.clip(effects.values, low, high), np.maximum(posterior.effects_std, _LEAST_STD)
+    value, std = np.clip(effects.values, low, high), np.maximum(posterior.effects_std, 1e-15)
     position = {name: effects.slice_of(name) for name in effects.names if name not in measured}
     return tuple(KnownEffect(name, value[at], std[at]) for name, at in position.items())
 
@@ -138,11 +130,11 @@ def _sizes(name: str, value: Float64Array, std: Float64Array) -> str:
     return ", ".join(f"{p.name} {number:.4g} ± {deviation:.2g}{f' {p.unit}' if p.unit else ''}" for p, number, deviation in rows)
 
 
-def check_agreement(posterior: ModelPosterior, effects: Sequence[KnownEffect]) -> None:
+def check_agreement(posterior: ModelPosterior, effects: Sequence[KnownEffect], by_chance: float = 1e-3) -> None:
     """Raise InputError where the pushes of a posterior, which has these effects, contradict their values.
 
     The squared Mahalanobis distance between both is compared with its distribution for independent estimates; those of the same pushes are
-    nearer.
+    nearer. `by_chance` is the probability that they contradict a right value: one right diagnosis in a thousand is refused.
     """
     in_use = {effect.name: effect for effect in effects_in_use(posterior)}
     for effect in effects:
@@ -150,7 +142,7 @@ def check_agreement(posterior: ModelPosterior, effects: Sequence[KnownEffect]) -
         if fitted is None:
             continue
         distance2 = float(np.sum((fitted.value - effect.value) ** 2 / (fitted.std**2 + effect.std**2)))
-        if distance2 > chdtri(len(effect.value), _BY_CHANCE):
+        if distance2 > chdtri(len(effect.value), by_chance):
             raise InputError(
                 f"The pushes of this model show {effect.name} {_sizes(effect.name, fitted.value, fitted.std)}, expected "
                 f"{_sizes(effect.name, effect.value, effect.std)}: it is not of this object and table as they are now; diagnose its latest "

@@ -23,15 +23,7 @@ from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.limits import LIMITS, check_coordinates, plain_text
 from push_ident.types import CellGrid, Float64Array, ObjectShape, SolveStatus
 
-__all__ = [
-    "ModelContent", "array_of", "failure_of_model", "is_model_file", "load_model", "model_content", "model_of_text", "model_text",
-    "posterior_of", "prior_of", "save_model",
-]  # fmt: skip
-
 _MODEL_FORMAT: Final = "push_ident/model/1"
-
-_STATED_TOLERANCE: Final = 1e-6
-"""Relative difference of what a file states twice: machines differ in the last of 16 digits, and exponentials enlarge it [-]."""
 
 
 class ModelContent(CheckedContent):
@@ -207,7 +199,8 @@ def _check_stated(content: ModelContent, posterior: ModelPosterior) -> None:
             continue
         if len(expected) != len(stated):
             raise InputError(f"`{name}` has {len(stated)} values, expected {len(expected)}.")
-        differs = ~np.isclose(stated, expected, rtol=_STATED_TOLERANCE, atol=1e-15)
+        # Machines differ in the last of 16 digits, and exponentials enlarge it.
+        differs = ~np.isclose(stated, expected, rtol=1e-6, atol=1e-15)
         if np.any(differs):
             first = int(np.argmax(differs))
             raise InputError(f"`{name}` states {stated[first]:.6g}, expected {expected[first]:.6g} as the unknowns `z` give it.")

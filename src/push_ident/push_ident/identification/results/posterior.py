@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 
@@ -14,11 +13,6 @@ from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec, nuisance_effects
 from push_ident.physics.effect_values import EffectValues
 from push_ident.types import Float64Array, ObjectModel, ObjectShape
-
-__all__ = ["Estimate", "ModelPosterior", "prior_posterior", "with_total_mass"]
-
-_IDENTIFIABLE: Final = 0.5
-"""The total mass is identified when its posterior standard deviation is below this share of the prior's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +144,7 @@ def with_total_mass(posterior: ModelPosterior) -> ModelPosterior:
     """State the total mass of a posterior that has it among its unknowns; any other stays as it is.
 
     Poses carry no information about it. A force determines the product of total mass and friction scale; poses (through inertia) and the
-    prior bound both factors weakly.
+    prior bound both factors weakly. It is identified when its posterior standard deviation is below half of the prior's.
     """
     block, at = posterior.unknowns.blocks["total_mass"], posterior.unknowns.slices["total_mass"]
     if block.size == 0:
@@ -158,5 +152,5 @@ def with_total_mass(posterior: ModelPosterior) -> ModelPosterior:
     (std,), prior = block.std, posterior.prior
     value = prior.total_mass * float(np.exp(std * posterior.z[at][0]))
     log_std = float(std * np.sqrt(posterior.covariance[at, at][0, 0]))
-    identified = bool(prior.total_mass_std == 0 or log_std < _IDENTIFIABLE * prior.total_mass_std)
+    identified = bool(prior.total_mass_std == 0 or log_std < 0.5 * prior.total_mass_std)
     return replace(posterior, total_mass=Estimate(value, value * log_std), total_mass_identifiable=identified)

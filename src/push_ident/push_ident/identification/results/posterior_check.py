@@ -16,8 +16,6 @@ from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.limits import LIMITS, plain_text
 from push_ident.types import Float64Array
 
-__all__ = ["check_information", "check_posterior", "check_prior", "check_start"]
-
 _MATRIX_ROUNDING: Final = 1e-9
 """Error of a matrix that rounding explains, relative to its largest entry [-]: condition numbers are below 1e7."""
 _MODE_ROUNDING: Final = 1e-6

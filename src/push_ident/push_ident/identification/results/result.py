@@ -11,8 +11,6 @@ from push_ident.identification.unknowns.prior import MapPrior
 from push_ident.pages.tables import html_table
 from push_ident.types import Float64Array, ObjectModel, SolveStatus, short_repr
 
-__all__ = ["Candidate", "Checkpoint", "Identification", "WarmStart"]
-
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:

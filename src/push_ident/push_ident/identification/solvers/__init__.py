@@ -9,8 +9,6 @@ from typing import Final
 from push_ident.errors import InputError
 from push_ident.identification.fitting.solver import Solver
 
-__all__ = ["DEFAULT_SOLVER", "SOLVERS", "discover", "solver_of"]
-
 
 def discover() -> dict[str, Solver]:
     """The solvers in the files of this folder, those with a posterior first, else in alphabetical order."""

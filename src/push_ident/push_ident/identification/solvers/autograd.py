@@ -19,11 +19,6 @@ if TYPE_CHECKING:
 
     from push_ident.physics.reference import ReferenceModel
 
-__all__ = ["SOLVER", "Autograd", "reference_cost"]
-
-_TIME_STEP = 0.01
-"""Time step of the reference engine [s]: a usual one for differentiable engines of its kind."""
-
 
 class Autograd(CellByCellSolver):
     """Gradient descent; cost and gradient come from the reference engine, with the paper's friction pyramid."""
@@ -69,7 +64,7 @@ def reference_cost(problem: FitProblem, x: Float64Array) -> tuple[torch.Tensor, 
         [record.pusher for record in problem.records],
         torch.stack(firsts),
         [observed.time for observed in problem.observations],
-        settings=SimulationSettings(step=_TIME_STEP),
+        settings=SimulationSettings(step=0.01),  # a usual one for differentiable engines of its kind [s]
     )
     problem.meter.count(len(problem.records))
     cost = 0.5 * z @ z

@@ -13,20 +13,6 @@ from push_ident.identification.unknowns.mechanics import model_at, unknowns_of_m
 from push_ident.physics.simulation import GRAVITY, Motion
 from push_ident.types import CellGrid, Float64Array, SolveStatus
 
-__all__ = ["SOLVER", "FastGradient"]
-
-_RATE = 1.0
-"""Initial learning rate alpha of the paper, here relative to the distance that a cell moves: a cell simulated 10 % too far gets 10 % more
-friction."""
-_LEAST_RATE = 1e-3
-"""Learning rate at which the search ends."""
-_TARGET = 0.5
-"""The paper's loss threshold, as a share of the loss that noise would cause without any model error."""
-_FLOOR = 1e-3
-"""Smallest friction force and mass of a cell, as a share of the mean."""
-_PATIENCE = 20
-"""Passes without a better point after which the rate is halved and the search returns to the best point."""
-
 
 class FastGradient(CellByCellSolver):
     """Raise friction and mass of the cells that the simulation moves too far, lower them where it moves them too little.
@@ -39,6 +25,17 @@ class FastGradient(CellByCellSolver):
     """
 
     name: ClassVar[str] = "fast_gradient"
+    rate: ClassVar[float] = 1.0
+    """Initial learning rate alpha of the paper, relative to the distance that a cell moves: one simulated 10 % too far gets 10 % more
+    friction."""
+    least_rate: ClassVar[float] = 1e-3
+    """At which the search ends."""
+    target: ClassVar[float] = 0.5
+    """The paper's loss threshold, as a share of the loss that noise would cause without any model error."""
+    floor: ClassVar[float] = 1e-3
+    """Smallest friction force and mass of a cell, as a share of the mean."""
+    patience: ClassVar[int] = 20
+    """Passes without a better point after which the rate is halved and the search returns to the best point."""
 
     def solve(self, problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
         """As `CellByCellSolver.solve`; `STALLED` where the rate became too small, or the next model could not be simulated."""
@@ -49,7 +46,7 @@ class FastGradient(CellByCellSolver):
         if not np.any(x0):
             force = force * rng.uniform(0.5, 1.5, len(mass))  # "Initialize mu_f randomly"; an earlier result stays as it is
         mean_mass, mean_force = float(mass.mean()), float(force.mean())
-        best, best_force, best_mass, waited, rate = np.array(x0), force, mass, 0, _RATE
+        best, best_force, best_mass, waited, rate = np.array(x0), force, mass, 0, self.rate
         while True:
             x = np.array(x0)
             x[: unknowns.size] = unknowns_of_maps(unknowns, mass, force / (GRAVITY * mass), start.pusher_friction)
@@ -62,18 +59,18 @@ class FastGradient(CellByCellSolver):
                 return best, SolveStatus.SIMULATION_FAILED if meter.best is None else SolveStatus.STALLED
             passes = [_errors_along_path(problem, motion, push) for push, motion in enumerate(motions)]
             loss, expected = (float(np.mean([p[i] for p in passes])) for i in (1, 2))
-            if loss <= _TARGET * expected:
+            if loss <= self.target * expected:
                 return best, SolveStatus.CONVERGED
             if meter.spent:
                 return best, SolveStatus.BUDGET_SPENT
-            if waited > _PATIENCE:
+            if waited > self.patience:
                 force, mass, waited, rate = best_force, best_mass, 0, 0.5 * rate
-                if rate < _LEAST_RATE:
+                if rate < self.least_rate:
                     return best, SolveStatus.STALLED
                 continue
             error = np.mean([p[0] for p in passes], axis=0)
-            force = np.maximum(force + rate * mean_force * error, _FLOOR * mean_force)
-            mass = np.maximum(mass + np.sqrt(rate) * mean_mass * error, _FLOOR * mean_mass)
+            force = np.maximum(force + rate * mean_force * error, self.floor * mean_force)
+            mass = np.maximum(mass + np.sqrt(rate) * mean_mass * error, self.floor * mean_mass)
 
 
 SOLVER = FastGradient()

@@ -11,16 +11,13 @@ from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.fitting.solver import CellByCellSolver
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["SOLVER", "FiniteDifferences"]
-
-_DIFFERENCE_STEP = 1e-3
-"""Of the finite differences, in prior standard deviations."""
-
 
 class FiniteDifferences(CellByCellSolver):
     """Gradient descent; each gradient simulates all pushes once per unknown of the object (Song & Boularias 2020, Baselines)."""
 
     name: ClassVar[str] = "finite_differences"
+    step: ClassVar[float] = 1e-3
+    """Of the finite differences, in prior standard deviations."""
 
     def solve(self, problem: FitProblem, x0: Float64Array, rng: np.random.Generator) -> tuple[Float64Array, SolveStatus]:
         """As `CellByCellSolver.solve`; nothing is random."""
@@ -31,8 +28,8 @@ class FiniteDifferences(CellByCellSolver):
                 if problem.meter.spent:
                     return None
                 moved = x.copy()
-                moved[i] += _DIFFERENCE_STEP
-                slope[i] = (problem.cost(moved) - cost) / _DIFFERENCE_STEP
+                moved[i] += self.step
+                slope[i] = (problem.cost(moved) - cost) / self.step
             return slope
 
         return descend(problem, x0, problem.cost, gradient)

@@ -28,16 +28,10 @@ from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
-__all__ = ["EVEN_ODDS", "SOLVER", "GaussNewton"]
-
 _POOR_FIT: Final = 4.0
 """Reduced chi-square above which the pushes contradict each other or the model: residuals are then twice the stated noise."""
-_FRAME_ITERATIONS: Final = 2
-"""Steps in an update at a frame: it starts from the estimate of the frame before."""
 _NEGLIGIBLE: Final = 7.0
 """Difference of log evidence [nat], odds of 1100 to 1: candidates so far below the best are not fitted to the end."""
-_EVENNESS: Final = 0.05
-"""Standard deviation of the unknowns of maps where cells are taken as equal, in units of the caller's prior: some 4 % of a cell [-]."""
 EVEN_ODDS: Final = 0.1
 """Prior odds of equal cells against uneven ones: few objects are so even, and one push seldom tells which ones (decision 5) [-]."""
 _UNEVEN_MATERIAL, _UNEVEN_LOAD = STARTS
@@ -45,18 +39,6 @@ _ADOPTED: Final = "adopted model"
 _EQUAL: Final = "equal cells"
 _NOMINAL: Final = "equal cells, nominal friction"
 _FEET: Final = {2: "two feet", 3: "three feet"}
-_FOOT_STARTS: Final = 3
-"""Places of the feet that a fit may start from: the cost has more than one minimum."""
-_SCREENING: Final = 1
-"""Steps from each of them before the best one is fitted to the end: three chose no better (7 tripods, 2 to 10 pushes)."""
-_NOISE_ROUNDS: Final = 3
-"""Changes of the factor on the stated noise, at most."""
-_SAME_NOISE: Final = 0.1
-"""Change of the logarithm of that factor that changes no fit [-]."""
-_NOISE_FREEDOM: Final = 4.0
-"""Degrees of freedom of its prior, inverse chi-square about 1: factors of 0.6 and 2.4 are its 90 % interval [-]."""
-_CLUSTERING: Final = 10
-"""Steps of Lloyd's algorithm: a start needs no more."""
 
 
 class GaussNewton(Solver):
@@ -107,7 +89,8 @@ class GaussNewton(Solver):
         if not problem.observations[0].touched:
             return None
         start = np.r_[before.z, np.zeros(problem.unknowns_of_push)] if task.latest is None else task.latest
-        fit = Fit(problem, *minimise(problem, start, _FRAME_ITERATIONS, refine=False))
+        # It starts from the estimate of the frame before.
+        fit = Fit(problem, *minimise(problem, start, 2, refine=False))
         return FrameFit(fit.x, replace(before, z=fit.z, covariance=fit.covariance), fit.status)
 
 
@@ -216,7 +199,8 @@ class _Candidates:
             status = task.scalar.status if name == _EQUAL and task.past is None else SolveStatus.MAX_ITERATIONS
             fit = self._fitted_if_needed(Fit(problem, x0, first, status))
             covariance = transform @ fit.covariance @ transform.T
-            covariance[full_maps, full_maps] += _EVENNESS**2
+            # Cells that are taken as equal: in units of the caller's prior some 4 % of a cell.
+            covariance[full_maps, full_maps] += 0.05**2
             self.fits.append(_Entry(name, full, fit.log_evidence + log(EVEN_ODDS), None, fit, transform @ fit.z, covariance))
 
     def _fitted_if_needed(self, start: Fit) -> Fit:
@@ -235,10 +219,10 @@ class _Candidates:
         """
         return start.end.cost + start.log_evidence - self._needed_evidence
 
-    def fit_maps(self) -> None:
+    def fit_maps(self, noise_rounds: int = 3) -> None:
         """With maps whose prior the pushes set, from each start; where nothing else shows the noise of the poses, they set it too."""
         self._set_inflation(1.0)
-        for remaining in reversed(range(_NOISE_ROUNDS)):
+        for remaining in reversed(range(noise_rounds)):
             self.fits, self.warm_starts, earlier = [], [], self.warm_starts or self._task.warm_starts
             for name, candidate in zip(STARTS, self._maps_from_all_starts(earlier), strict=True):
                 self._keep_maps(name, candidate)
@@ -281,11 +265,14 @@ class _Candidates:
 
     @property
     def _expected_inflation(self) -> float:
-        """Factor on the stated noise that the residuals of the best fit and the prior of the factor make most probable."""
-        best = self.best
+        """Factor on the stated noise that the residuals of the best fit and the prior of the factor make most probable.
+
+        The prior is inverse chi-square about 1 with 4 degrees of freedom: factors of 0.6 and 2.4 are its 90 % interval.
+        """
+        best, freedom = self.best, 4.0
         weight = best.problem.weigh(best.end.residual)[1]
-        squares = self._inflation**2 * float(weight @ np.sum(best.end.residual**2, axis=1)) + _NOISE_FREEDOM
-        return float(np.sqrt(squares / (best.degrees_of_freedom + _NOISE_FREEDOM)))
+        squares = self._inflation**2 * float(weight @ np.sum(best.end.residual**2, axis=1)) + freedom
+        return float(np.sqrt(squares / (best.degrees_of_freedom + freedom)))
 
     @property
     def noise_factor(self) -> float | None:
@@ -303,8 +290,8 @@ class _Candidates:
         return self.best.reduced_chi2 * (self._inflation / UNCHECKED) ** 2
 
     def _set_inflation(self, inflation: float) -> bool:
-        """Assume another factor on the noise of poses that nothing checks; whether it changes a fit."""
-        if not self._noise_is_open or abs(np.log(inflation / self._inflation)) < _SAME_NOISE:
+        """Assume another factor on the noise of poses that nothing checks; whether it changes a fit, by a tenth and more."""
+        if not self._noise_is_open or abs(np.log(inflation / self._inflation)) < 0.1:
             return False
         self._inflation = inflation
         noise = replace(self._task.options.noise or NoiseModel(), single_frame_inflation=inflation)
@@ -312,8 +299,12 @@ class _Candidates:
         self._pushes = FitProblem(first.records, first.unknowns, noise=noise, settings=first.settings, steps=first.steps)
         return True
 
-    def fit_feet(self, number: int) -> None:
-        """On feet whose places the pushes set, unless the first steps show that this explains them far worse."""
+    def fit_feet(self, number: int, n_starts: int = 3) -> None:
+        """On feet whose places the pushes set, unless the first steps show that this explains them far worse.
+
+        The cost has more than one minimum: of several starts, the best one after a step is fitted to the end. The best after three steps
+        was no better (7 tripods, 2 to 10 pushes).
+        """
         name, unknowns = _FEET[number], self._on(number)
         flat = self._flat(unknowns)
         problem = self._problem(unknowns, np.eye(unknowns.size))
@@ -322,12 +313,12 @@ class _Candidates:
             starts.append(flat.copy())
             starts[0][: len(warm.x)] = warm.x
         rng = np.random.default_rng(0)
-        for _ in range(0 if warm else _FOOT_STARTS):
+        for _ in range(0 if warm else n_starts):
             start = flat.copy()
             start[unknowns.slices["foot_positions"]] = foot_position_unknowns(unknowns, self._clusters(number, rng))
             if not any(np.allclose(start, other) for other in starts):
                 starts.append(start)
-        first = min((Fit(problem, *minimise_roughly(problem, start, _SCREENING)) for start in starts), key=lambda fit: fit.end.cost)
+        first = min((Fit(problem, *minimise_roughly(problem, start, 1)) for start in starts), key=lambda fit: fit.end.cost)
         if not np.isfinite(first.end.cost):
             return
         fit = self._fitted_if_needed(first)
@@ -335,8 +326,8 @@ class _Candidates:
         self.fits.append(_Entry(name, unknowns, fit.log_evidence + log(factorial(number)), None, fit, fit.z, fit.covariance))
         self.warm_starts.append(WarmStart(name, fit.x))
 
-    def _clusters(self, number: int, rng: np.random.Generator) -> Float64Array:
-        """Centres of clusters of the load of the best maps so far [m], shape (number, 2), in an order of their own."""
+    def _clusters(self, number: int, rng: np.random.Generator, n_steps: int = 10) -> Float64Array:
+        """Centres of clusters of the load of the best maps so far [m], shape (number, 2), in an order of their own: Lloyd's algorithm."""
         cells = self._task.unknowns.shape.cells.centres
         maps = [entry for entry in self.fits if entry.unknowns is self._unknowns]
         load = np.ones(len(cells))
@@ -344,7 +335,7 @@ class _Candidates:
             model = max(maps, key=lambda entry: entry.log_evidence).model
             load = model.mass * model.friction
         centres = cells[rng.choice(len(cells), number, replace=False, p=load / load.sum())]
-        for _ in range(_CLUSTERING):
+        for _ in range(n_steps):
             nearest = np.argmin(np.linalg.norm(cells[:, None] - centres[None], axis=2), axis=1)
             for k in range(number):
                 if np.any(nearest == k):

@@ -10,8 +10,6 @@ from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.fitting.solver import Capabilities, CellByCellSolver
 from push_ident.types import Float64Array, SolveStatus
 
-__all__ = ["SOLVER", "SPAN", "RandomSearch"]
-
 SPAN = 2.0
 """Largest size of a drawn unknown, in prior standard deviations."""
 

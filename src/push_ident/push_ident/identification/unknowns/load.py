@@ -34,24 +34,6 @@ import numpy as np
 
 from push_ident.types import Float64Array
 
-__all__ = [
-    "Feet", "FeetDerivative", "FeetLoad", "balanced_load", "balanced_load_derivative", "feet_load", "feet_load_derivative",
-]  # fmt: skip
-
-_BALANCED: Final = 1e-12
-"""Slope at which the load balances, relative to the size of the object [-]."""
-_MAX_STEPS: Final = 100
-"""Newton's method on a convex function needs some ten."""
-_ARMIJO: Final = 1e-4
-"""Share of the expected decrease that a step must make (Nocedal & Wright, Numerical Optimization, ch. 3) [-]."""
-_REGULAR: Final = 1e-12
-"""Added to the spread, which is about 1 unless the load is on one line or point [-]."""
-_LONGEST_STEP: Final = 10.0
-"""Step of the tilt: it changes ratios of loads by a factor of e^10 over the size of the object [-]."""
-_SHORTEST_STEP: Final = 1e-9
-"""Shortest share of a step: below it the decrease is lost in rounding [-]."""
-_POTENTIAL_ROUNDING: Final = 1e-14
-"""Relative error of the potential: near its minimum a step is not refused for less [-]."""
 _FLOATING: Final = 1e-3
 """Share f of the load that the rest of the base bears [-]."""
 _SOFTNESS: Final = 1e-3
@@ -208,21 +190,24 @@ def _balance(exponent: Float64Array, arms: Float64Array, softness: float = 0.0) 
     """
     tilt = np.zeros(2)
     share, potential = _shares(exponent)
-    for _ in range(_MAX_STEPS):
+    for _ in range(100):  # Newton's method on a convex function needs some ten
         centre = share @ arms
         slope = centre + 2.0 * softness * tilt
-        if np.max(np.abs(slope)) < _BALANCED:
+        if np.max(np.abs(slope)) < 1e-12:  # it balances
             break
         spread = (arms * share[:, None]).T @ arms - np.outer(centre, centre)
-        step = -np.linalg.solve(spread + (2.0 * softness + _REGULAR) * np.eye(2), slope)
-        # Where nearly all of the load is in one place, the potential is a plane, and Newton's step without end.
-        step *= min(1.0, _LONGEST_STEP / float(np.linalg.norm(step)))
+        # The spread is about 1 unless the load is on one line or point.
+        step = -np.linalg.solve(spread + (2.0 * softness + 1e-12) * np.eye(2), slope)
+        # Where nearly all of the load is in one place, the potential is a plane, and Newton's step without end. This one changes ratios of
+        # loads by a factor of e^10.
+        step *= min(1.0, 10.0 / float(np.linalg.norm(step)))
         part = 1.0
-        while part > _SHORTEST_STEP:
+        while part > 1e-9:  # below it the decrease is lost in rounding
             trial = tilt + part * step
             share, raw = _shares(exponent + arms @ trial)
             reached = raw + softness * float(trial @ trial)
-            if reached <= potential + _ARMIJO * part * float(slope @ step) + _POTENTIAL_ROUNDING * (1.0 + abs(potential)):
+            # A share of the expected decrease (Armijo's rule: Nocedal & Wright, Numerical Optimization, ch. 3), but for rounding.
+            if reached <= potential + 1e-4 * part * float(slope @ step) + 1e-14 * (1.0 + abs(potential)):
                 break
             part *= 0.5
         tilt, potential = tilt + part * step, reached

@@ -38,17 +38,12 @@ from push_ident.identification.unknowns.load import (
     feet_load_derivative,
 )
 from push_ident.identification.unknowns.prior import Prior
-from push_ident.identification.unknowns.spec import PREFERENCE_STD, UnknownsSpec
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, Timeline, body_of_cells, simulate_body
 from push_ident.physics.tape import N_BODY_PARAMETERS, Param
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
-
-__all__ = [
-    "Mechanics", "effect_values_at", "effects_at", "feet_at", "foot_position_unknowns", "log_derivatives_at", "mechanics_at",
-    "model_at", "uniform_model", "unknowns_of_maps",
-]  # fmt: skip
 
 _FOOT_WIDTH: Final = (0.3, 0.3)
 """Width of a foot: the least one, at which a foot between cells still has its position, and the median beyond it, in cells [-]."""
@@ -196,7 +191,7 @@ def feet_at(spec: UnknownsSpec, z: Float64Array) -> FeetLoad:
 def _feet(spec: UnknownsSpec, z: Float64Array, weight: Float64Array) -> FeetLoad:
     cells = spec.shape.cells
     offset = z[spec.slices["foot_positions"]].reshape(-1, 2) @ _base_root(cells).T
-    preference = PREFERENCE_STD * z[spec.slices["foot_preferences"]]
+    preference = spec.blocks["foot_preferences"].std * z[spec.slices["foot_preferences"]]
     return feet_load(weight, cells.centres, Feet(cells.centres.mean(axis=0) + offset, _foot_width(spec, z)[0], preference))
 
 
@@ -205,7 +200,7 @@ def _feet_derivative(spec: UnknownsSpec, z: Float64Array, weight: Float64Array, 
     d_feet = FeetDerivative(
         position=np.einsum("ab,kbz->kaz", _base_root(spec.shape.cells), unit[at["foot_positions"]].reshape(spec.prior.feet, 2, -1)),
         log_width=_foot_width(spec, z)[1] * unit[at["foot_width"]][0],
-        preference=PREFERENCE_STD * unit[at["foot_preferences"]],
+        preference=spec.blocks["foot_preferences"].std[:, None] * unit[at["foot_preferences"]],
     )
     return feet_load_derivative(_feet(spec, z, weight), d_mass, d_feet)
 

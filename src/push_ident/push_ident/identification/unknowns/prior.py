@@ -12,17 +12,9 @@ from push_ident.errors import InputError
 from push_ident.limits import LIMITS
 from push_ident.types import CameraAccuracy, Float64Array, PushRecord
 
-__all__ = ["MapPrior", "Prior"]
-
-_FROZEN_STD = 1e-3
-"""Standard deviation of a logarithm that counts as given [-]: a thousandth of the coefficient, far below what any push determines. It is
-not 0, so that one parametrisation serves free and given coefficients and the Hessian stays regular."""
-_EVEN_MASS_STD: Final = 0.1
-"""Of the mass of a cell of an object on feet: it moves the centre of mass by a hundredth of the object [-]."""
-_EVEN_FRICTION_STD: Final = 0.05
-"""Of the friction of a cell of an object on feet: all feet slide on one table [-]."""
-_FORCE_OFFSET_STD: Final = 0.1
-"""Of a force sensor that was tared: what drift and cables leave [N]."""
+GIVEN_STD: Final = 1e-3
+"""Standard deviation of a logarithm that counts as given [-]: a thousandth of the coefficient, far below what any push or scale determines.
+It is not 0, so that one parametrisation serves free and given coefficients and the Hessian stays regular."""
 _LARGEST: Final = {
     "total_mass": LIMITS.MASS,
     "friction": LIMITS.FRICTION,
@@ -97,14 +89,11 @@ class Prior:
     """Number of feet of unknown place that bear the load; 0: the whole base does. There is no map of the load then."""
 
     def __post_init__(self) -> None:
-        for name in ("total_mass", "friction", "pusher_friction", "friction_std", "pusher_friction_std", "correlation_length"):
+        positive = ("total_mass", "friction", "pusher_friction", "friction_std", "pusher_friction_std", "correlation_length")
+        for name in (*positive, "total_mass_std", "camera_position_std", "camera_heading_std", "force_offset_std", *_MAP_STDS):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"Prior.{name} is {value}, expected a positive number.")
-        for name in ("total_mass_std", "camera_position_std", "camera_heading_std", "force_offset_std", *_MAP_STDS):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(f"Prior.{name} is {value}, expected a number >= 0.")
+            if not (np.isfinite(value) and (value > 0 or (value == 0 and name not in positive))):
+                raise InputError(f"Prior.{name} is {value}, expected a {'positive number' if name in positive else 'number >= 0'}.")
         for name, most in _LARGEST.items():
             most.check(getattr(self, name), f"Prior.{name}", remedy="Give SI units.")
         if self.max_modes < 0:
@@ -123,11 +112,14 @@ class Prior:
             camera_heading_std=max((camera.heading for camera in stated), default=0.0),
         )
 
-    def with_force_offset(self, records: Iterable[PushRecord]) -> Prior:
-        """The same prior for pushes of which forces were measured, with the offset of a tared sensor unless it has one itself."""
+    def with_force_offset(self, records: Iterable[PushRecord], std: float = 0.1) -> Prior:
+        """The same prior for pushes of which forces were measured, unless it has an offset itself.
+
+        `std` is that of a sensor that was tared [N]: what drift and cables leave.
+        """
         if self.force_offset_std > 0 or all(record.wrench is None for record in records):
             return self
-        return replace(self, force_offset_std=_FORCE_OFFSET_STD)
+        return replace(self, force_offset_std=std)
 
     def at_amplitude(self, amplitude: float) -> Prior:
         """The same prior with the standard deviations of the maps multiplied by `amplitude`."""
@@ -137,16 +129,17 @@ class Prior:
         """The same prior where each cell bears its own weight: one map fewer, and the same products of mass and friction."""
         return replace(self, pressure_map_std=0.0)
 
-    def on_feet(self, number: int) -> Prior:
-        """The same prior of an object that stands on feet, with nearly even maps: where it stands says more; the prior itself for 0."""
-        if number == 0:
-            return self
-        return replace(self, feet=number, mass_map_std=_EVEN_MASS_STD, friction_map_std=_EVEN_FRICTION_STD)
+    def on_feet(self, number: int, mass_std: float = 0.1, friction_std: float = 0.05) -> Prior:
+        """The same prior of an object that stands on feet, with nearly even maps: where it stands says more; the prior itself for 0.
+
+        `mass_std` moves the centre of mass by a hundredth of the object; all feet slide on one table, hence `friction_std`.
+        """
+        return replace(self, feet=number, mass_map_std=mass_std, friction_map_std=friction_std) if number else self
 
     def with_pusher_friction_frozen(self) -> Prior:
         """The same prior with the friction coefficient of the pusher given."""
-        return replace(self, pusher_friction_std=_FROZEN_STD)
+        return replace(self, pusher_friction_std=GIVEN_STD)
 
     def with_frictions_frozen(self) -> Prior:
         """The same prior with the friction coefficients of the support and of the pusher given."""
-        return replace(self, friction_std=_FROZEN_STD, pusher_friction_std=_FROZEN_STD)
+        return replace(self, friction_std=GIVEN_STD, pusher_friction_std=GIVEN_STD)

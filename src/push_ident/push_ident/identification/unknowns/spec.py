@@ -8,26 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
-from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.prior import GIVEN_STD, Prior
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS, SENSOR_ERRORS
 from push_ident.types import Float64Array, ObjectShape
-
-__all__ = [
-    "PREFERENCE_STD", "Block", "Layout", "UnknownsSpec", "leading_modes", "map_covariance", "measured_std", "nuisance_effects",
-    "relative_distances",
-]  # fmt: skip
-
-PREFERENCE_STD: Final = 0.7
-"""Prior standard deviation of the logarithm of the load that a foot prefers [-]; statics alone gives that of three feet."""
-_GIVEN_STD: Final = 1e-3
-"""Standard deviation of the logarithm of a total mass that counts as given [-]: no scale of a force sensor is better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +93,7 @@ class UnknownsSpec:
         if self.modes.ndim != 2 or len(self.modes) != len(self.shape.cells):
             raise InputError(f"`modes` has shape {self.modes.shape}, expected ({len(self.shape.cells)}, n_modes) as the cells.")
         n, feet, prior = self.modes.shape[1], self.prior.feet, self.prior
+        preference_std = 0.7  # of the logarithm of the load that a foot prefers; statics alone gives that of three feet
         layout = Layout.of(
             (
                 Block("mass_map", np.full(n, prior.mass_map_std)),
@@ -111,11 +101,11 @@ class UnknownsSpec:
                 Block("friction_map", np.full(n, prior.friction_map_std)),
                 Block("foot_positions", np.ones(2 * feet)),
                 Block("foot_width", np.ones(min(feet, 1))),
-                Block("foot_preferences", np.full(feet, PREFERENCE_STD)),
+                Block("foot_preferences", np.full(feet, preference_std)),
                 Block("effects", self._effect_std()),
                 Block("friction_scale", np.array([prior.friction_std])),
                 Block("pusher_friction", np.array([prior.pusher_friction_std])),
-                Block("total_mass", np.full(int(prior.force_offset_std > 0), max(prior.total_mass_std, _GIVEN_STD))),
+                Block("total_mass", np.full(int(prior.force_offset_std > 0), max(prior.total_mass_std, GIVEN_STD))),
             )
         )
         derived = {
