@@ -215,11 +215,14 @@ class Supervisor:
         Returns:
             0 when the user stopped it, 1 when a process died or could not be started; its name and last lines are shown.
         """
-        console = self._console or Console(stderr=True)
+        console, dead = self._console or Console(stderr=True), None
         with _stop_requests() as requested:
             try:
                 self.start()
-                while not requested and (dead := self.poll()) is None and self._any_runs():
+                while not requested:
+                    any_runs = self._any_runs()  # asked first: `poll` then sees what ends in between
+                    if (dead := self.poll()) is not None or not (any_runs or self._due):
+                        break
                     time.sleep(_POLL_PERIOD)
             except SupervisorError as error:
                 console.print(Text(printable(str(error)), style="bold red"))
