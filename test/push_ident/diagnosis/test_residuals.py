@@ -10,8 +10,7 @@ import pytest
 
 from helpers.diagnosis import frame_residuals, simulated_pushes
 from push_ident.diagnosis.policy import ResidualPolicy
-from push_ident.diagnosis.residual_groups import group_residuals
-from push_ident.diagnosis.residuals import draw_noise
+from push_ident.diagnosis.residuals import draw_noise, group_residuals
 from push_ident.identification.observing.observation import NoiseModel, observe_push
 
 N_DRAWS = ResidualPolicy().draws

@@ -11,7 +11,7 @@ from helpers.diagnosis import account_of_parts, frame_residuals, gap_of
 from push_ident.diagnosis import wording
 from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.odds import Probabilities
-from push_ident.diagnosis.residual_groups import ResidualGroup
+from push_ident.diagnosis.residuals import ResidualGroup
 from push_ident.diagnosis.something_else.words import PatternWords
 from push_ident.diagnosis.verdict import FoundEffect
 from push_ident.identification.predicting.next_push import PlannedPush

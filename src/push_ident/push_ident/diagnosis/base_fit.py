@@ -55,13 +55,7 @@ def step_effect(fit: Fit) -> float:
 def noise_above_steps(fit: Fit, change: float, policy: GatePolicy) -> NoiseModel | None:
     """The noise of a fit with so large a floor that half the time steps move end poses by no more than the policy accepts.
 
-    Args:
-        fit: converged.
-        change: its `step_effect`.
-        policy: limits.
-
-    Returns:
-        None where they do not move them by more, or where the floor would be larger than the policy's largest.
+    None where they do not move them by more (`change`: `step_effect` of the fit), or where the floor would be larger than the largest.
     """
     problem, noise = fit.problem, fit.problem.noise or NoiseModel()
     excess = (change / policy.max_step_effect) ** 2 - 1.0

@@ -17,16 +17,13 @@ from push_ident.diagnosis.policy import CameraPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, standardized_residuals
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.state import DiagnosisState
-from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.observing.observation import NoiseModel
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS
 from push_ident.types import ObjectShape
 
 __all__ = [
-    "OUTLINE_ERRORS", "POSE_ERRORS", "camera_is_in_question", "camera_settings", "is_in_question", "outlier_pushes", "question_camera",
-    "set_outliers_aside",
+    "OUTLINE_ERRORS", "POSE_ERRORS", "camera_is_in_question", "camera_settings", "outlier_pushes", "question_camera", "set_outliers_aside",
 ]  # fmt: skip
-
 
 OUTLINE_ERRORS: Final = tuple(name for name in CAMERA_ERRORS if EFFECTS[name].moves_outline)
 """Camera errors that displace the outline."""
@@ -52,22 +49,17 @@ def camera_settings(settings: DiagnosisSettings, shape: ObjectShape) -> Diagnosi
     )
 
 
-def is_in_question(fit: Fit, requested: DiagnosisSettings) -> bool:
+def camera_is_in_question(state: DiagnosisState) -> bool:
     """Whether the errors of the camera, beside all effects that were found, are larger than its accuracy explains.
 
-    Args:
-        fit: under settings by `camera_settings`.
-        requested: the settings before: what these have in the base model stays there.
+    What the requested settings have in the base model stays there.
     """
-    z = fit.effect_unknowns
+    if not state.from_camera or state.selection is None:
+        return False
+    fit, requested = state.selection.fit, state.requested
     pose_errors = [name for name in POSE_ERRORS if name in fit.names and name not in requested.base_effects]
     limit = requested.policy.camera.max_deviations
-    return any(bool(np.any(np.abs(z[fit.effects.slice_of(name)]) > limit)) for name in pose_errors)
-
-
-def camera_is_in_question(state: DiagnosisState) -> bool:
-    """The same of the selection of a state."""
-    return state.from_camera and state.selection is not None and is_in_question(state.selection.fit, state.requested)
+    return any(bool(np.any(np.abs(fit.effect_unknowns[fit.effects.slice_of(name)]) > limit)) for name in pose_errors)
 
 
 def question_camera(state: DiagnosisState) -> DiagnosisState:
@@ -79,14 +71,9 @@ def question_camera(state: DiagnosisState) -> DiagnosisState:
 
 
 def outlier_pushes(residuals: FrameResiduals, policy: CameraPolicy) -> tuple[int, ...]:
-    """Pushes that disagree with all others: the pusher met an edge that is not where the camera traced it.
+    """Numbers of the pushes that disagree with all others, beside all effects that were found; none where they are more than a few.
 
-    Args:
-        residuals: beside all effects that were found.
-        policy: limits.
-
-    Returns:
-        Their numbers; none where they are more than a few.
+    The pusher met an edge that is not where the camera traced it.
     """
     ratios = {int(push): residuals.residual_ratio_of(residuals.push == push) for push in np.unique(residuals.push)}
     outliers = tuple(push for push, ratio in ratios.items() if ratio > policy.outlier_residual_ratio)

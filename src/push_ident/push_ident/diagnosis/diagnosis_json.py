@@ -9,8 +9,8 @@ import numpy as np
 from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.next_push import SeparatingPush
-from push_ident.diagnosis.odds import SOMETHING_ELSE, Probabilities
-from push_ident.diagnosis.residual_groups import ResidualGroup
+from push_ident.diagnosis.odds import SOMETHING_ELSE
+from push_ident.diagnosis.residuals import ResidualGroup
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.something_else.evidence import SomethingElse
@@ -27,6 +27,8 @@ _AXES = ("along", "across", "rotation")
 
 def to_json(diagnosis: Diagnosis) -> Json:
     """The outcome; lengths in metres, angles in radians."""
+    # Of effects and something else that they act, alone or beside others.
+    p = diagnosis.probabilities
     return {
         "verdict": diagnosis.verdict.value,
         "sentence": diagnosis.sentence,
@@ -39,30 +41,22 @@ def to_json(diagnosis: Diagnosis) -> Json:
         "next_push": _next_push(diagnosis.next_push),
         "check": diagnosis.check,
         "unknown": _unknown(diagnosis.something_else),
-        "probabilities": _probabilities(diagnosis.probabilities),
+        "probabilities": p and {**p.effects, SOMETHING_ELSE: p.something_else, "nothing": p.nothing},
         "something_else": _something_else(diagnosis),
         "gates": [{"passed": g.passed, "found": g.finding, "remedy": g.remedy} for g in diagnosis.gates],
     }
-
-
-def _probabilities(probabilities: Probabilities | None) -> Json | None:
-    """Of each effect, of something else, of nothing; of effects and something else that they act, alone or beside others."""
-    if probabilities is None:
-        return None
-    return {**probabilities.effects, SOMETHING_ELSE: probabilities.something_else, "nothing": probabilities.nothing}
 
 
 def _unknown(something_else: SomethingElse | None) -> Json | None:
     """Shares of what acts and of what it follows, if there is something else."""
     if something_else is None:
         return None
-    acts_on: dict[str, float] = {}
-    varies_with: dict[str, float] = {}
+    shares: Json = {"acts_on": {}, "varies_with": {}}
     for pattern in something_else.patterns:
-        acts, varies = pattern.family.acts_on.value, pattern.family.varies_with.value
-        acts_on[acts] = acts_on.get(acts, 0.0) + pattern.share
-        varies_with[varies] = varies_with.get(varies, 0.0) + pattern.share
-    return {"evidence": something_else.log_bayes_factor, "acts_on": acts_on, "varies_with": varies_with}
+        for by, of in shares.items():
+            value = getattr(pattern.family, by).value
+            of[value] = of.get(value, 0.0) + pattern.share
+    return {"evidence": something_else.log_bayes_factor, **shares}
 
 
 def _something_else(diagnosis: Diagnosis) -> Json | None:

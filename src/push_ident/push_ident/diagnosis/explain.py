@@ -6,29 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from push_ident.diagnosis.next_push import (
-    SeparatingPush,
-    check_without_a_push,
-    competing_explanations,
-    most_informative_push,
-    separating_push,
-)  # fmt: skip
+from push_ident.diagnosis import wording
+from push_ident.diagnosis.next_push import check_without_a_push, competing_explanations, most_informative_push, separating_push
 from push_ident.diagnosis.odds import SOMETHING_ELSE
-from push_ident.diagnosis.residual_groups import group_residuals
+from push_ident.diagnosis.residuals import group_residuals
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.something_else.words import PatternWords, describe_pattern
 from push_ident.diagnosis.state import Decision, DiagnosisState, Validation
 from push_ident.diagnosis.verdict import Verdict
-from push_ident.diagnosis.wording import (
-    sentence_of_doubt,
-    sentence_of_effects,
-    sentence_of_negligible,
-    sentence_of_nothing,
-    sentence_of_outliers,
-    sentence_of_suspicion,
-    sentence_of_unknown,
-    sentence_of_unsupported,
-)  # fmt: skip
 from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.pushing.push import PushSettings
 
@@ -41,18 +26,22 @@ _ANYWHERE = (-1.0, 1.0, -1.0, 1.0)
 
 
 def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progress: Progress) -> Diagnosis:
-    """The outcome of a diagnosis; where a gate was not passed, it abstains.
+    """The outcome of a diagnosis after all other stages; where a gate was not passed, it abstains.
 
-    Args:
-        state: after all other stages.
-        push_settings: limits of the push that is proposed.
-        on_progress: called with what is under way.
+    `push_settings`: limits of the push that is proposed, from where the object lies now.
     """
     policy, validation, decision = state.settings.policy, state.validation, state.decision
     if validation is None or decision is None:
         return _abstention(state)
     on_progress("looking for the next push")
-    first_push = _first_push(state, validation, push_settings)
+    last = state.records[-1]
+    pose, limits = np.array(last.poses.pose[-1]), push_settings or PushSettings(pusher_radius=last.pusher.radius, workspace=_ANYWHERE)
+    first_push = next_push = None
+    if validation.account.more_pushes != 0:
+        first_push = most_informative_push(validation.selection.fit, pose, limits, policy.next_push)
+    explanations = competing_explanations(validation.selection, policy.selection)
+    if len(explanations) > 1:
+        next_push = separating_push(explanations, pose, limits, policy.next_push)
     something_else = validation.something_else
     sources = [state.source_of(push) for push in range(len(state.records))]
     words = None if something_else is None else describe_pattern(something_else.best, sources)
@@ -69,7 +58,7 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         selection=validation.selection,
         held_out=validation.held_out,
         where=group_residuals(validation.base_residuals, policy.residuals),
-        next_push=_propose(state, validation, push_settings),
+        next_push=next_push,
         check=_check(validation, decision, words),
         probabilities=validation.probabilities,
         something_else=something_else,
@@ -99,40 +88,21 @@ def _sentence(
     account = validation.account
     if validation.cause_is_unknown:
         groups = group_residuals(validation.base_residuals, state.settings.policy.residuals)
-        sentence = sentence_of_unknown(account, words, validation.probabilities.something_else, validation.residuals, groups)
+        sentence = wording.sentence_of_unknown(account, words, validation.probabilities.something_else, validation.residuals, groups)
     elif decision.effects:
-        sentence = sentence_of_effects(decision.effects, decision.confusion_sets, account)
+        sentence = wording.sentence_of_effects(decision.effects, decision.confusion_sets, account)
         if any(SOMETHING_ELSE in names for names in decision.confusion_sets.values()) and words is not None:
-            sentence += sentence_of_doubt(words, validation.probabilities.something_else)
+            sentence += wording.sentence_of_doubt(words, validation.probabilities.something_else)
     else:
-        sentence = sentence_of_nothing(account, [state.source_of(push) for push in range(len(state.records))], first_push)
+        sentence = wording.sentence_of_nothing(account, [state.source_of(push) for push in range(len(state.records))], first_push)
         if validation.probabilities.nothing < state.settings.policy.selection.max_probability_of_nothing:
-            sentence += sentence_of_suspicion(validation.probabilities)
+            sentence += wording.sentence_of_suspicion(validation.probabilities)
     if decision.negligible:
-        sentence += sentence_of_negligible(decision.negligible)
+        sentence += wording.sentence_of_negligible(decision.negligible)
     if validation.unsupported is not None:
-        sentence += sentence_of_unsupported(validation.unsupported.name, [state.source_of(push) for push in validation.unsupported.pushes])
+        sentence += wording.sentence_of_unsupported(
+            validation.unsupported.name, [state.source_of(push) for push in validation.unsupported.pushes]
+        )
     if state.outliers:
-        sentence += sentence_of_outliers(state.outliers)
+        sentence += wording.sentence_of_outliers(state.outliers)
     return sentence
-
-
-def _propose(state: DiagnosisState, validation: Validation, push_settings: PushSettings | None) -> SeparatingPush | None:
-    """The push that would resolve a tie, or confirm what was found, from where the object lies now."""
-    policy, last = state.settings.policy, state.records[-1]
-    explanations = competing_explanations(validation.selection, policy.selection)
-    if len(explanations) < 2:
-        return None
-    return separating_push(explanations, np.array(last.poses.pose[-1]), _limits(state, push_settings), policy.next_push)
-
-
-def _first_push(state: DiagnosisState, validation: Validation, push_settings: PushSettings | None) -> PlannedPush | None:
-    """The push that predictions gain most from, where maps are not known; none where they are, or no push is safe."""
-    if validation.account.more_pushes == 0:
-        return None
-    pose = np.array(state.records[-1].poses.pose[-1])
-    return most_informative_push(validation.selection.fit, pose, _limits(state, push_settings), state.settings.policy.next_push)
-
-
-def _limits(state: DiagnosisState, push_settings: PushSettings | None) -> PushSettings:
-    return push_settings or PushSettings(pusher_radius=state.records[-1].pusher.radius, workspace=_ANYWHERE)

@@ -19,7 +19,7 @@ from push_ident.identification.observing.observation import (
     noise_correlation,
     noise_correlation_std,
     observe_push,
-)
+)  # fmt: skip
 from push_ident.types import BoolArray, PushRecord
 
 __all__ = ["check_data", "check_pushes"]

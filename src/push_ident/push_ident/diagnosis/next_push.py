@@ -22,7 +22,7 @@ from push_ident.identification.predicting.next_push import (
     imagine_push,
     rank_pushes,
     reference_pushes,
-)
+)  # fmt: skip
 from push_ident.identification.unknowns.mechanics import Mechanics
 from push_ident.physics.effect_values import reported_poses, true_pose
 from push_ident.physics.effects import EFFECTS

@@ -1,4 +1,4 @@
-"""Standardized residuals of every frame, and how large they would be under the model.
+"""Standardized residuals of every frame, how large they would be under the model, and their groups by what a cause could depend on.
 
 Rich maps absorb most of what an effect leaves in the residuals, and more in some frames than in others. The expected residuals are
 therefore drawn from the fit itself, refitted to every draw: with the derivative J of the whitened residuals and the precision P of the
@@ -11,7 +11,9 @@ which is a parametric bootstrap with refit, in the linear range of the fit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -25,10 +27,17 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["PHASES", "FrameResiduals", "correlation_in_motion", "draw_noise", "standardized_residuals"]
+__all__ = [
+    "N_SECTORS", "PHASES", "FrameResiduals", "ResidualGroup", "correlation_in_motion", "draw_noise", "group_residuals",
+    "standardized_residuals",
+]  # fmt: skip
 
 PHASES = ("contact", "steady", "stop", "rest")
 """Of a push, in the order of `FrameResiduals.phase`."""
+N_SECTORS = 8
+"""Of headings, of 45 degrees each."""
+_SPEEDS = ("at rest", "slow", "medium", "fast")
+_REGIONS = ("x low, y low", "x low, y high", "x high, y low", "x high, y high")
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,3 +233,58 @@ def correlation_in_motion(fit: Fit, policy: ResidualPolicy) -> float:
         return 0.0
     ratio = float(np.mean(np.vstack(over_two) ** 2) / np.mean(np.vstack(over_one) ** 2))
     return min(max(ratio - 1.0, 0.0), 1.0) ** (1.0 / float(np.mean(strides)))
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualGroup:
+    """Frames that share a property."""
+
+    name: str
+    n: int
+    """Number of frames."""
+    rms: tuple[float, float, float]
+    """Root mean square of the standardized residual along, across and in rotation: about 1 where the model is right."""
+    mean_m: float
+    """Mean distance of the simulated object from the observed one [m]."""
+    p_value: tuple[float, float, float]
+    """Probability of each root mean square, or of a larger one, under the model."""
+
+
+def group_residuals(frames: FrameResiduals, policy: ResidualPolicy) -> dict[str, list[ResidualGroup]]:
+    """Residuals by push, phase, speed, heading in table and object, and table region."""
+    moving = frames.speed > policy.rest_speed
+    quantiles = np.quantile(frames.speed[moving], [1 / 3, 2 / 3]) if np.any(moving) else np.zeros(2)
+    speeds = np.where(moving, 1 + np.searchsorted(quantiles, frames.speed), 0)
+    middle = np.median(frames.position, axis=0)
+    quarter = (frames.position[:, 0] > middle[0]) * 2 + (frames.position[:, 1] > middle[1])
+    pushes = np.unique(frames.push)
+    return {
+        "push": _grouped(frames, frames.push, [str(int(push)) for push in pushes], pushes),
+        "phase": _grouped(frames, frames.phase, PHASES, range(4)),
+        "speed": _grouped(frames, speeds, _SPEEDS, range(4)),
+        "heading_in_table": _sectors(frames, frames.heading_in_table),
+        "heading_in_body": _sectors(frames, frames.heading_in_object),
+        "table_region": _grouped(frames, quarter, _REGIONS, range(4)),
+    }
+
+
+def _sectors(frames: FrameResiduals, heading: Float64Array) -> list[ResidualGroup]:
+    sector = np.floor((heading + np.pi / N_SECTORS) / (2 * np.pi / N_SECTORS)).astype(int) % N_SECTORS
+    return _grouped(frames, sector, [f"{360 * i // N_SECTORS} deg" for i in range(N_SECTORS)], range(N_SECTORS))
+
+
+def _grouped(frames: FrameResiduals, key: Float64Array, names: Sequence[str], values: Sequence[Any] | Float64Array) -> list[ResidualGroup]:
+    """Groups of the frames whose `key` has each of the values; groups without a frame are left out."""
+    groups = []
+    for name, value in zip(names, values, strict=True):
+        chosen = key == value
+        if np.any(chosen):
+            rms = np.sqrt(np.mean(frames.standardized[chosen] ** 2, axis=0))
+            distance = float(np.mean(np.linalg.norm(frames.difference[chosen, :2], axis=1)))
+            p_value = np.mean(np.sqrt(np.mean(frames.null_draws[:, chosen] ** 2, axis=1)) >= rms, axis=0)
+            groups.append(ResidualGroup(name, int(chosen.sum()), _triple(rms), distance, _triple(p_value)))
+    return groups
+
+
+def _triple(values: Float64Array) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

@@ -11,8 +11,7 @@ from push_ident.diagnosis.held_out import Gap, HeldOutFits
 from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.policy import DecisionPolicy
-from push_ident.diagnosis.residual_groups import ResidualGroup
-from push_ident.diagnosis.residuals import FrameResiduals
+from push_ident.diagnosis.residuals import FrameResiduals, ResidualGroup
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.something_else.evidence import SomethingElse
 from push_ident.diagnosis.something_else.words import PatternWords

@@ -96,8 +96,10 @@ def _usable(content: _Content) -> UsableEffects:
     effects = [_known(effect) for effect in named]
     for effect in effects:
         _check_certain(effect.name, probabilities)
+    # What every identification has as an unknown, or poses do not show, changes no plan.
+    planned = [e for e in effects if not (isinstance(EFFECTS[e.name].acts, OnPusherFriction) or EFFECTS[e.name].needs_forces)]
     return UsableEffects(
-        tuple(effect for effect in effects if not _is_in_every_model(effect.name)),
+        tuple(planned),
         frozenset(name for name in EFFECTS if name not in probabilities),
         max(1, len(content.gap.before_per_push_m)),
     )
@@ -125,9 +127,3 @@ def _check_certain(name: str, probabilities: Mapping[str, float]) -> None:
             f"The diagnosis names {name} with a probability of {certain:.2f}, expected {needed:.2f} at least: the model stays as it is. "
             "Make the push that the diagnosis proposes, and diagnose again."
         )
-
-
-def _is_in_every_model(name: str) -> bool:
-    """Whether every identification has it as an unknown, or poses do not show it: then it changes no plan."""
-    effect = EFFECTS[name]
-    return isinstance(effect.acts, OnPusherFriction) or effect.needs_forces

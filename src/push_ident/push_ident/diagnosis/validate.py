@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from push_ident.diagnosis.account import account_of
 from push_ident.diagnosis.held_out import Gap, HeldOutFits, folds_of, measure_gap
-from push_ident.diagnosis.odds import (
-    SOMETHING_ELSE,
-    OutsideEvidence,
-    Probabilities,
-    explanations_of,
-    is_outside,
-    probabilities_of,
-)
+from push_ident.diagnosis.odds import SOMETHING_ELSE, OutsideEvidence, Probabilities, explanations_of, is_outside, probabilities_of
 from push_ident.diagnosis.policy import UnknownPolicy, ValidationPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, standardized_residuals
 from push_ident.diagnosis.selection import Selection
@@ -30,25 +23,8 @@ __all__ = ["failed_tests", "supported_selection", "validate"]
 Progress = Callable[[str], None]
 
 
-@dataclass(frozen=True, slots=True)
-class _Evidence:
-    """Of a cause that a fit leaves out."""
-
-    residuals: FrameResiduals
-    something_else: SomethingElse | None
-
-
-@dataclass(frozen=True, slots=True)
-class _OutsideEvidence:
-    """Of a cause outside the catalogue."""
-
-    residuals: FrameResiduals
-    """Of the fit with all effects."""
-    in_place: SomethingElse | None
-    """Of the base model."""
-    reported: SomethingElse | None
-    """In place of the effects or in addition to them, whichever explains more."""
-    probabilities: Probabilities
+_Structure = tuple[FrameResiduals, SomethingElse | None]
+"""Residuals of a fit, and structure in them."""
 
 
 def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
@@ -61,33 +37,34 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     folds = folds_of(len(selection.base.problem.records), policy.validation.max_folds)
     fits = [(selection.base, folds), *([(selection.fit, ())] if selection.selected else [])]
     base, *others = map_in_threads(lambda task: _look_for_structure(state, *task), fits)
-    outside = _weigh_outside(state, selection, base, others[0] if others else base, {})
+    beside = others[0] if others else base
+    reported, probabilities = _weigh_outside(state, selection, base, beside, {})
     held_out = HeldOutFits(state.earlier)
     unsupported = None
-    if not is_outside(outside.probabilities, policy.selection):
+    if not is_outside(probabilities, policy.selection):
         gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
         supported, unsupported = supported_selection(selection, gap, policy.validation)
         if supported is not selection:
             rejected = dict.fromkeys(
                 (name for name in selection.selected if name not in supported.selected), policy.validation.min_log_bayes_factor_without_push
             )
-            with_effects = _look_for_structure(state, supported.fit, ()) if supported.selected else base
-            selection, outside = supported, _weigh_outside(state, supported, base, with_effects, rejected)
+            selection, beside = supported, _look_for_structure(state, supported.fit, ()) if supported.selected else base
+            reported, probabilities = _weigh_outside(state, selection, base, beside, rejected)
             gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
-    is_unknown = is_outside(outside.probabilities, policy.selection)
+    is_unknown = is_outside(probabilities, policy.selection)
     if is_unknown:
         selection = selection.without_effects()
         gap = measure_gap(selection.base, selection.base, policy.validation, on_progress, held_out=held_out)
-        gap = _with_patterns(gap, selection, outside.in_place)
+        gap = _with_patterns(gap, selection, base[1])
     validation = Validation(
         selection=selection,
         gap=gap,
         account=account_of(gap, selection.base.problem, policy.account),
-        base_residuals=base.residuals,
-        residuals=outside.residuals,
-        probabilities=outside.probabilities,
+        base_residuals=base[0],
+        residuals=beside[0],
+        probabilities=probabilities,
         cause_is_unknown=is_unknown,
-        something_else=outside.reported,
+        something_else=reported,
         unsupported=unsupported,
         held_out=held_out,
     )
@@ -137,28 +114,27 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
     return selection, None
 
 
-def _look_for_structure(state: DiagnosisState, fit: Fit, folds: Sequence[Sequence[int]]) -> _Evidence:
-    """Residuals of a fit, and structure in them."""
+def _look_for_structure(state: DiagnosisState, fit: Fit, folds: Sequence[Sequence[int]]) -> _Structure:
     policy = state.settings.policy
-    return _Evidence(standardized_residuals(fit, policy.residuals), find_something_else(fit, policy.unknown, folds))
+    return (standardized_residuals(fit, policy.residuals), find_something_else(fit, policy.unknown, folds))
 
 
 def _weigh_outside(
-    state: DiagnosisState, selection: Selection, base: _Evidence, with_effects: _Evidence, rejected: Mapping[str, float]
-) -> _OutsideEvidence:
-    """From the residuals of the base model and of the fit with all effects of a selection."""
-    policy, in_place = state.settings.policy, base.something_else
+    state: DiagnosisState, selection: Selection, base: _Structure, beside: _Structure, rejected: Mapping[str, float]
+) -> tuple[SomethingElse | None, Probabilities]:
+    """From the residuals of the base model and of the fit with all effects of a selection: something else in place of the effects or
+    in addition to them, whichever explains more, and the probabilities of all causes."""
+    policy, (base_residuals, in_place), (residuals, in_addition) = state.settings.policy, base, beside
     # Errors of perceived poses depend on the pose, so that they continue from frame to frame.
     correlation_std = state.rest_correlation_std if state.rest_noise_known and not state.from_camera else np.inf
-    failed = failed_tests(base.residuals, with_effects.residuals, policy.unknown, correlation_std=correlation_std)
+    failed = failed_tests(base_residuals, residuals, policy.unknown, correlation_std=correlation_std)
     named = sum(candidate.log_bayes_factor for _, candidate in selection.added.values())
-    evidence = OutsideEvidence.of(in_place, with_effects.something_else, failed, policy.selection, named=named)
+    evidence = OutsideEvidence.of(in_place, in_addition, failed, policy.selection, named=named)
     explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected)
     outside = [explanation for explanation in explanations if SOMETHING_ELSE in explanation.causes]
     most = max(outside, key=lambda explanation: explanation.log_weight)
-    probabilities = probabilities_of(explanations, selection.base.names)
-    reported = with_effects.something_else if (most.causes | most.imitated_by) - {SOMETHING_ELSE} else in_place
-    return _OutsideEvidence(with_effects.residuals, in_place, reported, probabilities)
+    reported = in_addition if (most.causes | most.imitated_by) - {SOMETHING_ELSE} else in_place
+    return reported, probabilities_of(explanations, selection.base.names)
 
 
 def _with_patterns(gap: Gap, selection: Selection, something_else: SomethingElse | None) -> Gap:

@@ -8,8 +8,7 @@ import numpy as np
 
 from push_ident.diagnosis.account import Account, AccountPart
 from push_ident.diagnosis.odds import SOMETHING_ELSE, Probabilities
-from push_ident.diagnosis.residual_groups import ResidualGroup
-from push_ident.diagnosis.residuals import FrameResiduals
+from push_ident.diagnosis.residuals import FrameResiduals, ResidualGroup
 from push_ident.diagnosis.scores import EffectScore
 from push_ident.diagnosis.something_else.words import PatternWords
 from push_ident.diagnosis.verdict import FoundEffect

@@ -1,51 +1,45 @@
-"""Figures of the diagnosis report: drawings as SVG, tables and bars as values for the page."""
+"""Figures of the diagnosis report: drawings as SVG; tables and bars as values for the page, positions in percent of the width."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.next_push import SeparatingPush
-from push_ident.diagnosis.residual_groups import N_SECTORS, ResidualGroup
-from push_ident.diagnosis.residuals import FrameResiduals
+from push_ident.diagnosis.residuals import N_SECTORS, FrameResiduals, ResidualGroup
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.wording import detectable_size, in_mm
 from push_ident.geometry.se2 import transform_points
 from push_ident.pages.chart import HEAT, Arrow, CellPanel, cell_panel, field_panel, shade, text_on
-from push_ident.types import Float64Array, ObjectShape
+from push_ident.types import ObjectShape
 
-__all__ = ["EXAGGERATION", "Bar", "HeatCell", "HeatRow", "draw_proposal", "draw_residuals", "heat_of_headings", "heat_of_pushes",
-           "ranking_bars", "shrink_bars"]  # fmt: skip
+__all__ = [
+    "EXAGGERATION", "Bar", "account_bar", "draw_proposal", "draw_residuals", "heat_of_headings", "heat_of_pushes", "ranking_bars",
+    "shrink_bars",
+]  # fmt: skip
 
 EXAGGERATION = 10.0
 """Factor on the residuals that are drawn on the table."""
 
-
-@dataclass(frozen=True, slots=True)
-class HeatCell:
-    """A number on a coloured ground."""
-
-    text: str
-    colour: str
-    ink: str
-    """Colour of the text."""
-    bold: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class HeatRow:
-    """One line of a table of such numbers."""
-
-    name: str
-    cells: tuple[HeatCell, ...]
+_PARTS = {
+    "noise": ("#c9d1d9", "noise of the poses"),
+    "maps": ("#9fb8d6", "maps that are not known yet"),
+    "model": ("#6f8fb5", "the model's own discrepancy"),
+    "unexplained": ("#c0561d", "unexplained"),
+}
+"""Colour and name of the parts of an account."""
+_EFFECT_COLOURS = ("#1f5fa8", "#16447a", "#0d2c50")
+"""Of effects, in the order in which they were added."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """A bar with its name and its value; positions are in percent of the width."""
+    """A bar with its name and its value."""
 
     name: str
     text: str
@@ -57,21 +51,54 @@ class Bar:
     """Of single pushes."""
 
 
-def heat_of_pushes(pushes: Sequence[ResidualGroup]) -> list[HeatRow]:
+def account_bar(account: Account) -> dict[str, Any]:
+    """The account of a gap as a stacked bar of HTML and CSS: text keeps its size on a narrow screen, where a drawing would shrink.
+
+    Parts go from left to right; a negative one leads back.
+    """
+    ends = np.cumsum([0.0, *(part.mean for part in account.parts)]).tolist()
+    tips = [start + part.interval[1] for start, part in zip(ends, account.parts, strict=False)]
+    unit = 100.0 / max(*ends[1:], *tips, 1e-9)
+    effects = [part.name for part in account.effects]
+    rows = []
+    for part, start in zip(account.parts, ends, strict=False):
+        colour, name = _PARTS.get(part.name, ("", part.name))
+        if part.is_effect:
+            colour = _EFFECT_COLOURS[effects.index(part.name) % len(_EFFECT_COLOURS)]
+        elif part.mean < 0.0 and part.name == "unexplained":
+            name = "predicted better than expected"
+        low, high = part.interval
+        left = max(0.0, start + low)
+        rows.append(
+            {
+                "name": name,
+                "colour": colour,
+                "mean": in_mm(part.mean),
+                "interval": f"{in_mm(low).removesuffix(' mm')} to {in_mm(high)}",
+                "start": unit * min(start, start + part.mean),
+                "width": unit * abs(part.mean),
+                "low": unit * left,
+                "spread": unit * (start + high - left),
+                "is_negative": part.mean < 0.0,
+            }
+        )
+    total = in_mm(account.before)
+    words = ", ".join(f"{row['name']} {row['mean']}" for row in rows)
+    return {"rows": rows, "total": total, "position": unit * account.before, "in_words": f"Mean error {total}: {words}"}
+
+
+def heat_of_pushes(pushes: Sequence[ResidualGroup]) -> list[dict[str, Any]]:
     """Root mean square of the standardized residuals in every push, along, across and in rotation.
 
     Pushes are counted from 1; what noise makes in one of a hundred is printed in bold.
     """
     return [
-        HeatRow(
-            f"{int(push.name) + 1}",
-            tuple(_heat(f"{value:.1f}", value - 1.0, p < 0.01) for value, p in zip(push.rms, push.p_value, strict=True)),
-        )
+        {"name": int(push.name) + 1, "cells": [_heat(f"{v:.1f}", v - 1.0, p < 0.01) for v, p in zip(push.rms, push.p_value, strict=True)]}
         for push in pushes
     ]
 
 
-def heat_of_headings(frames: FrameResiduals) -> list[HeatRow]:
+def heat_of_headings(frames: FrameResiduals) -> list[dict[str, Any]]:
     """Mean standardized residual along and across the motion by its heading in the table and in the object."""
     rows = []
     sectors = [
@@ -84,8 +111,7 @@ def heat_of_headings(frames: FrameResiduals) -> list[HeatRow]:
             for sector in sectors
             for column in (0, 1)
         ]
-        cells = (_heat(_signed(value), abs(value)) for value in values)
-        rows.append(HeatRow(f"{360 * k // N_SECTORS}°", tuple(cells)))
+        rows.append({"name": f"{360 * k // N_SECTORS}°", "cells": [_heat(_signed(value), abs(value)) for value in values]})
     return rows
 
 
@@ -94,10 +120,11 @@ def _signed(value: float) -> str:
     return "–" if not np.isfinite(value) else "0.0" if text in ("+0.0", "-0.0") else text
 
 
-def _heat(text: str, value: float, bold: bool = False) -> HeatCell:
+def _heat(text: str, value: float, bold: bool = False) -> dict[str, Any]:
+    """A number on a coloured ground, with the colour of its text."""
     # The strongest colour is that of three times the noise.
     colour = shade(value / 3.0, HEAT) if np.isfinite(value) else "#e3e6ea"
-    return HeatCell(text, colour, text_on(colour), bold)
+    return {"text": text, "colour": colour, "ink": text_on(colour), "bold": bold}
 
 
 def draw_residuals(frames: FrameResiduals) -> str:
@@ -133,13 +160,9 @@ def shrink_bars(gap: Gap, selected: Sequence[str]) -> list[Bar]:
     right = 1.03 * max(float(np.max(errors)) for _, errors in (*stages, ("", gap.noise))) or 1.0
     last = len(stages) - 1 if selected else -1
     return [
-        Bar(name, in_mm(float(np.mean(errors))), 100.0 * float(np.mean(errors)) / right, k == last, _dots(errors, right))
+        Bar(name, in_mm(np.mean(errors)), 100.0 * float(np.mean(errors)) / right, k == last, tuple((100.0 * errors / right).tolist()))
         for k, (name, errors) in enumerate((*stages, ("noise of the poses alone", gap.noise)))
     ]
-
-
-def _dots(errors: Float64Array, right: float) -> tuple[float, ...]:
-    return tuple(100.0 * float(error) / right for error in errors)
 
 
 def draw_proposal(proposal: SeparatingPush, shape: ObjectShape) -> str:

@@ -12,16 +12,16 @@ import numpy as np
 from push_ident import __version__
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.odds import SOMETHING_ELSE
-from push_ident.diagnosis.report.account_bar import account_bar
 from push_ident.diagnosis.report.figures import (
     EXAGGERATION,
+    account_bar,
     draw_proposal,
     draw_residuals,
     heat_of_headings,
     heat_of_pushes,
     ranking_bars,
     shrink_bars,
-)
+)  # fmt: skip
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.verdict import Verdict
 from push_ident.diagnosis.wording import sentence_of_more_pushes, size_of
@@ -111,9 +111,10 @@ def _probable(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     if probabilities is None:
         return []
     named = {"nothing": ("nothing beyond the base model", ""), SOMETHING_ELSE: ("something else", "A cause outside the catalogue.")}
+    named |= {name: (name, effect.what) for name, effect in EFFECTS.items()}
     values = {"nothing": probabilities.nothing, SOMETHING_ELSE: probabilities.something_else, **probabilities.effects}
     return [
-        {"name": named[name][0] if name in named else name, "what": named[name][1] if name in named else EFFECTS[name].what, "value": value}
+        {"name": named[name][0], "what": named[name][1], "value": value}
         for name, value in sorted(values.items(), key=lambda item: -item[1])
         if value >= 0.005  # 1 % as it is printed
     ]
@@ -124,10 +125,9 @@ def _patterns(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     something_else = diagnosis.something_else
     if something_else is None:
         return []
-    shown = something_else.patterns[:4]
     return [
         {"acts_on": p.family.acts_on.value, "varies_with": p.family.varies_with.value, "evidence": p.log_bayes_factor, "share": p.share}
-        for p in shown
+        for p in something_else.patterns[:4]
     ]
 
 

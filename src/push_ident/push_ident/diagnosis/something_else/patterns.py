@@ -31,7 +31,7 @@ from push_ident.diagnosis.something_else.family import (
     separate,
     shared,
     singles,
-)
+)  # fmt: skip
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import STILL
@@ -179,9 +179,7 @@ def pattern_families(fit: Fit) -> tuple[Family, ...] | None:
 
 def _respond(fit: Fit, push: int, motion: Motion, path: _Path, positions: Float64Array) -> dict[str, Rows]:
     """Change of the residuals of one push by every pattern."""
-    problem, mechanics, blocks = fit.problem, fit.mechanics, _blocks_of(path, positions)
-    if problem.uses_forces:
-        blocks |= _force_blocks_of(path)
+    problem, mechanics, blocks = fit.problem, fit.mechanics, _blocks_of(path, positions, fit.problem.uses_forces)
     wrench = np.concatenate([b.wrench for b in blocks.values()], axis=2)
     displacement = np.concatenate([b.displacement for b in blocks.values()], axis=2)
     by_pose, by_impulse = path.response(wrench, displacement)
@@ -210,17 +208,18 @@ def _positions(paths: Sequence[_Path]) -> Float64Array:
         spacing *= 1.1
 
 
-def _blocks_of(path: _Path, positions: Float64Array) -> dict[str, _Block]:
+def _blocks_of(path: _Path, positions: Float64Array, with_forces: bool) -> dict[str, _Block]:
+    """Patterns of one push; with measured forces also friction of all cells alike, which hardly changes a slow motion."""
     motion, load, table = path.motion_wrench(), path.load_wrench(), path.table_wrench()
     acting = np.concatenate([motion, load], axis=2)
     after = np.asarray(path.since > 0.0, dtype=np.float64)
     heading = np.arctan2(path.along[:, 1], path.along[:, 0])
-    heading_in_object = heading - path.response.pose[:, 2]
     first = np.column_stack([after * np.exp(-np.maximum(path.since, 0.0) / t) for t in PATTERNS.decay_times])
     first_travel = np.column_stack([np.exp(-path.travel / w) for w in PATTERNS.decay_lengths])
+    by_speed = _hats(np.log(path.speed), np.log(PATTERNS.speeds))
     bells = _bells(path)
     pusher_path = np.zeros((len(bells), 2, 2)) + 1e-3 * np.eye(2)
-    return {
+    blocks = {
         "friction": _Block.forces(_friction_by_position(path, positions)),
         "field": _Block.forces(_field(path, positions)),
         "order_motion": _Block.forces(motion),
@@ -228,27 +227,19 @@ def _blocks_of(path: _Path, positions: Float64Array) -> dict[str, _Block]:
         "order_pusher": _Block.pusher_path(pusher_path),
         "since": _Block.forces(_times(acting, first)),
         "travel": _Block.forces(_times(acting, first_travel)),
-        "speed": _Block.forces(_times(acting, _hats(np.log(path.speed), np.log(PATTERNS.speeds)))),
+        "speed": _Block.forces(_times(acting, by_speed)),
         "heading": _Block.forces(_times(motion, waves(heading))),
-        "heading_in_object": _Block.forces(_times(motion, waves(heading_in_object))),
+        "heading_in_object": _Block.forces(_times(motion, waves(heading - path.response.pose[:, 2]))),
         "side": _Block.pusher_path(_sides(path)),
         "time": _Block.forces(_times(table, bells)),
         "time_pusher": _Block.pusher_path(_times(pusher_path, bells)),
     }
-
-
-def _force_blocks_of(path: _Path) -> dict[str, _Block]:
-    """Friction of all cells alike, for pushes with measured forces."""
-    friction = _all_friction(path)
-    after = np.asarray(path.since > 0.0, dtype=np.float64)
-    first = np.column_stack([after * np.exp(-np.maximum(path.since, 0.0) / t) for t in PATTERNS.decay_times])
-    first_travel = np.column_stack([np.exp(-path.travel / w) for w in PATTERNS.decay_lengths])
-    return {
-        "order_friction": _Block.forces(friction),
-        "friction_since": _Block.forces(_times(friction, first)),
-        "friction_travel": _Block.forces(_times(friction, first_travel)),
-        "friction_speed": _Block.forces(_times(friction, _hats(np.log(path.speed), np.log(PATTERNS.speeds)))),
-    }
+    if with_forces:
+        friction = _friction_of(path, lambda steps, x, y: np.ones((*x.shape, 1)), 1)
+        blocks["order_friction"] = _Block.forces(friction)
+        for name, function in (("since", first), ("travel", first_travel), ("speed", by_speed)):
+            blocks[f"friction_{name}"] = _Block.forces(_times(friction, function))
+    return blocks
 
 
 def _hats(at: Float64Array, knots: Float64Array) -> Float64Array:
@@ -287,11 +278,6 @@ def _friction_by_position(path: _Path, positions: Float64Array) -> Float64Array:
         return bell_x * bell_y
 
     return _friction_of(path, near, len(positions))
-
-
-def _all_friction(path: _Path) -> Float64Array:
-    """Friction of all cells alike, which hardly changes a slow motion but the force that it takes, shape (n_steps, 3, 1)."""
-    return _friction_of(path, lambda steps, x, y: np.ones((*x.shape, 1)), 1)
 
 
 _Weigh = Callable[[NDArray[np.int64], Float64Array, Float64Array], Float64Array]
@@ -382,18 +368,14 @@ def _families(responses: Sequence[dict[str, Rows]], positions: Float64Array, kno
         Family(Acts.FORCE, VariesWith.TIME, time, all_of(), PATTERNS.force_stds, np.repeat(times, 3, axis=0), of_time),
         Family(Acts.PUSHER, VariesWith.TIME, time_tool, all_of(), PATTERNS.length_stds, np.repeat(times, 2, axis=0), of_time_tool),
     ]
-    return families if "order_friction" not in responses[0] else families + _force_families(responses)
-
-
-def _force_families(responses: Sequence[dict[str, Rows]]) -> list[Family]:
-    """Friction of all cells alike."""
-    n = len(responses)
-    by_push, columns = separate(responses, "order_friction")
-    since, travel, speed = (shared(responses, name) for name in ("friction_since", "friction_travel", "friction_speed"))
-    return [
-        Family(Acts.FRICTION, VariesWith.FROM_PUSH, by_push, from_push(n, 1), PATTERNS.friction_stds, columns_of_push=columns),
-        Family(Acts.FRICTION, VariesWith.ONE_PUSH, by_push, one_push(n, 1), PATTERNS.friction_stds, columns_of_push=columns),
-        Family(Acts.FRICTION, VariesWith.SINCE_CONTACT, since, parts(PATTERNS.decay_times, 1), PATTERNS.friction_stds),
-        Family(Acts.FRICTION, VariesWith.TRAVEL, travel, parts(PATTERNS.decay_lengths, 1), PATTERNS.friction_stds),
-        Family(Acts.FRICTION, VariesWith.SPEED, speed, all_of(), PATTERNS.friction_stds, np.array(PATTERNS.speeds)[:, None]),
-    ]
+    if "order_friction" in responses[0]:
+        by_push, columns = separate(responses, "order_friction")
+        since, travel, speed = (shared(responses, name) for name in ("friction_since", "friction_travel", "friction_speed"))
+        families += [
+            Family(Acts.FRICTION, VariesWith.FROM_PUSH, by_push, from_push(n, 1), PATTERNS.friction_stds, columns_of_push=columns),
+            Family(Acts.FRICTION, VariesWith.ONE_PUSH, by_push, one_push(n, 1), PATTERNS.friction_stds, columns_of_push=columns),
+            Family(Acts.FRICTION, VariesWith.SINCE_CONTACT, since, parts(PATTERNS.decay_times, 1), PATTERNS.friction_stds),
+            Family(Acts.FRICTION, VariesWith.TRAVEL, travel, parts(PATTERNS.decay_lengths, 1), PATTERNS.friction_stds),
+            Family(Acts.FRICTION, VariesWith.SPEED, speed, all_of(), PATTERNS.friction_stds, np.array(PATTERNS.speeds)[:, None]),
+        ]
+    return families
