@@ -28,10 +28,7 @@ class EarlierFits:
     def of(cls, records: Sequence[PushRecord], whole: Iterable[Fit], held_out: Iterable[tuple[Fit, Sequence[int]]]) -> EarlierFits:
         """Those of an earlier diagnosis; none where its pushes are not the first of the present ones.
 
-        Args:
-            records: the present pushes, those without contact left out.
-            whole: fits to all pushes of the earlier diagnosis.
-            held_out: fits without some of them, with their numbers.
+        `whole`: fits to all of its pushes; `held_out`: fits without some of them, with their numbers.
         """
         fits: dict[_Key, Fit] = {(fit.names, frozenset(fold)): fit for fit, fold in held_out}
         fits |= {(fit.names, frozenset()): fit for fit in whole}

@@ -93,14 +93,7 @@ def fit_effects(
 
 
 def with_another(fit: Fit, old: str, new: str, other: Fit) -> Fit:
-    """Fit with one effect in the place of another.
-
-    Args:
-        fit: to start from.
-        old: the effect that is removed.
-        new: the effect that is added.
-        other: a fit that has it.
-    """
+    """Fit with the effect `new` in the place of `old`; `other`: a fit that has it, where its values start."""
     names = [*(name for name in fit.names if name != old), new]
     unknowns = fit.unknowns.with_effects(names)
     return _refit(fit, unknowns, _effects_of({name: other if name == new else fit for name in names}, unknowns))

@@ -121,12 +121,6 @@ def separating_push(fits: Mapping[str, Fit], pose: Float64Array, settings: PushS
 def most_informative_push(fit: Fit, pose: Float64Array, settings: PushSettings, policy: NextPushPolicy) -> PlannedPush | None:
     """The push after which the next pushes are expected to be predicted best, by the criterion of an identification.
 
-    Args:
-        fit: to the pushes so far.
-        pose: where the object lies, table frame, shape (3,).
-        settings: limits and ranges of pushes.
-        policy: number of candidates.
-
     Returns:
         None where no push is safe, or none would add information.
     """

@@ -141,12 +141,7 @@ def explanations_of(
 
 
 def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[str, ...]) -> Probabilities:
-    """Probability of each cause: of all explanations together that contain it.
-
-    Args:
-        explanations: all that were considered.
-        base_effects: effects of the base model, which have none.
-    """
+    """Probability of each cause: of all explanations together that contain it."""
     weights = np.array([e.log_weight for e in explanations])
     shares = np.exp(weights - logsumexp(weights))
 

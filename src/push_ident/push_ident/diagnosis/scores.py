@@ -51,11 +51,7 @@ class EffectInformation:
 
 
 def effect_information(fit: Fit, names: Sequence[str] = ()) -> EffectInformation | None:
-    """Information of the pushes of a fit about effects that it does not have.
-
-    Args:
-        fit: converged.
-        names: of the effects; by default all that name a cause which these pushes can show.
+    """Information of the pushes of a fit about effects that it does not have, by default all whose names they can show.
 
     Returns:
         None where the pushes cannot be simulated.

@@ -62,13 +62,7 @@ def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Ga
 
 
 def select_effects(base: Fit, policy: SelectionPolicy, on_progress: Progress | None = None) -> Selection:
-    """Add effects while one is detected; drop one that another made needless. A negligible one joins the base model.
-
-    Args:
-        base: converged.
-        policy: margins.
-        on_progress: called with what is under way.
-    """
+    """Add effects while one is detected; drop one that another made needless. A negligible one joins the base model."""
     report = on_progress or (lambda text: None)
     selection = Selection(base, base)
     while True:

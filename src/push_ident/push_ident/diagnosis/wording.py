@@ -53,13 +53,7 @@ def sentence_of_nothing(account: Account, sources: Sequence[str], first: Planned
 
 
 def sentence_of_effects(effects: Sequence[FoundEffect], confusion_sets: Mapping[str, Sequence[str]], account: Account) -> str:
-    """Of a diagnosis that names causes.
-
-    Args:
-        effects: that were found, at least one.
-        confusion_sets: names of those that may be there in place of some of them.
-        account: of the error on held-out pushes, with the effects.
-    """
+    """Of a diagnosis that names causes."""
     causes = "; and ".join(f"{_plain(e.name)} ({e.name}: {size_of(e)})" for e in effects)
     open_to = {name: [rival for rival in names if rival != SOMETHING_ELSE] for name, names in confusion_sets.items()}
     ties = "".join(f" These pushes cannot distinguish {name} from {' or '.join(names)}." for name, names in open_to.items() if names)
@@ -75,12 +69,8 @@ def sentence_of_unknown(
 ) -> str:
     """Of a diagnosis whose cause is not in the catalogue.
 
-    Args:
-        account: of the error on held-out pushes, with the pattern, where it explains them.
-        words: the most probable pattern; None where patterns could not be looked for.
-        probability: that something outside the catalogue acts.
-        residuals: beside all effects that could be named.
-        where: residuals of the base model in groups.
+    `words`: the most probable pattern, None where patterns could not be looked for; `residuals`: beside all effects that could be named;
+    `where`: residuals of the base model in groups.
     """
     begin = f"The simulation leaves out something outside the catalogue of effects (probability {probability:.2f})"
     if words is not None:
@@ -112,12 +102,7 @@ def sentence_of_suspicion(probabilities: Probabilities) -> str:
 
 
 def sentence_of_unsupported(name: str, pushes: Sequence[str]) -> str:
-    """Added to the sentence where an effect is rejected because only one push supports it.
-
-    Args:
-        name: of the effect.
-        pushes: those that support it.
-    """
+    """Added to the sentence where an effect is rejected because only one push supports it."""
     support, those = ("supports", "that push") if len(pushes) == 1 else ("support", "those pushes")
     return f" Only {' and '.join(pushes)} {support} {name}, so that it is not reported: repeat {those}."
 
@@ -159,12 +144,7 @@ def detectable_size(score: EffectScore) -> str:
 
 
 def sentence_of_more_pushes(account: Account, first: PlannedPush | None) -> str:
-    """Added to the sentence: how many pushes would make the maps known, and which one first; empty where these are known.
-
-    Args:
-        account: of the error on held-out pushes.
-        first: the push to make first, where there is one.
-    """
+    """Added to the sentence: how many pushes would make the maps known, and which one first; empty where these are known."""
     n = account.more_pushes
     if n == 0:
         return ""

@@ -53,12 +53,7 @@ class PatternWords:
 
 
 def describe_pattern(pattern: Pattern, sources: Sequence[str]) -> PatternWords:
-    """Describe a pattern.
-
-    Args:
-        pattern: the most probable one.
-        sources: of the pushes, in their order.
-    """
+    """Describe a pattern; `sources`: of the pushes, in their order."""
     acts, varies = pattern.family.acts_on, pattern.family.varies_with
     look_for = _LOOK_FOR.get((acts, varies)) or _LOOK_FOR_BY_COORDINATE[varies]
     return PatternWords(_what(pattern), _where(pattern, sources), look_for)
