@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from push_ident.physics.effect_folders import VARIABLE
+from push_ident.physics.kernel import VARIABLE
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from helpers.bags import (
-    L_OUTLINE,
-    L_SHAPE,
-)
+from helpers.bags import L_OUTLINE, L_SHAPE
 from push_ident.errors import InputError
 from push_ident.geometry.outline import edge_normals, outline_of_cells, points_in_polygon, polygon_area, polygon_centroid, signed_distance
 from push_ident.geometry.se2 import compose, inverse, quaternion_of_yaw, rotation, transform_points, wrap_angle, yaw_of_quaternion

@@ -34,8 +34,5 @@ def test_what_reaches_over_the_table_is_told_from_its_outermost_point() -> None:
 def test_corners_that_are_no_table_are_refused(corners: np.ndarray, word: str) -> None:
     with pytest.raises(InputError, match=word):
         Table(corners)
-
-
-def test_rectangle_without_an_inside_is_refused() -> None:
     with pytest.raises(InputError, match="x_min < x_max"):
         Table.rectangle(np.array([0.3, -0.3, -0.2, 0.2]))

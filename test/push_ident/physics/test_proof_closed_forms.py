@@ -9,12 +9,11 @@ from hypothesis import strategies as st
 
 from helpers.random_pushes import DT, examples
 from push_ident.geometry.outline import outline_of_cells
-from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts
+from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts, StepGeometry
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, BodyParameters, SimulationSettings, body_of_cells, cell_gradient, simulate_body
 from push_ident.physics.step import new_step_scratch, step
-from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import support_friction
 from push_ident.types import CellGrid, Float64Array, ObjectShape, PusherPath, SolveStatus
 

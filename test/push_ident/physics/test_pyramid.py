@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts
+from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts, StepGeometry
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
 from push_ident.physics.step import new_step_scratch, step
-from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import support_friction
 from push_ident.types import Float64Array
 

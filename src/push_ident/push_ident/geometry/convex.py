@@ -10,9 +10,6 @@ from push_ident.types import Float64Array
 
 __all__ = ["convex_pieces"]
 
-_FLAT = 1e-10
-"""A triangle whose doubled area is a smaller fraction of the squared extent of the polygon counts as a line."""
-
 
 def convex_pieces(polygon: ArrayLike) -> list[Float64Array]:
     """Convex polygons without overlap whose union is `polygon`.
@@ -30,7 +27,8 @@ def convex_pieces(polygon: ArrayLike) -> list[Float64Array]:
         InputError: the polygon crosses itself, so that no ear remains; or it has no area.
     """
     points = np.asarray(polygon, dtype=np.float64)
-    flat = _FLAT * float(np.max(np.ptp(points, axis=0))) ** 2
+    # A triangle whose doubled area is a smaller fraction of the squared extent of the polygon counts as a line.
+    flat = 1e-10 * float(np.max(np.ptp(points, axis=0))) ** 2
     return [points[piece] for piece in _merged(points, _triangles(points, flat))]
 
 

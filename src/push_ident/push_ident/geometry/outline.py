@@ -17,15 +17,9 @@ from push_ident.geometry.se2 import rotation
 from push_ident.types import BoolArray, CellGrid, Float64Array
 
 __all__ = [
-    "cells_in_outline",
-    "edge_normals",
-    "outline_distance",
-    "outline_of_cells",
-    "points_in_polygon",
-    "polygon_area",
-    "polygon_centroid",
+    "cells_in_outline", "edge_normals", "outline_distance", "outline_of_cells", "points_in_polygon", "polygon_area", "polygon_centroid",
     "signed_distance",
-]
+]  # fmt: skip
 
 _Corner = tuple[int, int]
 
@@ -131,7 +125,9 @@ def outline_of_cells(centres: ArrayLike, size: float, *, yaw: float = 0.0) -> Fl
         raise InputError(f"cell centres lie up to {error * size:.2g} m from a lattice of {size:g} m; pass its size and yaw.")
     loops = _boundary_loops({(int(i), int(j)) for i, j in indices})
     corners = max(loops, key=polygon_area)
-    vertices = _without_collinear(np.asarray(corners, dtype=np.float64))
+    loop = np.asarray(corners, dtype=np.float64)
+    before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
+    vertices = loop[before[:, 0] * after[:, 1] != before[:, 1] * after[:, 0]]  # the corners at which it turns
     return (vertices - 0.5) * size @ rotation(yaw).T + centres[0]
 
 
@@ -183,9 +179,3 @@ def _leave(next_corners: dict[_Corner, list[_Corner]], walk: list[_Corner]) -> _
     if not ends:
         del next_corners[corner]
     return end
-
-
-def _without_collinear(loop: Float64Array) -> Float64Array:
-    """The corners at which the loop turns."""
-    before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
-    return loop[before[:, 0] * after[:, 1] != before[:, 1] * after[:, 0]]

@@ -12,8 +12,7 @@ import numpy as np
 
 from push_ident.physics.contact import PARALLEL, Field, Kind
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import MAX_CONTACTS, Row
-from push_ident.physics.step_geometry import StepGeometry
+from push_ident.physics.modes import MAX_CONTACTS, Row, StepGeometry
 from push_ident.types import Float64Array
 
 __all__ = [

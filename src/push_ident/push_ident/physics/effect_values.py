@@ -22,7 +22,7 @@ from push_ident.physics.effect import (
     OnPusherFriction,
     OnPusherPath,
     OnTimes,
-)
+)  # fmt: skip
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array
 
@@ -180,6 +180,11 @@ def effect_values(effects: EffectsLike | None) -> EffectValues:
 _Step = Callable[[ComplexArray, ComplexArray], ComplexArray]
 
 
+def _steps(effects: EffectValues, kind: type, law: str) -> list[tuple[slice, _Step]]:
+    """Laws of the active effects that act on one kind of thing, with the positions of their values."""
+    return [(position, getattr(effect.acts, law)) for effect, position in _positions_of(effects.names) if isinstance(effect.acts, kind)]
+
+
 def _through(steps: list[tuple[slice, _Step]], effects: EffectValues, x: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Result of steps (values, x) -> x, one after the other, and its derivative by the values, shape (n_values, *x.shape)."""
     by_value = np.zeros((len(effects), *x.shape))
@@ -204,52 +209,35 @@ def _through(steps: list[tuple[slice, _Step]], effects: EffectValues, x: Float64
 def driven_path(effects: EffectValues, dt: float | Float64Array, path: Float64Array) -> tuple[Float64Array, Float64Array]:
     """The path that the pusher drove where `path` was reported, poses at the steps' ends, shape (n_steps + 1, 3), table frame.
 
-    Args:
-        effects: active ones.
-        dt: length of the steps [s], a number or shape (n_steps,).
-        path: reported.
+    `dt`: length of the steps [s], a number or shape (n_steps,).
 
     Returns:
         The path, and its derivative by the values, shape (n_values, n_steps + 1, 3).
     """
-    acts = [(position, effect.acts) for effect, position in _positions_of(effects.names)]
-    steps: list[tuple[slice, _Step]] = [(position, partial(_move, act.move, dt)) for position, act in acts if isinstance(act, OnPusherPath)]
-    return _through(steps, effects, path)
+    moves = _steps(effects, OnPusherPath, "move")
+    return _through([(position, partial(_move, move, dt)) for position, move in moves], effects, path)
 
 
-def _move(
-    move: Callable[[ComplexArray, Any, ComplexArray], ComplexArray], dt: float | Float64Array, values: ComplexArray, path: ComplexArray
-) -> ComplexArray:
+def _move(move: Callable[..., ComplexArray], dt: float | Float64Array, values: ComplexArray, path: ComplexArray) -> ComplexArray:
     return move(values, dt, path)
 
 
 def changed_friction(effects: EffectValues, coefficient: float) -> tuple[float, Float64Array]:
     """The pusher's friction coefficient under the effects, where that of the model is `coefficient`, and its derivative by the values."""
-    steps = [
-        (position, effect.acts.change) for effect, position in _positions_of(effects.names) if isinstance(effect.acts, OnPusherFriction)
-    ]
-    value, by_value = _through(steps, effects, np.array([coefficient]))
+    value, by_value = _through(_steps(effects, OnPusherFriction, "change"), effects, np.array([coefficient]))
     return float(value[0]), by_value[:, 0]
 
 
 def measurement_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Times [s] at which the poses reported for `time` were measured, shape (n_frames,), and their derivative by the values, shape
     (n_values, n_frames)."""
-    return _through(
-        [(position, effect.acts.move) for effect, position in _positions_of(effects.names) if isinstance(effect.acts, OnTimes)],
-        effects,
-        time,
-    )
+    return _through(_steps(effects, OnTimes, "move"), effects, time)
 
 
 def force_times(effects: EffectValues, time: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Times [s] at which the forces reported for `time` were measured, shape (n,), and their derivative by the values, shape (n_values,
     n)."""
-    return _through(
-        [(position, effect.acts.move) for effect, position in _positions_of(effects.names) if isinstance(effect.acts, OnForceTimes)],
-        effects,
-        time,
-    )
+    return _through(_steps(effects, OnForceTimes, "move"), effects, time)
 
 
 def reported_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -258,16 +246,7 @@ def reported_poses(effects: EffectValues, pose: Float64Array) -> tuple[Float64Ar
     Returns:
         The poses; their derivative by the true ones, shape (n_frames, 3, 3); and by the values, shape (n_values, n_frames, 3).
     """
-    steps = [(position, effect.acts.report) for effect, position in _positions_of(effects.names) if isinstance(effect.acts, OnPoses)]
-    value, by_value = _through(steps, effects, pose)
-    by_pose = np.empty((*pose.shape, 3))
-    for axis in range(3):
-        stepped = pose.astype(np.complex128)
-        stepped[:, axis] += _IMAGINARY_STEP
-        for position, report in steps:
-            stepped = report(effects.values[position].astype(np.complex128), stepped)
-        by_pose[:, :, axis] = stepped.imag / STEP_OF_INPUT
-    return value, by_pose, by_value
+    return _reported(effects, OnPoses, pose)
 
 
 def measured_forces(effects: EffectValues, force: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -276,16 +255,20 @@ def measured_forces(effects: EffectValues, force: Float64Array) -> tuple[Float64
     Returns:
         The forces; their derivative by the true ones, shape (n, 2, 2); and by the values, shape (n_values, n, 2).
     """
-    steps = [(position, effect.acts.report) for effect, position in _positions_of(effects.names) if isinstance(effect.acts, OnForces)]
-    value, by_value = _through(steps, effects, force)
-    by_force = np.empty((*force.shape, 2))
-    for axis in range(2):
-        stepped = force.astype(np.complex128)
+    return _reported(effects, OnForces, force)
+
+
+def _reported(effects: EffectValues, kind: type, true: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+    steps = _steps(effects, kind, "report")
+    value, by_value = _through(steps, effects, true)
+    by_true = np.empty((*true.shape, true.shape[1]))
+    for axis in range(true.shape[1]):
+        stepped = true.astype(np.complex128)
         stepped[:, axis] += _IMAGINARY_STEP
         for position, report in steps:
             stepped = report(effects.values[position].astype(np.complex128), stepped)
-        by_force[:, :, axis] = stepped.imag / STEP_OF_INPUT
-    return value, by_force, by_value
+        by_true[:, :, axis] = stepped.imag / STEP_OF_INPUT
+    return value, by_true, by_value
 
 
 def true_pose(effects: EffectsLike | None, reported: Float64Array) -> Float64Array:

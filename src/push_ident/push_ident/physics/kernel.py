@@ -1,13 +1,18 @@
-"""Compilation of kernels, and a cache on disk that is never stale.
+"""Compilation of kernels, a cache on disk that is never stale, and the folders of effects beside those of this package.
 
 Numba's cache checks only the source file of a kernel itself. It does not detect changes of kernels in other files that the compiler
 inlined. Therefore any change of a source of this package, or of an effect, drops all of its compiled kernels. Kernels compiled with
-effects of other folders (`effect_folders.py`) have a cache of their own, so that the kernels without these effects stay valid.
+effects of other folders have a cache of their own, so that the kernels without these effects stay valid.
+
+Every `.py` file in a folder of `PUSH_IDENT_EFFECTS`, a list separated as in PATH, holds one effect as `EFFECT`, like the files of
+`effects/`, and is a full member of the catalogue. The variable has to be set before the first import of this package, in every process
+that simulates.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -15,9 +20,28 @@ from typing import Any
 
 from numba import config, njit
 
-from push_ident.physics.effect_folders import extra_effect_files
+__all__ = ["VARIABLE", "extra_effect_files", "extra_effect_folders", "fast_kernel", "kernel"]
 
-__all__ = ["fast_kernel", "kernel"]
+VARIABLE = "PUSH_IDENT_EFFECTS"
+
+
+def extra_effect_folders() -> list[Path]:
+    """The folders that the environment names.
+
+    Raises:
+        ImportError: one of them does not exist.
+    """
+    folders = [Path(part).expanduser().resolve() for part in os.environ.get(VARIABLE, "").split(os.pathsep) if part]
+    for folder in folders:
+        if not folder.is_dir():
+            raise ImportError(f"{VARIABLE} names {folder}, which is no folder; correct the variable, or unset it.")
+    return folders
+
+
+def extra_effect_files() -> list[Path]:
+    """The files in those folders, in a fixed order."""
+    return [file for folder in extra_effect_folders() for file in sorted(folder.glob("*.py"))]
+
 
 _EXTRA_FILES = extra_effect_files()
 _EXTRA_CACHE = str(Path(config.CACHE_DIR or Path(__file__).parent / "__pycache__") / "with_extra_effects")

@@ -172,14 +172,7 @@ class _Outcome:
 class _SolveLcp(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any,
-        M: Tensor,
-        q: Tensor,
-        G: Tensor,
-        F: Tensor,
-        m: Tensor,
-        A: Tensor,
-        outcome: _Outcome,
+        ctx: Any, M: Tensor, q: Tensor, G: Tensor, F: Tensor, m: Tensor, A: Tensor, outcome: _Outcome
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         finite = torch.stack([torch.isfinite(x).flatten(1).all(dim=1) for x in (M, q, G, F, m, A)]).all(dim=0)
         if not bool(finite.all()):
@@ -296,16 +289,13 @@ class _KktSolver:
     def _solve_blocks(self, b: Tensor) -> Tensor:
         return torch.linalg.lu_solve(self._lu, self._pivots, b.reshape(*self._F.shape[:3], b.shape[-1])).reshape(b.shape)
 
-    def _solve_floored(self, r: Tensor) -> Tensor:
-        x = self._solve_blocks(r[..., None])
-        return (x - self._block_H @ torch.linalg.lu_solve(self._motion_lu, self._motion_pivots, self._H.mT @ x))[..., 0]
-
     def solve(self, r: Tensor, max_refinements: int) -> tuple[Tensor, Tensor]:
         """x, and the largest remaining residual of each problem relative to the largest entry of r, shape (batch,)."""
         size = torch.clamp(r.abs().amax(dim=1), min=1e-300)
         x, residual = torch.zeros_like(r), r
         for _ in range(1 + max_refinements):
-            x = x + self._solve_floored(residual)
+            y = self._solve_blocks(residual[..., None])
+            x = x + (y - self._block_H @ torch.linalg.lu_solve(self._motion_lu, self._motion_pivots, self._H.mT @ y))[..., 0]
             residual = r - self._ratio * x - _times(self._H, _times(self._H.mT, x)) + _times_blocks(self._F, x)
             left = residual.abs().amax(dim=1) / size
             if not bool((left > _METHOD.refined).any()):

@@ -25,8 +25,8 @@ from push_ident.physics.kernel import kernel
 from push_ident.types import Float64Array
 
 __all__ = [
-    "MAX_CONTACTS", "Mode", "ModeScratch", "Row", "StepContacts", "drag_sign", "mode_system", "new_mode_scratch", "solve_modes",
-    "solve_small", "tangent_row",
+    "MAX_CONTACTS", "Mode", "ModeScratch", "Row", "StepContacts", "StepGeometry", "drag_sign", "mode_system", "new_mode_scratch",
+    "solve_modes", "solve_small", "tangent_row",
 ]  # fmt: skip
 
 MAX_CONTACTS = 5
@@ -57,6 +57,27 @@ class Row(IntEnum):
     """Of N_k: 1 for a contact on the face of the first one, else 0."""
     WIDTH = 5
     """Number of columns."""
+
+
+class StepGeometry(NamedTuple):
+    """The object in a step. It is made once for a rollout; what changes from step to step is written into its arrays."""
+
+    arms: Float64Array
+    """Cell centres from the centre of mass [m], shape (2, n_cells), object axes."""
+    limit: Float64Array
+    """Sliding friction of each cell in this step [N], shape (n_cells,)."""
+    inertia: Float64Array
+    """(m, m, I) about the centre of mass [kg, kg, kg m^2], shape (3,); zeros for a quasi-static step."""
+    reach: float
+    """Length that turns a rate of rotation into a speed [m]."""
+    centre: Float64Array
+    """Of mass [m], shape (2,), object frame."""
+    heading: Float64Array
+    """cos and sin of the yaw at the start of this step, shape (2,)."""
+    dt: float
+    """Length of this step [s]."""
+    is_struck: bool = False
+    """The object was at rest before this step, which resolves the time of the first contact within it (`contact_rows.py`)."""
 
 
 class StepContacts(NamedTuple):

@@ -23,9 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.kernel import fast_kernel, kernel
-from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts, solve_modes
+from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts, StepGeometry, solve_modes
 from push_ident.physics.step import StepScratch
-from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import SupportImpulse
 from push_ident.types import Float64Array
 

@@ -22,7 +22,7 @@ from push_ident.errors import InputError
 from push_ident.physics.contact import MAX_DISC_CONTACTS, REACH, Field, Kind, find_contacts, max_candidates
 from push_ident.physics.contact_rows import RECOVERY_SPEED
 from push_ident.physics.lcp import LcpStatus
-from push_ident.physics.reference_step import StepProblem, StepResult, reference_step, rotated, turned
+from push_ident.physics.reference_step import StepProblem, reference_step, rotated, turned
 from push_ident.physics.simulation import GRAVITY, SimulationSettings
 from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
@@ -168,10 +168,11 @@ class _Drive:
         spans = [max(float(time[-1]), float(p.time[-1])) - float(p.time[0]) for time, p in zip(times, pushers, strict=True)]
         n_steps = max(1, math.ceil(max(spans) / dt))
         radius = torch.tensor([p.radius for p in pushers], dtype=torch.float64)
-        path = np.stack([_path_on_steps(p, n_steps, dt) for p in pushers])
+        clock = dt * np.arange(n_steps + 1)
+        path = np.stack([[np.interp(p.time[0] + clock, p.time, p.position[:, axis]) for axis in (0, 1)] for p in pushers])
         size = (len(pushers), n_steps, 3)
         applied = torch.zeros(size, dtype=torch.float64) if force is None else _broadcast("force", force, size)
-        return _Drive(pushers, path, radius, applied, dt)
+        return _Drive(pushers, np.ascontiguousarray(np.moveaxis(path, 1, 2)), radius, applied, dt)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +223,9 @@ def _advanced(body: _PushedBody, drive: _Drive, state: _State, n: int, max_itera
         solved = torch.tensor([status is LcpStatus.CONVERGED for status in result.status])
         failed[moving[~solved]] = True
         twist = twist.index_put((moving[solved],), result.twist[solved])
-        pusher_force[moving] = _impulse_on_object(result, problem.normal).detach() / drive.dt
+        normal, impulse = problem.normal, result.normal_impulse[..., None]
+        on_object = result.tangential_impulse[:, None] * turned(normal[:, 0]) - (impulse * normal).sum(dim=1)
+        pusher_force[moving] = on_object.detach() / drive.dt
     return state.moved(twist, failed, drive.dt), pusher_force
 
 
@@ -304,12 +307,6 @@ def _reported(
     return ReferenceMotion(reported, pusher_force, status)
 
 
-def _path_on_steps(pusher: PusherPath, n_steps: int, dt: float) -> Float64Array:
-    """Centre of the pusher at the ends of the steps [m], shape (n_steps + 1, 2)."""
-    clock = pusher.time[0] + dt * np.arange(n_steps + 1)
-    return np.column_stack([np.interp(clock, pusher.time, pusher.position[:, axis]) for axis in (0, 1)])
-
-
 def _at_times(trajectory: Tensor, since_start: Float64Array, dt: float) -> Tensor:
     """Poses between the ends of the steps, shape (n_frames, 3)."""
     at = np.clip(since_start / dt, 0.0, len(trajectory) - 1)
@@ -353,8 +350,3 @@ def _contact_frames(contacts: Tensor, pusher_in_object: Tensor, radius: Tensor) 
     height = (normal * offset).sum(dim=2)
     point = torch.where(vertex[..., None], anchor, pusher_in_object[:, None] - height[..., None] * normal)
     return normal, point, height - radius[:, None]
-
-
-def _impulse_on_object(result: StepResult, normal: Tensor) -> Tensor:
-    """Impulse of the pusher on the object [N s], table axes, shape (batch, 2)."""
-    return result.tangential_impulse[:, None] * turned(normal[:, 0]) - (result.normal_impulse[..., None] * normal).sum(dim=1)

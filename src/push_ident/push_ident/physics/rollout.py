@@ -20,12 +20,11 @@ from push_ident.physics.active_effects import N_SUMS, ActiveEffects
 from push_ident.physics.contact import REACH, Field, find_contacts, max_candidates
 from push_ident.physics.contact_rows import Rebound, RelativePusher, add_rebound, contact_rows, new_relative_pusher, shift_surface
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts, tangent_row
+from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts, StepGeometry, tangent_row
 from push_ident.physics.overhang import Overhang, share_loads
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_friction, pyramid_step
 from push_ident.physics.step import TableForces, new_step_scratch, step
 from push_ident.physics.step_derivative import EffectDrive, StepBalance, new_effect_drive, new_sensitivity_scratch, step_sensitivity
-from push_ident.physics.step_geometry import StepGeometry
 from push_ident.physics.support import SupportImpulse, add_skew, support_friction
 from push_ident.physics.table import (
     TableScratch,

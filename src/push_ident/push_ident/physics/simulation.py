@@ -425,7 +425,10 @@ def _run(
         pose, measurement = Measurement.of(effects, times, pose, mu_by_value)
     impulse = np.full((len(scenario.force_time), 2), np.nan)
     if len(impulse) > 0 and status is not SolveStatus.SIMULATION_FAILED:
-        impulse = _impulse_until(impulses, force * clock.lengths[:, None])
+        # A step counts as far as it has gone.
+        of_step = force * clock.lengths[:, None]
+        before = np.vstack([np.zeros(2), np.cumsum(of_step, axis=0)])
+        impulse = np.asarray(before[impulses.step] + impulses.fraction[:, None] * of_step[impulses.step])
     no_derivative = np.empty((len(scenario.time), 3, 0)), np.empty((len(scenario.force_time), 2, 0))
     motion = Motion(scenario.time, pose, no_derivative[0], clock.middles, force, status, impulse, force[impulses.step], no_derivative[1])
     diamond = settings.friction_cone == "pyramid"
@@ -434,17 +437,17 @@ def _run(
     return _Run(motion, chain, len(effects), measurement, impulses)
 
 
-def _impulse_until(times: Frames, impulse: Float64Array) -> Float64Array:
-    """Sum of the impulses of the steps, shape (n_steps, 2), until each of `times`, in which a step counts as far as it has gone."""
-    before = np.vstack([np.zeros(2), np.cumsum(impulse, axis=0)])
-    return np.asarray(before[times.step] + times.fraction[:, None] * impulse[times.step])
-
-
 def _pusher_friction(coefficient: float, settings: SimulationSettings, effects: EffectValues) -> tuple[float, Float64Array]:
     """The pusher's friction coefficient under the effects, and its derivative by their values. Refuses effects without a law here."""
     if len(effects) == 0:
         return coefficient, np.zeros(0)
-    _check_effects(effects, settings)
+    for effect in effects.effects:
+        if isinstance(effect.acts, OnTable) and settings.friction_cone != "circle":
+            raise InputError(
+                f"The effect {effect.name} needs the circular cone, got friction_cone={settings.friction_cone!r}; take 'circle'."
+            )
+        if effect.needs_inertia and settings.quasi_static:
+            raise InputError(f"The effect {effect.name} has no meaning without inertia, got quasi_static=True; take False.")
     mu, mu_by_value = changed_friction(effects, coefficient)
     if mu < 0:
         raise InputError(f"The effects make the pusher's friction coefficient {mu:.3g}, expected a number >= 0.")
@@ -486,14 +489,3 @@ def _roll(
         pose[:] = np.nan
         return pose, force, tape, SolveStatus.SIMULATION_FAILED
     return pose, force, tape, SolveStatus.CONVERGED if np.any(force) else SolveStatus.NO_CONTACT
-
-
-def _check_effects(effects: EffectValues, settings: SimulationSettings) -> None:
-    """Refuse effects that the numerics have no law for."""
-    for effect in effects.effects:
-        if isinstance(effect.acts, OnTable) and settings.friction_cone != "circle":
-            raise InputError(
-                f"The effect {effect.name} needs the circular cone, got friction_cone={settings.friction_cone!r}; take 'circle'."
-            )
-        if effect.needs_inertia and settings.quasi_static:
-            raise InputError(f"The effect {effect.name} has no meaning without inertia, got quasi_static=True; take False.")

@@ -28,8 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import MAX_CONTACTS, Mode, ModeScratch, Row, StepContacts, new_mode_scratch, solve_modes
-from push_ident.physics.step_geometry import StepGeometry
+from push_ident.physics.modes import MAX_CONTACTS, Mode, ModeScratch, Row, StepContacts, StepGeometry, new_mode_scratch, solve_modes
 from push_ident.physics.support import add_skew, support_friction
 from push_ident.types import Float64Array
 

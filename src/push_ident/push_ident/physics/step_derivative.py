@@ -18,8 +18,17 @@ import numpy as np
 
 from push_ident.physics.contact_rows import ContactEffects, Rebound, RelativeChange, RelativePusher, contact_rows_seed
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import MAX_CONTACTS, ModeScratch, Row, StepContacts, drag_sign, mode_system, solve_small, tangent_row
-from push_ident.physics.step_geometry import StepGeometry
+from push_ident.physics.modes import (
+    MAX_CONTACTS,
+    ModeScratch,
+    Row,
+    StepContacts,
+    StepGeometry,
+    drag_sign,
+    mode_system,
+    solve_small,
+    tangent_row,
+)  # fmt: skip
 from push_ident.physics.support import SupportImpulse
 from push_ident.physics.tape import Block
 from push_ident.types import BoolArray, Float64Array

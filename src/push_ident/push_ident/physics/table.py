@@ -14,7 +14,7 @@ from push_ident.physics.active_effects import N_FIXED_INPUTS, N_SUMS, ActiveEffe
 from push_ident.physics.effect import MAX_LOAD_NUMBERS, STEP_OF_INPUT, Body, ComplexArray, Load, equation
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.kernel import kernel
-from push_ident.physics.step_geometry import StepGeometry
+from push_ident.physics.modes import StepGeometry
 from push_ident.physics.support import cell_friction
 from push_ident.physics.table_laws import all_loads, all_memories, all_planes, all_pulls, all_skews
 from push_ident.types import Float64Array

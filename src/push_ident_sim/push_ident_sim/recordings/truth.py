@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
 from push_ident.files import replaced
-from push_ident.physics.effect_folders import extra_effect_files
+from push_ident.physics.kernel import extra_effect_files
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack

@@ -1,6 +1,6 @@
 """The catalogue of effects. Every module of this folder defines one as `EFFECT`. To add an effect, add a file.
 
-Files in the folders of `PUSH_IDENT_EFFECTS` (`effect_folders.py`) belong to the catalogue too.
+Files in the folders of `PUSH_IDENT_EFFECTS` (`kernel.py`) belong to the catalogue too.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from push_ident.physics.effect import MAPS, Effect
-from push_ident.physics.effect_folders import VARIABLE, extra_effect_files, extra_effect_folders
+from push_ident.physics.kernel import VARIABLE, extra_effect_files, extra_effect_folders
 
 __all__ = ["CAMERA_ERRORS", "CAUSES", "EFFECTS", "FORCE_CAUSES", "SENSOR_ERRORS"]
 
