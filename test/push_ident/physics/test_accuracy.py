@@ -7,14 +7,11 @@ import pytest
 
 from push_ident.geometry.outline import cells_in_outline, polygon_area, polygon_centroid
 from push_ident.physics.accuracy import SHARE, choose_steps, halved, quick_steps, step_error
-from push_ident.physics.effect_values import effect_values
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import (
-    BodyParameters,
     SimulationSettings,
     body_of_cells,
     simulate_body,
-    simulate_body_with_pullback,
 )
 from push_ident.types import Float64Array, ObjectShape, PusherPath
 
@@ -23,14 +20,6 @@ RADIUS = 0.00475
 FINE = SimulationSettings(step=1 / 30720, resolve_events=True)
 RESOLVED = SimulationSettings(step=1 / 480, resolve_events=True)
 NOISE = {"1 mm": np.diag([1e-3, 1e-3, 0.01]) ** 2, "0.1 mm": np.diag([1e-4, 1e-4, 1e-3]) ** 2}
-EFFECTS = {
-    "pusher_lag": [0.03],
-    "pose_latency": [0.0213],
-    "table_tilt": [0.01, 0.01],
-    "table_anisotropy": [0.1, 0.1],
-    "restitution": [0.1],
-    "outline_error": [5e-4],
-}
 
 
 def _ellipse(n: int) -> Float64Array:
@@ -118,40 +107,6 @@ def test_released_object_coasts_as_far_as_friction_allows() -> None:
         errors[name] = abs(simulate_body(shape, body, 0.0, scenario, settings=how).pose[-1, 0] - exact)
     assert errors["resolved"] < 2e-5
     assert errors["equal"] > 10 * errors["resolved"]
-
-
-@pytest.mark.parametrize("with_effects", [False, True])
-@pytest.mark.parametrize("seed", range(4))
-def test_derivative_of_resolved_events_agrees_with_finite_differences(seed: int, with_effects: bool) -> None:
-    push = _Push(seed, (0.03, 0.1, 0.3)[seed % 3], (0.0, 0.05)[seed % 2])
-    body, n_cells = push.body, len(push.body.limit)
-    effects = effect_values(EFFECTS if with_effects else None)
-    time = np.linspace(push.pusher.time[0] + 0.0017, push.pusher.time[-1], 7)
-
-    def poses(change: Float64Array, jacobian: bool = False):  # type: ignore[no-untyped-def]
-        moved = BodyParameters(
-            body.mass + change[3], body.centre + change[4:6], body.inertia + change[6], body.limit + change[8 : 8 + n_cells]
-        )
-        acting = effects.with_values(effects.values + change[8 + n_cells :]) if with_effects else None
-        scenario = PushScenario(push.pusher, change[:3], time)
-        return simulate_body(push.shape, moved, push.mu + change[7], scenario, settings=RESOLVED, effects=acting, jacobian=jacobian)
-
-    n = 8 + n_cells + len(effects)
-    jacobian = poses(np.zeros(n), jacobian=True).jacobian
-    rng = np.random.default_rng(seed)
-    unit = np.r_[1e-3, 1e-3, 1e-2, 0.1 * body.mass, 1e-3, 1e-3, 0.1 * body.inertia, 0.1, 0.1 * body.limit, np.full(len(effects), 1e-3)]
-    for direction in [*np.eye(n)[:8], rng.normal(size=n)]:
-        change = unit * direction
-        expected = jacobian @ change
-        differences = [(poses(h * change).pose - poses(-h * change).pose) / (2 * h) for h in (1e-3, 1e-4, 1e-5)]
-        error = min(float(np.abs(found - expected).max()) for found in differences)
-        assert error < 1e-4 * np.abs(expected).max() + 1e-9
-    weight = rng.normal(size=(len(time), 3))
-    acting = effects if with_effects else None
-    scenario = PushScenario(push.pusher, np.zeros(3), time)
-    _, pull_back = simulate_body_with_pullback(push.shape, body, push.mu, scenario, settings=RESOLVED, effects=acting)
-    by_all = np.einsum("fi,fip->p", weight, jacobian)
-    np.testing.assert_allclose(pull_back(weight), by_all, rtol=1e-9, atol=1e-10 * np.abs(by_all).max())
 
 
 def test_steps_that_were_given_are_kept() -> None:

@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 from hypothesis import given, target
 
-from helpers.random_pushes import CLASSES, ENGINES, Case, Step, cases, examples, fixed_seeds, random_case, steps_of
+from helpers.random_pushes import CLASSES, DT, ENGINES, Case, Step, cases, examples, fixed_seeds, random_case, steps_of
 from push_ident.physics.effect import OnTable
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.effects import CAUSES, EFFECTS
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import BodyParameters, Motion, simulate_body, simulate_body_with_pullback
+from push_ident.physics.simulation import BodyParameters, Motion, SimulationSettings, simulate_body, simulate_body_with_pullback
 from push_ident.types import Float64Array, SolveStatus
 
 ORDER = 3.0
 NONE = effect_values(None)
+RESOLVED_EFFECTS = ("outline_error", "pose_latency", "pusher_lag", "restitution", "table_anisotropy", "table_tilt")
 ADJOINT = {"circle": 1e-10, "quasi-static": 1e-10, "pyramid": 1e-8}
 """Rounding of the adjoint. A cell of the pyramid that sticks costs more digits, with effects and without."""
 
@@ -70,7 +71,9 @@ class Compared:
         self.n = self.n_certain = 0
         self.worst = {"pose": 0.0, "impulse": 0.0, "adjoint": 0.0}
 
-    def add(self, case: Case, mode: str, effects: EffectValues = NONE, *, between: bool = False, only_effects: bool = False) -> None:
+    def add(
+        self, case: Case, how: SimulationSettings, effects: EffectValues = NONE, *, between: bool = False, only_effects: bool = False
+    ) -> None:
         """Compare all columns of a push, or those of the effects; `between` the steps' ends no latency has a kink."""
         body, mu = case.body, case.model.pusher_friction
         n, ends = 8 + len(body.limit), case.pusher.time
@@ -90,7 +93,7 @@ class Compared:
             return case.model.shape, BodyParameters(q[3], q[4:6], q[6], q[8:n]), q[7], scenario
 
         def simulated(q: Float64Array, *, jacobian: bool = False) -> Motion:
-            return simulate_body(*arguments(q), settings=ENGINES[mode], effects=effects.with_values(q[n:]), jacobian=jacobian)
+            return simulate_body(*arguments(q), settings=how, effects=effects.with_values(q[n:]), jacobian=jacobian)
 
         motion = simulated(point, jacobian=True)
         assert motion.status is not SolveStatus.SIMULATION_FAILED
@@ -116,14 +119,14 @@ class Compared:
                     both = False
             certain += both
         self.n, self.n_certain = self.n + len(point) - (n if only_effects else 0), self.n_certain + certain
+        _, pull_back = simulate_body_with_pullback(*arguments(point), settings=how, effects=effects)
+        self.worst["adjoint"] = max(self.worst["adjoint"], adjoint_error(motion, pull_back))
         if between:
             return
         steps = steps_of(case, motion)
         kinds = {step.kind for step in steps} | {"turning" for step in steps if step.turning and step.force.any()}
         kinds |= {"a cell sticks" for step in steps if some_cell_sticks(step, body.limit)}
         self.kinds.update({kind: certain for kind in kinds})
-        _, pull_back = simulate_body_with_pullback(*arguments(point), settings=ENGINES[mode], effects=effects)
-        self.worst["adjoint"] = max(self.worst["adjoint"], adjoint_error(motion, pull_back))
 
     def check(self, adjoint: float, doubtful: float) -> None:
         print(f"{self.n_certain} of {self.n} columns, {self.worst}, {dict(self.kinds)}")
@@ -142,7 +145,7 @@ def adjoint_error(motion: Motion, pull_back) -> float:  # type: ignore[no-untype
 def test_every_column_equals_differences_to_six_digits(mode: str) -> None:
     compared = Compared()
     for seed in fixed_seeds(16):
-        compared.add(random_case(seed, 9 + seed % 7, seed % 2 == 1, 5), mode)
+        compared.add(random_case(seed, 9 + seed % 7, seed % 2 == 1, 5), ENGINES[mode])
     compared.check(ADJOINT[mode], 0.2)
     assert all(compared.kinds[kind] >= 20 for kind in CLASSES if (kind, mode) != ("separating", "quasi-static"))
     assert mode != "pyramid" or compared.kinds["a cell sticks"] >= 100
@@ -152,7 +155,7 @@ def test_every_column_equals_differences_to_six_digits(mode: str) -> None:
 def test_all_columns_are_exact_while_an_effect_acts(name: str) -> None:
     compared = Compared()
     for seed in range(3):
-        compared.add(random_case(seed, 9 + seed, seed % 2 == 1, 5), "circle", some_values((name,), seed))
+        compared.add(random_case(seed, 9 + seed, seed % 2 == 1, 5), ENGINES["circle"], some_values((name,), seed))
     compared.check(ADJOINT["circle"], 0.2)
     assert compared.kinds["sticking"] and compared.kinds["sliding"]
 
@@ -162,16 +165,29 @@ def test_all_columns_are_exact_while_all_effects_act_at_once(mode: str) -> None:
     left_out = {"circle": set(), "quasi-static": {"restitution"}, "pyramid": {n for n in CAUSES if isinstance(EFFECTS[n].acts, OnTable)}}
     compared = Compared()
     for seed in range(3):
-        compared.add(random_case(seed, 9 + seed, seed % 2 == 1, 5), mode, some_values(tuple(sorted({*CAUSES} - left_out[mode])), seed))
+        compared.add(
+            random_case(seed, 9 + seed, seed % 2 == 1, 5), ENGINES[mode], some_values(tuple(sorted({*CAUSES} - left_out[mode])), seed)
+        )
     compared.check(ADJOINT[mode], 0.2)
+
+
+@pytest.mark.parametrize("names", [(), RESOLVED_EFFECTS], ids=["base model", "effects"])
+def test_all_columns_are_exact_where_events_are_resolved_within_steps(names: tuple[str, ...]) -> None:
+    compared = Compared()
+    for seed in range(6):
+        how = SimulationSettings(step=0.4 * DT, resolve_events=True)
+        compared.add(random_case(seed, 9 + seed, seed % 2 == 1, 5), how, some_values(names, seed), between=True)
+    compared.check(1e-9, 0.2)
 
 
 @pytest.mark.parametrize("name", CAUSES)
 def test_columns_of_an_effect_are_exact_at_the_null_value_where_absence_is_tested(name: str) -> None:
     compared = Compared()
     for seed in range(4):
-        compared.add(random_case(seed, 9 + seed, seed % 2 == 1, 5), "circle", effect_values((name,)), between=True, only_effects=True)
-    compared.check(0.0, 0.25)
+        compared.add(
+            random_case(seed, 9 + seed, seed % 2 == 1, 5), ENGINES["circle"], effect_values((name,)), between=True, only_effects=True
+        )
+    compared.check(ADJOINT["circle"], 0.25)
 
 
 @pytest.mark.parametrize("mode", ENGINES)

@@ -117,52 +117,34 @@ def test_impulse_and_energy_balance_in_every_step(mode: str, case: Case) -> None
     target(worst, label="energy balance, relative")
 
 
-def difference(case: Case, other: Case, back: np.ndarray, sign: np.ndarray, mode: str) -> float:
-    """Largest difference of two pushes that ought to be the same, the second seen through `sign` and then moved by `back`."""
-    a, b = (c.simulate(ENGINES[mode]) for c in (case, other))
-    assume(SolveStatus.SIMULATION_FAILED not in (a.status, b.status))
-    assume(not rounding_decides(case, ENGINES[mode]))
-    assert a.status is b.status
-    cos, sin = np.cos(back[2]), np.sin(back[2])
-    seen = b.pose * sign
-    seen = np.column_stack([seen[:, :2] @ np.array([[cos, sin], [-sin, cos]]) + back[:2], seen[:, 2] + back[2]])
-    return float(np.abs(a.pose - seen).max())
-
-
 @pytest.mark.parametrize("mode", ENGINES)
 @examples(25)
-@given(case=cases(48), yaw=st.floats(-3.0, 3.0), x=st.floats(-0.3, 0.3))
-def test_motion_does_not_depend_on_where_the_table_frame_stands(mode: str, case: Case, yaw: float, x: float) -> None:
+@given(case=cases(48), yaw=st.floats(-3.0, 3.0), x=st.floats(-0.3, 0.3), factor=st.floats(0.05, 20.0))
+def test_motion_is_the_same_in_another_table_frame_in_a_mirror_and_for_scaled_masses(
+    mode: str, case: Case, yaw: float, x: float, factor: float
+) -> None:
+    motion = case.simulate(ENGINES[mode])
+    assume(motion.status is not SolveStatus.SIMULATION_FAILED and not rounding_decides(case, ENGINES[mode]))
     # The pyramid stands in the axes of the table: right angles alone leave it as it is.
     angle = np.round(yaw) * np.pi / 2 if mode == "pyramid" else yaw
-    by = np.array([x, 0.2, angle])
     cos, sin = np.cos(angle), np.sin(angle)
-    back = np.array([-cos * x - sin * 0.2, sin * x - cos * 0.2, -angle])
-    error = difference(case, moved(case, by=by), back, np.ones(3), mode)
-    target(error, label="moved frame [m, rad]")
-    assert error < 1e-8
-
-
-@pytest.mark.parametrize("mode", ENGINES)
-@examples(25)
-@given(case=cases(48))
-def test_mirrored_push_gives_the_mirrored_motion(mode: str, case: Case) -> None:
-    error = difference(case, mirrored(case), np.zeros(3), np.array([1.0, -1.0, -1.0]), mode)
-    target(error, label="mirrored [m, rad]")
-    assert error < 1e-8
-
-
-@pytest.mark.parametrize("mode", ENGINES)
-@examples(20)
-@given(case=cases(48), factor=st.floats(0.05, 20.0))
-def test_scaled_masses_scale_the_forces_and_leave_the_motion(mode: str, case: Case, factor: float) -> None:
     model = case.model
     heavy = replace(case, model=ObjectModel(model.shape, factor * model.mass, model.friction, model.pusher_friction))
-    error = difference(case, heavy, np.zeros(3), np.ones(3), mode)
-    target(error, label="scaled [m, rad]")
-    assert error < 1e-8
-    a, b = (c.simulate(ENGINES[mode]).force for c in (case, heavy))
-    assert b == pytest.approx(factor * a, rel=1e-6, abs=1e-5 * factor)
+    others = [
+        (moved(case, by=np.array([x, 0.2, angle])), np.array([-cos * x - sin * 0.2, sin * x - cos * 0.2, -angle]), np.ones(3)),
+        (mirrored(case), np.zeros(3), np.array([1.0, -1.0, -1.0])),
+        (heavy, np.zeros(3), np.ones(3)),
+    ]
+    for other, back, sign in others:
+        again = other.simulate(ENGINES[mode])
+        assert again.status is motion.status
+        cos, sin = np.cos(back[2]), np.sin(back[2])
+        pose = again.pose * sign
+        pose = np.column_stack([pose[:, :2] @ np.array([[cos, sin], [-sin, cos]]) + back[:2], pose[:, 2] + back[2]])
+        error = float(np.abs(motion.pose - pose).max())
+        assert error < 1e-8
+    target(error, label="scaled masses [m, rad]")
+    assert again.force == pytest.approx(factor * motion.force, rel=1e-6, abs=1e-5 * factor)
 
 
 @pytest.mark.parametrize("polygon", [False, True])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.residuals import correlation_in_motion
+from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.diagnosis.verdict import Gate
 from push_ident.identification.fitting.fit import Fit
@@ -18,8 +18,6 @@ from push_ident.identification.results.explanation import explain
 from push_ident.types import SolveStatus
 
 __all__ = ["check_fit", "fit_base_model", "noise_above_steps", "step_effect"]
-
-Progress = Callable[[str], None]
 
 
 def fit_base_model(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from push_ident.diagnosis.base_fit import fit_base_model
@@ -13,7 +13,7 @@ from push_ident.diagnosis.explain import explain
 from push_ident.diagnosis.gates import check_pushes
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.select import select
-from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.settings import DiagnosisSettings, Progress
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.diagnosis.validate import validate
 from push_ident.errors import InputError
@@ -22,8 +22,6 @@ from push_ident.pushing.push import PushSettings
 from push_ident.types import PushRecord
 
 __all__ = ["diagnose"]
-
-Progress = Callable[[str], None]
 
 
 def diagnose(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from push_ident.diagnosis import wording
@@ -11,6 +9,7 @@ from push_ident.diagnosis.next_push import check_without_a_push, competing_expla
 from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.residuals import group_residuals
 from push_ident.diagnosis.result import Diagnosis
+from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.something_else.words import PatternWords, describe_pattern
 from push_ident.diagnosis.state import Decision, DiagnosisState, Validation
 from push_ident.diagnosis.verdict import Verdict
@@ -18,8 +17,6 @@ from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.pushing.push import PushSettings
 
 __all__ = ["explain"]
-
-Progress = Callable[[str], None]
 
 _ANYWHERE = (-1.0, 1.0, -1.0, 1.0)
 """Workspace of a proposed push where the caller gave no limits [m]."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.fits import without_pushes
 from push_ident.diagnosis.policy import ValidationPolicy
+from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_errors
 from push_ident.identification.fitting.fit import Fit
@@ -18,8 +19,6 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
 
 __all__ = ["Gap", "HeldOutFits", "folds_of", "measure_gap", "noise_errors"]
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)

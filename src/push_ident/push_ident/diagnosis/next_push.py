@@ -171,14 +171,9 @@ class _Predictor:
         return cls(fit.mechanics, fit.covariance, fit.problem.settings, len(fit.problem.records))
 
 
-@dataclass(frozen=True, slots=True)
-class _Outcome:
-    """What an explanation predicts that the sensor observes of a push."""
-
-    frames: Float64Array
-    """Poses in standard deviations of the observation, shape (3 n_frames,)."""
-    covariance: Float64Array
-    """Of them, from the posterior of the fit and the first pose, shape (3 n_frames, 3 n_frames)."""
+_Outcome = tuple[Float64Array, Float64Array]
+"""What an explanation predicts that the sensor observes of a push: poses in standard deviations of the observation, shape (3 n_frames,),
+and their covariance, from the posterior of the fit and the first pose, shape (3 n_frames, 3 n_frames)."""
 
 
 def _sensor(poses: PoseTrack) -> PoseSensor:
@@ -194,8 +189,10 @@ def _outcomes(
     first = next(iter(models.values()))
     start = true_pose(first.mechanics.effects, push.pose_object_in_table)
     record, _ = imagine_push(first.mechanics, push, start, sensor=sensor, settings=first.settings, order=first.order)
-    observation = observe_push(record, noise) if record is not None else None
-    return {name: _outcome(model, push, observation, first_variance) if observation is not None else None for name, model in models.items()}
+    if record is None:
+        return dict.fromkeys(models)
+    observation = observe_push(record, noise)
+    return {name: _outcome(model, push, observation, first_variance) for name, model in models.items()}
 
 
 def _outcome(model: _Predictor, push: PlannedPush, observation: Observation, first_variance: Float64Array) -> _Outcome | None:
@@ -211,13 +208,13 @@ def _outcome(model: _Predictor, push: PlannedPush, observation: Observation, fir
     whitened = np.einsum("fij,fjp->fip", observation.whitening, motion.jacobian).reshape(3 * len(observation.time), -1)
     by_first, rows = whitened[:, :3], whitened @ derivative
     covariance = rows @ model.covariance @ rows.T + (by_first * first_variance) @ by_first.T
-    return _Outcome(np.einsum("fij,fj->fi", observation.whitening, motion.pose).ravel(), covariance)
+    return np.einsum("fij,fj->fi", observation.whitening, motion.pose).ravel(), covariance
 
 
 def _mahalanobis2(a: _Outcome | None, b: _Outcome | None) -> float:
     """Squared Mahalanobis distance of two predictions; 0 where a simulation failed."""
     if a is None or b is None:
         return 0.0
-    difference = a.frames - b.frames
-    covariance = 0.5 * (a.covariance + b.covariance) + np.eye(len(difference))
+    difference = a[0] - b[0]
+    covariance = 0.5 * (a[1] + b[1]) + np.eye(len(difference))
     return float(difference @ np.linalg.solve(covariance, difference))

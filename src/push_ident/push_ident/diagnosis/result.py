@@ -33,8 +33,12 @@ class Diagnosis:
         return f"Diagnosis({self.verdict.value}{': ' if named else ''}{named}; {self.sentence})"
 
     def _repr_html_(self) -> str:
-        """For notebooks: the verdict and the effects that were found."""
-        return _summary_table(self)
+        """For notebooks: the verdict in words, the effects that were found, and what would resolve what is open."""
+        rows = [(e.name, size_of(e), f"{e.log_bayes_factor:.1f}") for e in self.effects]
+        failed = " ".join(f"{gate.finding}: {gate.remedy}" for gate in self.gates if not gate.passed)
+        note = " ".join(text for text in (failed, f"Without a push: {self.check}" if self.check else "") if text)
+        columns = ("effect", "size", "log Bayes factor (5: odds of 150 to 1)")
+        return html_table(f"{self.verdict.value}: {self.sentence}", columns, rows, note=note)
 
     verdict: Verdict
     sentence: str
@@ -82,16 +86,3 @@ class Diagnosis:
     def fit(self) -> Fit | None:
         """Maps with the effects that were found."""
         return self.selection.fit if self.selection else None
-
-
-def _summary_table(diagnosis: Diagnosis) -> str:
-    """The verdict in words, the effects that were found, and what would resolve what is open."""
-    rows = [(e.name, size_of(e), f"{e.log_bayes_factor:.1f}") for e in diagnosis.effects]
-    failed = " ".join(f"{gate.finding}: {gate.remedy}" for gate in diagnosis.gates if not gate.passed)
-    note = " ".join(text for text in (failed, f"Without a push: {diagnosis.check}" if diagnosis.check else "") if text)
-    return html_table(
-        f"{diagnosis.verdict.value}: {diagnosis.sentence}",
-        ("effect", "size", "log Bayes factor (5: odds of 150 to 1)"),
-        rows,
-        note=note,
-    )

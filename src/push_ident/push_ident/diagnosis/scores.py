@@ -9,7 +9,6 @@ The motion is differentiable by the parameters of an effect at their null, so th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,14 +49,10 @@ class EffectInformation:
     """g, shape (n,)."""
 
 
-def effect_information(fit: Fit, names: Sequence[str] = ()) -> EffectInformation | None:
-    """Information of the pushes of a fit about effects that it does not have, by default all whose names they can show.
-
-    Returns:
-        None where the pushes cannot be simulated.
-    """
+def effect_information(fit: Fit) -> EffectInformation | None:
+    """Information of the pushes of a fit about all effects that they can show and it does not have; None where they cannot be simulated."""
     visible = (*CAUSES, *FORCE_CAUSES) if fit.problem.uses_forces else CAUSES
-    absent = [name for name in names or visible if name not in fit.names]
+    absent = [name for name in visible if name not in fit.names]
     before = fit.unknowns
     unknowns = before.with_effects((*fit.names, *absent))
     problem = fit.problem.of(unknowns)

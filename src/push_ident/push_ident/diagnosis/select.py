@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -13,6 +13,7 @@ from push_ident.diagnosis.fits import fit_effects, polished, with_another
 from push_ident.diagnosis.policy import GatePolicy, SelectionPolicy
 from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
+from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.diagnosis.verdict import Gate
@@ -22,8 +23,6 @@ from push_ident.physics.effects import EFFECTS
 from push_ident.types import SolveStatus
 
 __all__ = ["check_outline", "choose_refits", "required_log_bayes_factor", "select", "select_effects"]
-
-Progress = Callable[[str], None]
 
 
 def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from push_ident.diagnosis.policy import DecisionPolicy
@@ -9,7 +10,10 @@ from push_ident.identification.observing.observation import NoiseModel
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.simulation import SimulationSettings
 
-__all__ = ["DiagnosisSettings"]
+__all__ = ["DiagnosisSettings", "Progress"]
+
+Progress = Callable[[str], None]
+"""Called with what is under way."""
 
 
 @dataclass(frozen=True, slots=True)

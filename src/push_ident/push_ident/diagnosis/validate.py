@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,15 +13,13 @@ from push_ident.diagnosis.odds import SOMETHING_ELSE, OutsideEvidence, Probabili
 from push_ident.diagnosis.policy import UnknownPolicy, ValidationPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, standardized_residuals
 from push_ident.diagnosis.selection import Selection
+from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.something_else.evidence import SomethingElse, error_with_patterns, find_something_else
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.fit import Fit
 
 __all__ = ["failed_tests", "supported_selection", "validate"]
-
-Progress = Callable[[str], None]
-
 
 _Structure = tuple[FrameResiduals, SomethingElse | None]
 """Residuals of a fit, and structure in them."""

@@ -128,8 +128,6 @@ class LcpSolution:
     """Shape (batch, n_gamma); not differentiable. Use m - G alpha - F gamma for gradients."""
     status: tuple[LcpStatus, ...]
     """One for each problem."""
-    iterations: tuple[int, ...]
-    """Of the interior-point method, summed over its starting points, one for each problem."""
 
     @property
     def converged(self) -> bool:
@@ -156,7 +154,7 @@ def solve_lcp(problem: Lcp, *, tolerance: float = 1e-12, max_iterations: int = 6
     """
     outcome = _Outcome(tolerance, max_iterations)
     alpha, gamma, beta, s = _SolveLcp.apply(problem.M, problem.q, problem.G, problem.F, problem.m, problem.A, outcome)
-    return LcpSolution(alpha, gamma, beta, s, outcome.status, outcome.iterations)
+    return LcpSolution(alpha, gamma, beta, s, outcome.status)
 
 
 @dataclass(slots=True)
@@ -166,7 +164,6 @@ class _Outcome:
     tolerance: float
     max_iterations: int
     status: tuple[LcpStatus, ...] = ()
-    iterations: tuple[int, ...] = ()
 
 
 class _SolveLcp(torch.autograd.Function):
@@ -182,15 +179,12 @@ class _SolveLcp(torch.autograd.Function):
         H = G @ N
         d = _row_scale(H, F)
         free = _times(N.mT, q)
-        gamma, s, solved, iterations = _solve_standard(
-            *_scaled(d, H, F), d * (m + _times(H, free)), outcome.tolerance, outcome.max_iterations
-        )
+        gamma, s, solved = _solve_standard(*_scaled(d, H, F), d * (m + _times(H, free)), outcome.tolerance, outcome.max_iterations)
         gamma, s = gamma * d, s / d
         alpha = -_times(N, free + _times(H.mT, gamma))
         beta = -_normal_solve(R, _times(A, (q + _times(G.mT, gamma)) / M))
 
         good = finite & independent & solved
-        outcome.iterations = tuple(iterations.tolist())
         outcome.status = tuple(map(_status, finite.tolist(), independent.tolist(), solved.tolist()))
         alpha, gamma, beta, s = (torch.where(good[:, None], x, torch.nan) for x in (alpha, gamma, beta, s))
         ctx.save_for_backward(M, G, F, A, N, R, d, alpha, gamma, beta, s, good)
@@ -322,8 +316,8 @@ def _row_scale(H: Tensor, F: Tensor) -> Tensor:
     return d.reshape(H.shape[:2])
 
 
-def _solve_standard(H: Tensor, F: Tensor, b: Tensor, tolerance: float, max_iterations: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """gamma and s of s = b + (HH' - F) gamma, s, gamma >= 0, s'gamma = 0; whether each problem was solved; iterations of each.
+def _solve_standard(H: Tensor, F: Tensor, b: Tensor, tolerance: float, max_iterations: int) -> tuple[Tensor, Tensor, Tensor]:
+    """gamma and s of s = b + (HH' - F) gamma, s, gamma >= 0, s'gamma = 0; whether each problem was solved.
 
     Shapes: H (batch, n, r), F (batch, n_blocks, size, size), b (batch, n).
     """
@@ -333,25 +327,22 @@ def _solve_standard(H: Tensor, F: Tensor, b: Tensor, tolerance: float, max_itera
     b = b / unit
     gamma, s = torch.empty_like(b), torch.empty_like(b)
     solved = torch.zeros(len(b), dtype=torch.bool)
-    iterations = torch.zeros(len(b), dtype=torch.int64)
     left = torch.arange(len(b))
     for start in _METHOD.starts:
-        gamma[left], s[left], solved[left], used = _interior_point(H[left], F[left], b[left], start, tolerance, max_iterations)
-        iterations[left] += used
+        gamma[left], s[left], solved[left] = _interior_point(H[left], F[left], b[left], start, tolerance, max_iterations)
         left = left[~solved[left]]
         if len(left) == 0:
             break
-    return gamma * unit, s * unit, solved, iterations
+    return gamma * unit, s * unit, solved
 
 
 def _interior_point(
     H: Tensor, F: Tensor, b: Tensor, start: tuple[float, float], tolerance: float, max_iterations: int
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor]:
     """As `_solve_standard`, from one starting point (gamma, s) and with b of order one."""
     batch = len(b)
     gamma, s = torch.full_like(b, start[0]), torch.full_like(b, start[1])
     solved = torch.zeros(batch, dtype=torch.bool)
-    iterations = torch.zeros(batch, dtype=torch.int64)
     active = torch.arange(batch)
     for iteration in range(max_iterations + 1):
         h, f, g, t = H[active], F[active], gamma[active], s[active]
@@ -361,7 +352,6 @@ def _interior_point(
         negligible = 1e-2 * tolerance * torch.clamp(t.amax(dim=1, keepdim=True) * g.amax(dim=1, keepdim=True), _METHOD.smallest_size, 1.0)
         done = (residual.abs().amax(dim=1) <= tolerance) & (product <= negligible).all(dim=1)
         solved[active[done]] = True
-        iterations[active] = iteration
         go = ~done & torch.isfinite(product).all(dim=1)
         if iteration == max_iterations or not bool(go.any()):
             break
@@ -378,7 +368,7 @@ def _interior_point(
         step = torch.clamp(torch.clamp(1.0 - gap, 0.99, 1.0 - 1e-6) * _step_to_boundary(g, dg, t, dt), max=1.0)
         gamma[active] = g + step * dg
         s[active] = t + step * dt
-    return gamma, s, solved, iterations
+    return gamma, s, solved
 
 
 def _newton(kkt: _KktSolver, gamma: Tensor, s: Tensor, residual: Tensor, product: Tensor) -> tuple[Tensor, Tensor]:

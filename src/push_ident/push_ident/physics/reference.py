@@ -39,8 +39,6 @@ class ReferenceModel:
     """Support friction coefficient of each cell, shape (n_cells,) or (batch, n_cells)."""
     pusher_friction: Tensor
     """Shape () or (batch,)."""
-    restitution: float = 0.0
-    """Between pusher and object, 0 to 1; the paper assumes 0."""
 
     @staticmethod
     def of(model: ObjectModel) -> ReferenceModel:
@@ -130,7 +128,6 @@ class _PushedBody:
     """Radius of gyration [m], shape (batch,); not differentiable."""
     pusher_friction: Tensor
     """Shape (batch,)."""
-    restitution: float
 
     @staticmethod
     def of(shape: ObjectShape, model: ReferenceModel, batch: int) -> _PushedBody:
@@ -142,7 +139,7 @@ class _PushedBody:
         centre = mass @ centres / total
         arms = centres - centre[:, None]
         gyration = torch.sqrt((inertia + mass * (arms**2).sum(dim=2)).sum(dim=1) / total[:, 0]).detach()
-        return _PushedBody(shape, mass, limit, inertia, centre, arms, gyration, pusher_friction, model.restitution)
+        return _PushedBody(shape, mass, limit, inertia, centre, arms, gyration, pusher_friction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,7 +244,6 @@ def _step_problem(
         active=active,
         pusher_velocity=torch.tensor(travel / drive.dt)[moving],
         pusher_friction=body.pusher_friction[moving],
-        restitution=torch.full((len(moving),), body.restitution, dtype=torch.float64),
         force=drive.force[moving, n],
         dt=drive.dt,
     )
@@ -272,8 +268,6 @@ def _expanded_model(model: ReferenceModel, batch: int, n_cells: int) -> tuple[Te
     for name, value in (("mass", mass), ("friction", friction), ("pusher_friction", pusher_friction)):
         if not bool(torch.isfinite(value).all()) or bool((value < 0).any()):
             raise InputError(f"ReferenceModel.{name} holds values that are negative or not finite.")
-    if not 0.0 <= model.restitution <= 1.0:
-        raise InputError(f"ReferenceModel.restitution is {model.restitution}, expected a number from 0 to 1.")
     return mass, friction, pusher_friction
 
 

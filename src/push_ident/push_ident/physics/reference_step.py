@@ -12,8 +12,8 @@ Cell i has the velocity (omega_i, vx_i, vy_i) in table axes. A step of length dt
     tau  = J_p v+ + p + e eta_p >= 0,   l_p >= 0,    tau' l_p = 0          friction of the pusher at its first contact, e = (1, 1)'
     psi  = mu_p l_c1 - e' l_p   >= 0,   eta_p >= 0,  psi eta_p = 0         ... and within the cone of its normal impulse
 
-The motion of the pusher enters the right-hand sides. c = gap / dt - n . v_pusher for the normal n into the object; at an impact the
-restitution times the speed of approach is subtracted. p = -t . v_pusher for the tangents +-t. J_f holds the paper's D for every cell: rows
+The motion of the pusher enters the right-hand sides. c = gap / dt - n . v_pusher for the normal n into the object; p = -t . v_pusher for
+the tangents +-t. J_f holds the paper's D for every cell: rows
 +-x and +-y of the table, zero for the rotation. A sliding cell dissipates the power f_i max(|vx|, |vy|), the support function of a
 diamond; the circular cone dissipates f_i |v|.
 
@@ -77,8 +77,6 @@ class StepProblem:
     """[m/s], shape (batch, 2)."""
     pusher_friction: Tensor
     """Friction coefficient of the pusher, shape (batch,)."""
-    restitution: Tensor
-    """From 0 (pusher and object stay in contact) to 1, shape (batch,)."""
     force: Tensor
     """Applied at the centre of mass (Fx, Fy, torque) [N, N, N m], shape (batch, 3)."""
     dt: float
@@ -99,7 +97,6 @@ class StepProblem:
             "active": (batch, MAX_DISC_CONTACTS),
             "pusher_velocity": (batch, 2),
             "pusher_friction": (batch,),
-            "restitution": (batch,),
             "force": (batch, 3),
         }
         for name, shape in expected.items():
@@ -118,8 +115,6 @@ class StepResult:
     """Of the pusher on the object at each contact, along -normal [N s], shape (batch, 2)."""
     tangential_impulse: Tensor
     """Of the pusher on the object at the first contact, along the normal turned by +90 degrees [N s], shape (batch,)."""
-    friction_impulse: Tensor
-    """Of the table on each cell (x, y) [N s], shape (batch, n_cells, 2)."""
     status: tuple[LcpStatus, ...]
     """One for each object."""
 
@@ -154,7 +149,7 @@ def reference_lcp(problem: StepProblem) -> Lcp:
     # A share of a cell's weight is added to its friction limit, so that its pyramid never degenerates to a point.
     limit = problem.dt * (problem.limit + 1e-7 * GRAVITY * problem.mass)
     bounds = torch.nn.functional.pad(limit[..., None], (4, 0)).flatten(1)
-    m = torch.cat([torch.where(uses, _pusher_bounds(problem, centre), 1.0), bounds], dim=1)
+    m = torch.cat([torch.where(uses, _pusher_bounds(problem), 1.0), bounds], dim=1)
 
     pusher = (_PUSHER_BLOCK - problem.pusher_friction[:, None, None] * _CONE) * problem.active[:, :1, None]
     F = torch.cat([pusher[:, None], _SUPPORT_BLOCK.expand(batch, n_cells, -1, -1)], dim=1)
@@ -184,7 +179,6 @@ def reference_step(problem: StepProblem, *, tolerance: float = 1e-12, max_iterat
         twist,
         gamma[:, 0, :2],
         gamma[:, 0, 2] - gamma[:, 0, 3],
-        torch.stack([gamma[:, 1:, 0] - gamma[:, 1:, 1], gamma[:, 1:, 2] - gamma[:, 1:, 3]], dim=2),
         solution.status,
     )
 
@@ -223,19 +217,9 @@ def _pusher_rows(problem: StepProblem) -> Tensor:
     return torch.cat([rows, torch.zeros_like(rows[:, :1])], dim=1)
 
 
-def _pusher_bounds(problem: StepProblem, centre: Tensor) -> Tensor:
-    """Right-hand side m of the pusher's rows: -c, -p and 0, shape (batch, 5).
-
-    Without restitution the gap may close to zero. With it, a contact that would close within the step is an impact: afterwards the
-    surfaces separate at `restitution` times their speed of approach (Newton's law).
-    """
-    arm = problem.point - centre[:, None]
-    inward = -problem.normal
-    surface = problem.twist[:, None, :2] + problem.twist[:, None, 2:] * turned(arm)
-    closing = (inward * (problem.pusher_velocity[:, None] - surface)).sum(dim=2)
-    rebound = problem.restitution[:, None] * closing
-    closure = -problem.gap / problem.dt
-    bound = torch.where((rebound > 0) & (closing > -closure), torch.maximum(rebound, closure), closure)
+def _pusher_bounds(problem: StepProblem) -> Tensor:
+    """Right-hand side m of the pusher's rows: -c, -p and 0, shape (batch, 5). The gap may close to zero: the paper has no restitution."""
+    inward, bound = -problem.normal, -problem.gap / problem.dt
     normal = -(inward * problem.pusher_velocity[:, None]).sum(dim=2) - bound
     slip = (turned(problem.normal[:, 0]) * problem.pusher_velocity).sum(dim=1)
     return torch.cat([normal, torch.stack([-slip, slip, torch.zeros_like(slip)], dim=1)], dim=1)

@@ -99,6 +99,22 @@ class _Linear:
     residual: Float64Array
     """At the optimum of the quadratic approximation, observed minus simulated, shape (n_rows,)."""
 
+    @classmethod
+    def of(
+        cls,
+        precision: Float64Array,
+        start: Float64Array,
+        jacobian: Float64Array,
+        observed: Float64Array,
+        weight: Float64Array,
+        rows: tuple[NDArray[np.int64], ...],
+    ) -> _Linear:
+        """With the minimum of the quadratic approximation."""
+        hessian = jacobian.T @ jacobian + np.diag(precision)
+        onto = np.asarray(np.linalg.solve(hessian, jacobian.T), dtype=np.float64)
+        linear = cls(jacobian, observed, weight, precision, start, rows, hessian, onto, observed)
+        return replace(linear, residual=np.asarray(observed - jacobian @ linear.step(observed)))
+
     def without_fitted(self, columns: Float64Array) -> Float64Array:
         """M times columns, shape (n_rows, n)."""
         return columns - self.jacobian @ (self.onto @ columns)
@@ -112,7 +128,7 @@ class _Linear:
         """The same without some pushes."""
         used = layout.without(fold)
         rows = layout.rows_of_pushes(used)
-        return _solved(self.precision, self.start, self.jacobian[used], self.observed[used], self.weight[used], rows)
+        return _Linear.of(self.precision, self.start, self.jacobian[used], self.observed[used], self.weight[used], rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,9 +186,14 @@ def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequenc
     families = np.array([result[0] for result in results])
     drawn = np.array([result[1] for result in results])
     total, under_noise = float(_log_mean(families)), _log_mean(drawn)
-    order = np.argsort(-families)
     share = np.exp(families - logsumexp(families))
-    patterns = map_in_threads(lambda k: _pattern(all_families[k], results[k][2], float(families[k]), float(share[k]), linear), order)
+
+    def pattern(k: int) -> Pattern:
+        family, (member_number, scale_number) = all_families[k], results[k][2]
+        member, scale = family.members[member_number], family.scales[scale_number]
+        return Pattern(family, member, scale, float(families[k]), float(share[k]), _amplitudes(family, member, scale, linear))
+
+    patterns = map_in_threads(pattern, np.argsort(-families))
     p_value = float((1 + np.count_nonzero(under_noise >= total)) / (1 + len(under_noise)))
     without: list[float] = []
     if total > 0.0:
@@ -242,23 +263,7 @@ def _linear(fit: Fit) -> _Linear | None:
     # The residual of a problem is simulated minus observed.
     observed = -weight * np.concatenate([residual.ravel() for residual in residuals])
     layout = _Layout.of(fit)
-    return _solved(problem.unit_prior, fit.x, weighted, observed, weight, layout.rows_of_pushes(layout.all))
-
-
-def _solved(
-    precision: Float64Array,
-    start: Float64Array,
-    jacobian: Float64Array,
-    observed: Float64Array,
-    weight: Float64Array,
-    rows: tuple[NDArray[np.int64], ...],
-) -> _Linear:
-    """The minimum of the quadratic approximation; arguments as of `_Linear`."""
-    hessian = jacobian.T @ jacobian + np.diag(precision)
-    onto = np.asarray(np.linalg.solve(hessian, jacobian.T), dtype=np.float64)
-    step = np.linalg.solve(hessian, jacobian.T @ observed - precision * start)
-    residual = np.asarray(observed - jacobian @ step)
-    return _Linear(jacobian, observed, weight, precision, start, rows, hessian, onto, residual)
+    return _Linear.of(problem.unit_prior, fit.x, weighted, observed, weight, layout.rows_of_pushes(layout.all))
 
 
 def _noise(fit: Fit, linear: _Linear, n_draws: int) -> Float64Array:
@@ -273,23 +278,14 @@ def _noise(fit: Fit, linear: _Linear, n_draws: int) -> Float64Array:
     return np.asarray(noise - linear.jacobian @ (linear.onto @ noise))
 
 
-_Best = tuple[int, int]
-"""Numbers of the member and of the scale with the largest evidence."""
-
-
-def _evaluate(family: Family, linear: _Linear, residuals: Float64Array) -> tuple[float, Float64Array, _Best]:
-    """Log Bayes factor of a family [nat], the same under draws of noise, shape (n_draws,), and its best member and scale.
+def _evaluate(family: Family, linear: _Linear, residuals: Float64Array) -> tuple[float, Float64Array, tuple[int, int]]:
+    """Log Bayes factor of a family [nat], the same under draws of noise, shape (n_draws,), and the numbers of its best member and scale.
 
     `residuals`: those of the fit, then the draws, shape (n_rows, 1 + n_draws).
     """
     slope = _slope(family, linear, residuals)
-    precisions = _precisions(family, linear)
-    values = np.array(
-        [
-            precision.log_bayes_factors(member.gathered(slope), family.scales)
-            for member, precision in zip(family.members, precisions, strict=True)
-        ]
-    )
+    pairs = zip(family.members, _precisions(family, linear), strict=True)
+    values = np.array([precision.log_bayes_factors(member.gathered(slope), family.scales) for member, precision in pairs])
     both = _log_mean(values.reshape(-1, values.shape[2]))
     member_number, scale_number = np.unravel_index(np.argmax(values[:, :, 0]), values.shape[:2])
     return float(both[0]), both[1:], (int(member_number), int(scale_number))
@@ -321,11 +317,6 @@ def _blocks(family: Family, linear: _Linear) -> list[tuple[NDArray[np.int64], Fl
 def _log_mean(values: Float64Array) -> Float64Array:
     """Logarithm of the mean of exp(values) over the first axis."""
     return np.asarray(logsumexp(values, axis=0) - np.log(len(values)))
-
-
-def _pattern(family: Family, best: _Best, log_bayes_factor: float, share: float, linear: _Linear) -> Pattern:
-    member, scale = family.members[best[0]], family.scales[best[1]]
-    return Pattern(family, member, scale, log_bayes_factor, share, _amplitudes(family, member, scale, linear))
 
 
 def _amplitudes(family: Family, member: Member, scale: float, linear: _Linear) -> Float64Array:
