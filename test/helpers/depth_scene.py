@@ -62,6 +62,14 @@ HAMMER_OUTLINE = np.array(
 )
 
 
+def hammer(pose) -> list[Prism]:
+    return [prism.at(pose) for prism in HAMMER]
+
+
+def box(x, y, width, depth, height, yaw=0.0, bottom=0.0) -> Prism:
+    return Prism(rectangle(-width / 2, -depth / 2, width / 2, depth / 2), bottom + height, bottom).at((x, y, yaw))
+
+
 def render(prisms, camera=CAMERA, *, rng=None, stamp=0.0, intrinsics=INTRINSICS) -> DepthFrame:
     """Depth of a table at z = 0 with prisms on it; with `rng` noisy and in whole millimetres."""
     scene = tuple((np.asarray(prism.polygon, dtype=float).tobytes(), prism.top, prism.bottom) for prism in prisms)

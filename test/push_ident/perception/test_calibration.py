@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from helpers.depth_scene import INTRINSICS, Prism, look_at, rectangle, render
+from helpers.depth_scene import INTRINSICS, Prism, box, look_at, rectangle, render
 from push_ident.errors import InputError, PerceptionError
 from push_ident.perception.calibration import Mark, calibrate, camera_over_table
 from push_ident.types import DepthFrame
 
 TRIANGLE = np.array([(0.0, 0.0), (0.15, 0.0), (0.0, 0.1)])
 L_SHAPE = np.array([(0.0, 0.0), (0.14, 0.0), (0.14, 0.04), (0.05, 0.04), (0.05, 0.1), (0.0, 0.1)])
-BOX = Prism(rectangle(-0.03, -0.05, 0.03, 0.05), 0.05).at((-0.2, 0.2, 0.3))
+BOX = box(-0.2, 0.2, 0.06, 0.1, 0.05, 0.3)
 
 
 def frames(camera, prisms, seed, n=10):
@@ -49,27 +49,25 @@ def test_the_table_is_found_without_any_guess_and_the_wall_is_not_taken_for_it()
     assert 0.0005 < noise < 0.004 and share > 0.4
 
 
-@pytest.mark.parametrize("outline", [rectangle(-0.1, -0.05, 0.1, 0.05), rectangle(0.0, 0.0, 0.1, 0.1)])
-def test_a_mark_that_looks_the_same_when_turned_is_refused(outline):
-    with pytest.raises(InputError, match="heading is ambiguous"):
-        Mark(outline, 0.03)
-
-
-def test_impossible_marks_are_refused():
-    with pytest.raises(InputError, match="expected 0.02 m or more"):
-        Mark(TRIANGLE, 0.003)
-    with pytest.raises(InputError, match="at least three"):
-        Mark(TRIANGLE[:2], 0.03)
+@pytest.mark.parametrize(
+    ("outline", "height", "why"),
+    [
+        (rectangle(-0.1, -0.05, 0.1, 0.05), 0.03, "heading is ambiguous"),
+        (rectangle(0.0, 0.0, 0.1, 0.1), 0.03, "heading is ambiguous"),
+        (TRIANGLE, 0.003, "0.02 m or more"),
+        (TRIANGLE[:2], 0.03, "at least three"),
+    ],
+)
+def test_a_mark_that_determines_no_pose_is_refused(outline, height, why):
+    with pytest.raises(InputError, match=why):
+        Mark(outline, height)
 
 
 def test_nothing_like_the_mark_is_an_error_with_counts_and_never_a_guess():
-    camera = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
-    with pytest.raises(PerceptionError, match="None of 0 segments"):
-        calibrate(frames(camera, [], 2, 3), Mark(TRIANGLE, 0.03))
-    same_area = Prism(rectangle(-0.0375, -0.05, 0.0375, 0.05), 0.03)
-    with pytest.raises(PerceptionError, match="differs from it by"):
-        calibrate(frames(camera, [same_area], 3), Mark(TRIANGLE, 0.03))
-    with pytest.raises(PerceptionError, match="mm in height"):
-        calibrate(frames(camera, [Prism(TRIANGLE, 0.045)], 4), Mark(TRIANGLE, 0.03))
+    camera, mark = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0)), Mark(TRIANGLE, 0.03)
+    same_area, too_high = Prism(rectangle(-0.0375, -0.05, 0.0375, 0.05), 0.03), Prism(TRIANGLE, 0.045)
+    for prisms, why in (([], "None of 0 segments"), ([same_area], "differs from it by"), ([too_high], "mm in height")):
+        with pytest.raises(PerceptionError, match=why):
+            calibrate(frames(camera, prisms, 2, 3), mark)
     with pytest.raises(PerceptionError, match="0 valid"):
         camera_over_table(DepthFrame(0.0, np.full((480, 640), np.nan, np.float32), INTRINSICS))

@@ -26,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_centroid
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.perception.frame.view import FrameView
@@ -235,27 +234,20 @@ PosedView = tuple[FrameView, Float64Array]
 frame."""
 
 
-def fuse_views(traced: TracedObject, views: Sequence[PosedView], *, pose_known: bool = False) -> TracedObject:
+def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject:
     """Outline and cells that fit all views best.
 
     The object frame and `traced.pose` follow the centroid of the outline where that moves.
 
     Args:
         traced: The object from one view.
-        views: All views, that one included; with poses to about a centimetre and ten degrees.
-        pose_known: Whether the first view is the one in which the object was traced, so that its pose is not fitted.
-
-    Raises:
-        InputError: There are no views.
-        PerceptionError: The object is found in none of them.
+        views: The view in which the object was traced, then others, with poses to about a centimetre and ten degrees.
     """
-    if not views:
-        raise InputError("There are no views to fuse, expected at least the one in which the object was traced.")
     moved = np.zeros(len(traced.shape.outline))
     outline = np.array(traced.shape.outline)
     for _ in range(_FIT_PASSES):
         template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, outline)))
-        fitted = _fitted(template, views, pose_known)
+        fitted = _fitted(template, views)
         gradient, curvature = _derivatives(template, outline, fitted)
         shared = same_curve(outline)
         step = np.clip(moved + (shared @ gradient) / (shared @ curvature), -_LARGEST, _LARGEST) - moved
@@ -273,18 +265,13 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView], *, pose_known: 
     return replace(fused, camera_positions=(cameras - (x, y),), displaced_std=displaced_std(simple, cameras, simple_lines))
 
 
-def _fitted(template: Template, views: Sequence[PosedView], pose_known: bool) -> list[PosedView]:
-    """The views in which a pose of the object fits, with that pose. Raises PerceptionError where there are none."""
-    fitted = []
-    for number, (view, pose) in enumerate(views):
-        if pose_known and number == 0:
-            fitted.append((view, pose))
-            continue
+def _fitted(template: Template, views: Sequence[PosedView]) -> list[PosedView]:
+    """The first view, whose pose is known, and the others in which a pose of the object fits, with that pose."""
+    fitted = list(views[:1])
+    for view, pose in views[1:]:
         fit = fit_pose(template, view, pose)
         if fit.status is TrackStatus.TRACKED:
             fitted.append((view, fit.pose))
-    if not fitted:
-        raise PerceptionError(f"The object is found in none of {len(views)} views; give poses near the true ones.")
     return fitted
 
 

@@ -291,7 +291,7 @@ class Registration:
         is_hollow = len(lid) * segment.area > settings.min_object_area * int(np.count_nonzero(segment.mask))
         main = SegmentedView(median, segment)
         traced, views = self._trace_with_all(main, frames[0].stamp, frames[-1].stamp, settings, main_only=is_hollow)
-        fused = fuse_views(traced, [(segmented.view, traced.pose) for segmented in views], pose_known=True)
+        fused = fuse_views(traced, [(segmented.view, traced.pose) for segmented in views])
         # What the nodes after this one refuse is no object here either.
         check_shape(fused.shape, remedy="It may be several things; move them apart.")
         return with_hollow(fused, lid) if is_hollow else fused, views
