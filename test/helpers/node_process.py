@@ -10,10 +10,11 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import ListParameters, SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -27,7 +28,7 @@ from push_ident_msgs.srv import SaveModel
 __all__ = ["NodeProcess", "Talker", "node_commands"]
 
 
-REPEATABLE = (ListParameters.Request, SetParameters.Request, SaveModel.Request)
+REPEATABLE = (GetState.Request, ListParameters.Request, SetParameters.Request, SaveModel.Request)
 """Requests that may be made twice."""
 AGAIN = 2.5
 """After so long one of them is made again [s]."""
@@ -125,7 +126,7 @@ class Talker:
         self._reports: list[DiagnosticStatus] = []
         self.node.create_subscription(DiagnosticArray, "/diagnostics", lambda msg: self._reports.extend(msg.status), 10)
 
-    def __enter__(self) -> Talker:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -16,7 +16,7 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 
 from helpers.lifecycle import Lifecycle
-from helpers.node_process import Talker, node_commands
+from helpers.node_process import node_commands
 from push_ident.nodes.base.cell_node import CellNode
 from push_ident.nodes.base.executors import make_executor
 from push_ident.nodes.base.network import own_domain
@@ -79,19 +79,18 @@ def test_any_value_for_any_parameter_and_every_transition_in_every_state_are_ans
     name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     domain = own_domain()
-    with running(name, domain, tmp_path) as node, Talker(domain) as talker, Lifecycle.of(name, domain) as lifecycle:
-        lifecycle.wait()
+    with running(name, domain, tmp_path) as node, Lifecycle(name, domain) as lifecycle:
         assert lifecycle.state() == "active"
         assert len(list(node.subscriptions)) + len(list(node.services)) + len(list(node.timers)) > 10
         assert node.raw_callbacks() == []
-        known = talker.ask(talker.node.create_client(ListParameters, f"{name}/list_parameters"), ListParameters.Request())
+        known = lifecycle.ask(lifecycle.node.create_client(ListParameters, f"{name}/list_parameters"), ListParameters.Request())
         names = [*known.result.names, "unknown", "", "a" * 5000]
-        setter = talker.node.create_client(SetParameters, f"{name}/set_parameters")
+        setter = lifecycle.node.create_client(SetParameters, f"{name}/set_parameters")
         for state in ("inactive", "active"):
             lifecycle.go_to(state)
             for value in WRONG:
                 asked = [Parameter(parameter, value=value).to_parameter_msg() for parameter in names if parameter != "use_sim_time"]
-                answer = talker.ask(setter, SetParameters.Request(parameters=asked))
+                answer = lifecycle.ask(setter, SetParameters.Request(parameters=asked))
                 assert len(answer.results) == len(asked)
                 assert all(result.successful or result.reason for result in answer.results)
         assert lifecycle.exercise(ROUNDS) == []

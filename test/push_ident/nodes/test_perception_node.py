@@ -232,8 +232,7 @@ def test_a_better_outline_is_published_once_the_object_rests_elsewhere_also_afte
         move(camera, rng, POSE, SECOND)
         rest_for_long(camera)
         assert area_of_outline(camera) < 0.95 * 0.00712, "it is under way"
-        with Lifecycle.of("perception_node", domain) as lifecycle:
-            lifecycle.wait()
+        with Lifecycle("perception_node", domain) as lifecycle:
             for state in ("inactive", "active"):
                 lifecycle.go_to(state)
             send_until(camera, lambda: area_of_outline(camera) == pytest.approx(0.00712, rel=0.02))

@@ -209,8 +209,7 @@ def test_arm_that_another_node_commands_is_not_commanded(cell: Cell) -> None:
 
 
 def test_node_that_is_deactivated_in_the_middle_of_a_push_holds_the_arm_first(cell: Cell) -> None:
-    with Lifecycle.of("push_executor_node", cell.context.get_domain_id()) as lifecycle:
-        lifecycle.wait()
+    with Lifecycle("push_executor_node", cell.context.get_domain_id()) as lifecycle:
         call = begin_push(cell)
         assert lifecycle.change("deactivate")
         result = call.end()
