@@ -20,7 +20,7 @@ from push_ident.geometry.table import Table
 from push_ident.identification.predicting.prediction import predict
 from push_ident.identification.predicting.scoring import PushScore, ScoreSummary
 from push_ident.identification.results.posterior import prior_posterior
-from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_to_msg
+from push_ident.nodes.convert.markers import GoalDrawing, goal_markers_to_msg, refusals_to_msg
 from push_ident.nodes.convert.messages import (
     camera_accuracy_to_msg,
     cylinder_to_msg,
@@ -34,7 +34,6 @@ from push_ident.nodes.convert.messages import (
     transform_to_msg,
 )
 from push_ident.nodes.convert.model import map_to_msg, path_to_msg, posterior_to_msg, prediction_to_msg, score_to_msg
-from push_ident.nodes.convert.refusals import refusals_to_msg
 from push_ident.nodes.convert.table import edge_to_msg, table_to_msg
 from push_ident.nodes.convert.tool_path import correction_to_msg, path_goal
 from push_ident.perception.refusals import Reason, Refusal

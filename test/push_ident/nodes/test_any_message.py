@@ -70,10 +70,7 @@ FAILED_ONCE: tuple[tuple[str, Any], ...] = (
     ("clock", Clock(clock=Time(sec=-5))),
     (f"objects/{OBJECT}/prediction", changed(f"objects/{OBJECT}/prediction", bent)),
     ("save_model", SaveModel.Request(object_id=OBJECT)),
-    (
-        "set_parameters",
-        SetParameters.Request(parameters=[Parameter(name="use_sim_time", value=ParameterValue(type=255, bool_value=True))]),
-    ),
+    ("set_parameters", SetParameters.Request(parameters=[Parameter(name="use_sim_time", value=ParameterValue(type=255, bool_value=True))])),
 )
 
 

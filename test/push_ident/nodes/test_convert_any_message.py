@@ -18,9 +18,8 @@ from helpers.fuzzing.right import OBJECT, right_goals, right_messages
 from push_ident.errors import PushIdentError
 from push_ident.limits import LIMITS
 from push_ident.nodes.convert import messages
-from push_ident.nodes.convert.goal_markers import goal_markers_from_msg
+from push_ident.nodes.convert.markers import goal_markers_from_msg, refusals_from_msg
 from push_ident.nodes.convert.model import posterior_from_msg, pusher_path_from_msg
-from push_ident.nodes.convert.refusals import refusals_from_msg
 from push_ident.nodes.convert.table import edge_from_msg, table_from_msg
 from push_ident.nodes.convert.tool_path import correction_from_msg, path_request_from_goal
 from push_ident.nodes.goal_pushing.convert_goal import request_from_msg

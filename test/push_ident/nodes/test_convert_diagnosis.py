@@ -13,7 +13,7 @@ from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.verdict import Verdict
 from push_ident.identification.predicting.next_push import PlannedPush
-from push_ident.nodes.gap_diagnosis.convert_diagnosis import report_to_msg
+from push_ident.nodes.gap_diagnosis.gap_diagnosis_node import report_to_msg
 from push_ident.pushing.push import PushPlan2D
 from push_ident.types import PusherPath
 from push_ident_msgs.msg import GapReport

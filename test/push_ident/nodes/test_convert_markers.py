@@ -10,8 +10,8 @@ import pytest
 from builtin_interfaces.msg import Time
 
 from push_ident.errors import InputError
-from push_ident.nodes.convert.goal_markers import GoalDrawing, draw_goal, goal_markers_from_msg, goal_markers_to_msg
-from push_ident.nodes.convert.refusals import refusals_from_msg, refusals_to_msg
+from push_ident.nodes.convert.markers import GoalDrawing, goal_markers_from_msg, goal_markers_to_msg, refusals_from_msg, refusals_to_msg
+from push_ident.nodes.goal_pushing.convert_goal import draw_goal
 from push_ident.perception.refusals import Reason, Refusal, summary_of
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.curved_planner import CurvedPush

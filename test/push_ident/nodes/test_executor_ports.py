@@ -36,8 +36,7 @@ from push_ident.nodes.push_executor.force_port import ForcePort
 from push_ident.nodes.push_executor.hand_port import RobotiqHand
 from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
 from push_ident.nodes.recording import recording_port
-from push_ident.nodes.recording.recording_port import REPEATED, RecordingPort
-from push_ident.nodes.recording.settings import RECORDING
+from push_ident.nodes.recording.recording_port import RECORDING, REPEATED, RecordingPort
 from push_ident_sim.cell.robot import HOME, JOINT_NAMES, robot_description
 from push_ident_sim.cell.sim_hand_node import SimHandNode
 

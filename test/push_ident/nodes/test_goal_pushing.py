@@ -28,7 +28,7 @@ from push_ident.geometry.outline import cells_in_outline
 from push_ident.geometry.se2 import compose, inverse, quaternion_of_yaw, rotation, transform_points
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.nodes.base.keep_alive import KeepAlive
-from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_from_msg
+from push_ident.nodes.convert.markers import GoalDrawing, goal_markers_from_msg
 from push_ident.nodes.convert.model import posterior_to_msg
 from push_ident.nodes.convert.table import EDGE_TOPIC, edge_from_msg
 from push_ident.nodes.goal_pushing.convert_goal import planar_pose_msg

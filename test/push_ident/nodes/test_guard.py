@@ -23,11 +23,11 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from push_ident.errors import InputError
+from push_ident.nodes.base.arrivals import StampCheck
 from push_ident.nodes.base.cell_node import CellNode, Component, Health
 from push_ident.nodes.base.executors import make_executor
 from push_ident.nodes.base.guard import Guard
 from push_ident.nodes.base.network import own_domain
-from push_ident.nodes.base.stamps import StampCheck
 
 
 def guard() -> Guard:

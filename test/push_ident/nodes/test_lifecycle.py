@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import math
 import os
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
-import rclpy
 from rcl_interfaces.srv import ListParameters, SetParameters
-from rclpy.context import Context
+from rclpy.action import ActionServer
 from rclpy.parameter import Parameter
 
 from helpers.lifecycle import Lifecycle
 from helpers.node_process import node_commands
+from helpers.spinning import running
 from push_ident.nodes.base.cell_node import CellNode
-from push_ident.nodes.base.executors import make_executor
+from push_ident.nodes.base.guard import is_guarded
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.gap_diagnosis.gap_diagnosis_node import GapDiagnosisNode
 from push_ident.nodes.goal_pushing.goal_pushing_node import GoalPushingNode
@@ -49,28 +47,15 @@ WRONG: tuple[object, ...] = (math.nan, -math.inf, 1e308, -(2**63), True, "[/x]" 
 """None of them is a value of more than a few parameters."""
 
 
-@contextmanager
-def running(name: str, domain: int, folder: Path) -> Iterator[CellNode]:
-    """A node whose callbacks run in threads, as in its process."""
-    commands = node_commands(folder)
-    assert set(commands) == set(KINDS)
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    parameters = [part for key, value in commands[name][1].items() for part in ("-p", f"{key}:={value}")]
-    node = KINDS[name](context=context, cli_args=["--ros-args", *parameters])
-    executor = make_executor(3, context=context)
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    try:
-        yield node
-        assert thread.is_alive()
-    finally:
-        node.close()
-        executor.shutdown(timeout_sec=5.0)
-        thread.join(5.0)
-        node.destroy_node()
-        context.try_shutdown()
+def raw_callbacks(node: CellNode) -> list[str]:
+    """Callbacks that no guard surrounds."""
+    callbacks: dict[str, Any] = {f"subscription {s.topic_name}": s.callback for s in node.subscriptions}
+    callbacks |= {f"service {s.srv_name}": s.callback for s in node.services} | {str(timer): timer.callback for timer in node.timers}
+    for server in node.waitables:
+        if isinstance(server, ActionServer):
+            names = ("_execute_callback", "_goal_callback", "_cancel_callback", "_handle_accepted_callback")
+            callbacks |= {f"action {name}": getattr(server, name) for name in names}
+    return [name for name, callback in callbacks.items() if not is_guarded(callback)]
 
 
 @pytest.mark.live
@@ -78,11 +63,13 @@ def running(name: str, domain: int, folder: Path) -> Iterator[CellNode]:
 def test_any_value_for_any_parameter_and_every_transition_in_every_state_are_answered(
     name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    domain = own_domain()
-    with running(name, domain, tmp_path) as node, Lifecycle(name, domain) as lifecycle:
+    domain, commands = own_domain(), node_commands(tmp_path)
+    assert set(commands) == set(KINDS)
+    parameters = [f"{key}:={value}" for key, value in commands[name][1].items()]
+    with running(KINDS[name], domain, *parameters, n_threads=3) as node, Lifecycle(name, domain) as lifecycle:
         assert lifecycle.state() == "active"
         assert len(list(node.subscriptions)) + len(list(node.services)) + len(list(node.timers)) > 10
-        assert node.raw_callbacks() == []
+        assert raw_callbacks(node) == []
         known = lifecycle.ask(lifecycle.node.create_client(ListParameters, f"{name}/list_parameters"), ListParameters.Request())
         names = [*known.result.names, "unknown", "", "a" * 5000]
         setter = lifecycle.node.create_client(SetParameters, f"{name}/set_parameters")

@@ -26,14 +26,8 @@ from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.base.network import own_domain
-from push_ident.nodes.convert.messages import (
-    camera_accuracy_from_msg,
-    planar_pose_from_msg,
-    shape_from_msgs,
-    stamp_from_msg,
-    stamp_to_msg,
-)
-from push_ident.nodes.convert.refusals import refusals_from_msg
+from push_ident.nodes.convert.markers import refusals_from_msg
+from push_ident.nodes.convert.messages import camera_accuracy_from_msg, planar_pose_from_msg, shape_from_msgs, stamp_from_msg, stamp_to_msg
 from push_ident.nodes.perception.perception_node import OlderImages, PerceptionNode
 from push_ident.perception.frame.view import points_in_table
 from push_ident.survey.parameter_file import pose_lines

@@ -25,7 +25,7 @@ from push_ident.identification.predicting.scoring import PushScore, ScoreSummary
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import own_domain
-from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_to_msg
+from push_ident.nodes.convert.markers import GoalDrawing, goal_markers_to_msg, refusals_to_msg
 from push_ident.nodes.convert.messages import (
     depth_frame_to_msgs,
     planar_pose_to_msg,
@@ -36,7 +36,6 @@ from push_ident.nodes.convert.messages import (
     transform_to_msg,
 )
 from push_ident.nodes.convert.model import map_to_msg, path_to_msg, prediction_to_msg, score_to_msg
-from push_ident.nodes.convert.refusals import refusals_to_msg
 from push_ident.nodes.viewer.rerun_scene import RerunScene
 from push_ident.nodes.viewer.viewer_node import ViewerNode
 from push_ident.perception.refusals import Reason, Refusal

@@ -160,17 +160,6 @@ class CellNode(LifecycleNode, ABC):
         """End the component: the process ends."""
         self._release()
 
-    def raw_callbacks(self) -> list[str]:
-        """Callbacks of this node that no guard surrounds: none, because only functions of this class make them."""
-        callbacks: dict[str, Any] = {f"subscription {s.topic_name}": s.callback for s in self.subscriptions}
-        callbacks |= {f"service {s.srv_name}": s.callback for s in self.services}
-        callbacks |= {f"timer {i}": timer.callback for i, timer in enumerate(self.timers)}
-        for number, waitable in enumerate(self.waitables):
-            if isinstance(waitable, ActionServer):
-                names = ("_execute_callback", "_goal_callback", "_cancel_callback", "_handle_accepted_callback")
-                callbacks |= {f"action {number}{name}": getattr(waitable, name) for name in names}
-        return [name for name, callback in callbacks.items() if not is_guarded(callback)]
-
     # ---- lifecycle
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -206,19 +195,11 @@ class CellNode(LifecycleNode, ABC):
             return _DONE
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Withdraw the component."""
+        """Withdraw the component: for good at shutdown; else the node can be configured again."""
         self._release()
         return _DONE
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Withdraw the component for good."""
-        self._release()
-        return _DONE
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Withdraw the component; the node can be configured again."""
-        self._release()
-        return _DONE
+    on_shutdown = on_error = on_cleanup
 
     def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
         wanted, state = request.transition, self._state_machine.current_state[1]

@@ -60,10 +60,7 @@ def own_domain() -> int:
     """A ROS domain that no other process that asked for one has, until this process ends.
 
     An abstract socket holds it: as domains do, its name belongs to the network of the machine or of the container, and leaves no file.
-    Where no other is left it is the one that this process was given longest ago: its cell is over.
-
-    Raises:
-        InputError: Others hold all.
+    Where no other is left it is the one that this process was given longest ago: its cell is over. Raises InputError: others hold all.
     """
     for domain in random.SystemRandom().sample(range(1, _LAST_DOMAIN + 1), _LAST_DOMAIN):
         holder = socket.socket(socket.AF_UNIX)

@@ -6,6 +6,7 @@ import difflib
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -14,9 +15,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from push_ident.errors import InputError
-from push_ident.limits import plain_text
+from push_ident.files import read_regular
+from push_ident.limits import LIMITS, plain_text
 
-__all__ = ["Parameter", "Parameters"]
+__all__ = ["Parameter", "Parameters", "description_in"]
 
 _KEYS_OF_ROS: Final = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
@@ -104,8 +106,7 @@ class Parameters:
     Declares the table, warns of overrides that no row has (misspelt keys would else be ignored silently), and refuses
     later settings that are not finite or out of range, keeping the old value.
 
-    Raises:
-        InputError: An override has the wrong type or an impossible value; the text names it.
+    Raises InputError: an override has the wrong type or an impossible value; the text names it.
     """
 
     def __init__(
@@ -191,3 +192,11 @@ class Parameters:
             near = difflib.get_close_matches(key, self._table, n=1)
             hint = f" did you mean {near[0]}?" if near else f" known are {', '.join(self._table)}."
             self._node.get_logger().warning(f"Parameter {key} is not one of {self._node.get_name()} and is ignored;{hint}")
+
+
+def description_in(file: str) -> str:
+    """The robot description that the parameter `robot_description_file` names, a URDF. Raises InputError where it cannot be read."""
+    try:
+        return read_regular(Path(file), LIMITS.DESCRIPTION.value).decode()
+    except (OSError, ValueError) as error:
+        raise InputError(f"Parameter robot_description_file is {plain_text(file)}: {plain_text(str(error))}; give a URDF.") from None

@@ -35,10 +35,9 @@ from push_ident.nodes.base.executors import make_executor
 from push_ident.nodes.base.guard import Guard
 from push_ident.nodes.base.keep_alive import KeepAlive, ServerWatch, cancellation
 from push_ident.nodes.base.lifetime import stopping_in_order
-from push_ident.nodes.base.network import COMMAND_LINE
+from push_ident.nodes.client.listen import start_ros
 from push_ident.nodes.convert.messages import cylinder_radius_from_msg, planar_pose_from_msg
-from push_ident.nodes.input.discovery import ObjectTopics
-from push_ident.nodes.input.shapes import ShapeInput
+from push_ident.nodes.input.objects import ObjectTopics, ShapeInput
 from push_ident.types import Float64Array, ObjectShape
 from push_ident_msgs.action import DiagnoseGap, ExecutePush, PushToGoal
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
@@ -116,10 +115,7 @@ class CellClient:
 
     def __init__(self, *, check: Callable[[], None] = lambda: None) -> None:
         self._check = check
-        try:
-            rclpy.init(args=["--ros-args", "--enclave", COMMAND_LINE], signal_handler_options=SignalHandlerOptions.NO)
-        except RuntimeError as error:
-            raise PushIdentError(f"ROS does not start: {error}; check the variables ROS_*.") from None
+        start_ros(signal_handler_options=SignalHandlerOptions.NO)
         self._is_over = threading.Event()
         self.node = _ClientNode("push_ident_client", lambda: not self._is_over.is_set())
         self._poses: dict[str, deque[tuple[float, Float64Array]]] = {}
@@ -258,8 +254,7 @@ class CellClient:
 
         Identification reports it in its diagnostics: its streams are at rest, and neither a push nor a better outline is waiting.
 
-        Raises:
-            CellTimeout: Identification reported nothing new for `patience` [s] of wall time.
+        Raises CellTimeout: identification reported nothing new for `patience` [s] of wall time.
         """
         started = time.monotonic()
 
@@ -385,8 +380,7 @@ class CellClient:
     def diagnose_gap(self, goal: DiagnoseGap.Goal, *, timeout: float = 600.0) -> DiagnoseGap.Result:
         """Diagnose the pushes so far.
 
-        Raises:
-            CellTimeout: The action is not served, refused the goal, took longer than `timeout` [s], or its node is gone.
+        Raises CellTimeout: the action is not served, refused the goal, took longer than `timeout` [s], or its node is gone.
         """
         name, server = "diagnose_gap", "gap_diagnosis_node"
         watch = self._find(self._diagnose, name, server)

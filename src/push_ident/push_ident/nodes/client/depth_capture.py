@@ -23,7 +23,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from push_ident.errors import FrameError, InputError, PushIdentError
 from push_ident.limits import plain_text
 from push_ident.nodes.base.cell_node import LATCHED
-from push_ident.nodes.base.network import COMMAND_LINE, RANGE
+from push_ident.nodes.base.network import RANGE
+from push_ident.nodes.client.listen import start_ros
 from push_ident.nodes.convert.messages import transform_from_msg
 from push_ident.nodes.input.depth_pairs import MAX_SKEW, DepthPairs
 from push_ident.perception.frame.depth_image import ACCEPTED_ENCODINGS
@@ -63,10 +64,7 @@ class DepthCapture:
         self._refused: list[tuple[str, str]] = []
         """Kind and reason of each."""
         self._encoding = self._wrong_pose = ""
-        try:
-            rclpy.init(args=["--ros-args", "--enclave", COMMAND_LINE], signal_handler_options=SignalHandlerOptions.NO)
-        except RuntimeError as error:
-            raise PushIdentError(f"ROS does not start: {error}; check the variables ROS_*.") from None
+        start_ros(signal_handler_options=SignalHandlerOptions.NO)
         try:
             self._node = Node("push_ident_look", enable_rosout=False, start_parameter_services=False)
             self._executor = SingleThreadedExecutor()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 import time
 from collections import Counter
@@ -20,20 +19,26 @@ from push_ident.bags.contract import Role, role_of
 from push_ident.errors import PushIdentError
 from push_ident.limits import LIMITS
 from push_ident.nodes.base.network import COMMAND_LINE
+from push_ident.nodes.convert.messages import message_class
 
-__all__ = ["CellNames", "Heard", "listen_to_arms", "listen_to_contract"]
+__all__ = ["CellNames", "Heard", "listen_to_arms", "listen_to_contract", "start_ros"]
 
 _LATCHED = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.TF_STATIC, Role.CAMERA_ACCURACY})
 _RARE = _LATCHED | {Role.PUSHER, Role.PUSH_RECORD}
 """Roles that may be silent for a while."""
 
 
-def listen_to_contract(seconds: float) -> list[dict[str, Any]]:
-    """Listen for some time [s]; one row per topic: topic, type, rate_hz, qos, silent (no message although some are expected)."""
+def start_ros(**options: Any) -> None:
+    """Initialise ROS for the nodes of a command. Raises PushIdentError where it does not start."""
     try:
-        rclpy.init(args=["--ros-args", "--enclave", COMMAND_LINE])
+        rclpy.init(args=["--ros-args", "--enclave", COMMAND_LINE], **options)
     except RuntimeError as error:
         raise PushIdentError(f"ROS does not start: {error}; check the variables ROS_*.") from None
+
+
+def listen_to_contract(seconds: float) -> list[dict[str, Any]]:
+    """Listen for some time [s]; one row per topic: topic, type, rate_hz, qos, silent (no message although some are expected)."""
+    start_ros()
     node = Node("push_ident_doctor")
     counts: Counter[str] = Counter()
     topics: dict[str, tuple[str, str, Role]] = {}
@@ -59,10 +64,7 @@ def listen_to_contract(seconds: float) -> list[dict[str, Any]]:
 
 
 def _subscribe(node: Node, topic: str, msgtype: str, durability: DurabilityPolicy, counts: Counter[str]) -> None:
-    package, _, name = msgtype.partition("/msg/")
-    try:
-        message = getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
+    if (message := message_class(msgtype)) is None:
         return
     qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT, durability=durability)
     if durability == DurabilityPolicy.TRANSIENT_LOCAL:
@@ -104,10 +106,7 @@ def listen_to_arms(cells: Sequence[CellNames], seconds: float) -> list[Heard]:
 
     Raises PushIdentError where ROS does not start or a topic has no valid name.
     """
-    try:
-        rclpy.init(args=["--ros-args", "--enclave", COMMAND_LINE])
-    except RuntimeError as error:
-        raise PushIdentError(f"ROS does not start: {error}; check the variables ROS_*.") from None
+    start_ros()
     heard = [Heard(names) for names in cells]
     node = Node("push_ident_doctor", enable_rosout=False)
     try:

@@ -5,6 +5,7 @@ Message fields are not type-checked at run time and a wrong type is silently cor
 
 from __future__ import annotations
 
+import importlib
 import math
 from array import array
 from dataclasses import dataclass
@@ -44,6 +45,7 @@ __all__ = [
     "force_to_msg",
     "intrinsics_from_msg",
     "joints_from_msg",
+    "message_class",
     "object_frame",
     "outline_from_msg",
     "outline_std_from_msg",
@@ -83,11 +85,19 @@ class PlanarPoseLimits:
 PLANAR_POSE: Final = PlanarPoseLimits()
 
 
+def message_class(msgtype: str) -> Any | None:
+    """Python class of `package/msg/Name`; None where the package is not installed."""
+    package, _, name = msgtype.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), name, None)
+    except ImportError:
+        return None
+
+
 def stamp_from_msg(stamp: Time) -> float:
     """[s]; exact to the nanosecond up to 4e6 s, to 0.24 us for times of day (what a float can hold).
 
-    Raises:
-        InputError: A time before 1970, or a second of more than 10^9 nanoseconds.
+    Raises InputError: A time before 1970, or a second of more than 10^9 nanoseconds.
     """
     if stamp.sec < 0 or stamp.nanosec >= 10**9:
         raise InputError(f"Stamp is {stamp.sec} s and {stamp.nanosec} ns, expected 0 to {LIMITS.STAMP.value} s and less than 10^9 ns.")
@@ -118,8 +128,7 @@ def planar_pose_to_msg(stamp: Time, pose: ArrayLike, covariance: ArrayLike, *, f
 def planar_pose_from_msg(msg: PoseWithCovarianceStamped, *, frame_id: str = TABLE_FRAME) -> tuple[float, Float64Array, Float64Array]:
     """Stamp [s], pose (x, y, yaw) and its covariance, shape (3, 3).
 
-    Raises:
-        InputError: Another frame, values not finite, a pose tilted against the table, or a covariance that is not positive definite.
+    Raises InputError: another frame, values not finite, a pose tilted against the table, or a covariance that is not positive definite.
     """
     _check_frame(msg.header.frame_id, frame_id)
     position = msg.pose.pose.position
@@ -133,11 +142,7 @@ def planar_pose_from_msg(msg: PoseWithCovarianceStamped, *, frame_id: str = TABL
 
 
 def planar_pose_of(pose: Pose) -> Float64Array:
-    """Pose (x, y, yaw) [m, m, rad] of a pose in the plane.
-
-    Raises:
-        InputError: It is tilted against the plane, or not finite.
-    """
+    """Pose (x, y, yaw) [m, m, rad] of a pose in the plane. Raises InputError: it is tilted against the plane, or not finite."""
     check_coordinates([pose.position.x, pose.position.y], "Pose")
     return np.array([pose.position.x, pose.position.y, _yaw(pose.orientation)])
 
@@ -153,11 +158,7 @@ def transform_to_msg(stamp: Time, transform: ArrayLike, *, frame_id: str = TABLE
 
 
 def transform_from_msg(msg: PoseStamped, *, frame_id: str = TABLE_FRAME) -> Float64Array:
-    """Homogeneous transform, shape (4, 4).
-
-    Raises:
-        InputError: Another frame, values not finite, or no unit quaternion.
-    """
+    """Homogeneous transform, shape (4, 4). Raises InputError: another frame, values not finite, or no unit quaternion."""
     turn = msg.pose.orientation
     return pose_of_quaternion(position_from_msg(msg, frame_id=frame_id)[1], [turn.x, turn.y, turn.z, turn.w])
 
@@ -172,11 +173,7 @@ def position_to_msg(stamp: Time, position: ArrayLike, *, yaw: float = 0.0, frame
 
 
 def position_from_msg(msg: PoseStamped, *, frame_id: str = TABLE_FRAME) -> tuple[float, Float64Array]:
-    """Stamp [s] and position [m], shape (3,).
-
-    Raises:
-        InputError: Another frame, or values not finite.
-    """
+    """Stamp [s] and position [m], shape (3,). Raises InputError: another frame, or values not finite."""
     _check_frame(msg.header.frame_id, frame_id)
     position = np.array([msg.pose.position.x, msg.pose.position.y, msg.pose.position.z])
     if not np.isfinite(position).all():
@@ -194,11 +191,7 @@ def force_to_msg(stamp: Time, force: ArrayLike, *, frame_id: str = TABLE_FRAME) 
 
 
 def force_from_msg(msg: WrenchStamped, *, frame_id: str = TABLE_FRAME) -> tuple[float, Float64Array]:
-    """Stamp [s] and horizontal force [N], shape (2,).
-
-    Raises:
-        InputError: Another frame, or values not finite.
-    """
+    """Stamp [s] and horizontal force [N], shape (2,). Raises InputError: another frame, or values not finite."""
     _check_frame(msg.header.frame_id, frame_id)
     force = np.array([msg.wrench.force.x, msg.wrench.force.y])
     if not np.isfinite(force).all():
@@ -215,11 +208,7 @@ def cylinder_to_msg(radius: float, height: float) -> SolidPrimitive:
 
 
 def cylinder_radius_from_msg(msg: SolidPrimitive) -> float:
-    """Radius of the pusher [m].
-
-    Raises:
-        InputError: Not a cylinder, or an impossible radius.
-    """
+    """Radius of the pusher [m]. Raises InputError: not a cylinder, or an impossible radius."""
     if msg.type != SolidPrimitive.CYLINDER or len(msg.dimensions) != 2:
         raise InputError(f"Pusher shape has type {msg.type} and {len(msg.dimensions)} dimensions, expected a CYLINDER (height, radius).")
     height = float(msg.dimensions[SolidPrimitive.CYLINDER_HEIGHT])
@@ -240,8 +229,7 @@ def camera_accuracy_to_msg(accuracy: CameraAccuracy, stamp: Time) -> PoseWithCov
 def camera_accuracy_from_msg(msg: PoseWithCovarianceStamped) -> CameraAccuracy:
     """As `camera_accuracy_to_msg`; the larger one of x and y counts for both.
 
-    Raises:
-        InputError: Another frame, or a covariance that is none.
+    Raises InputError: another frame, or a covariance that is none.
     """
     _check_frame(msg.header.frame_id, TABLE_FRAME)
     accuracy = camera_accuracy_of(msg)
@@ -279,8 +267,7 @@ def shape_from_msgs(
 
     Deviations that are not as many as the outline has edges belong to another outline and are left out.
 
-    Raises:
-        InputError: No cells, too many, sizes that do not fit, an outline that cannot be one, or cells and outline of different objects.
+    Raises InputError: no cells, too many, sizes that do not fit, an outline that cannot be one, or cells and outline of different objects.
     """
     # The resolution is a float32: its shortest decimal is the number that was meant.
     size, width, height = float(str(np.float32(cells.info.resolution))), int(cells.info.width), int(cells.info.height)
@@ -309,8 +296,7 @@ def shape_from_msgs(
 def outline_from_msg(outline: PolygonStamped) -> Float64Array:
     """Vertices of an outline [m], shape (n_vertices, 2), in its frame.
 
-    Raises:
-        InputError: Fewer than 3 vertices, too many, or not finite.
+    Raises InputError: fewer than 3 vertices, too many, or not finite.
     """
     name = f"Outline of {plain_text(outline.header.frame_id)!r}"
     LIMITS.VERTICES.check(len(outline.polygon.points), name)
@@ -322,11 +308,7 @@ def outline_from_msg(outline: PolygonStamped) -> Float64Array:
 
 
 def outline_std_from_msg(msg: Float32MultiArray) -> Float64Array:
-    """Standard deviations of the edges of an outline [m], shape (n_edges,).
-
-    Raises:
-        InputError: Too many, or not all of them lengths.
-    """
+    """Standard deviations of the edges of an outline [m], shape (n_edges,). Raises InputError: too many, or not all of them lengths."""
     LIMITS.VERTICES.check(len(msg.data), "Deviations of an outline")
     values = np.array(msg.data, dtype=np.float64)
     check_coordinates(values, "Deviations of an outline")
@@ -338,8 +320,7 @@ def outline_std_from_msg(msg: Float32MultiArray) -> Float64Array:
 def joints_from_msg(msg: JointState) -> tuple[float, dict[str, float]]:
     """Stamp [s] and position of each joint [rad] by name.
 
-    Raises:
-        InputError: Not one finite position a name, a name twice, or too many joints.
+    Raises InputError: not one finite position a name, a name twice, or too many joints.
     """
     LIMITS.JOINTS.check(max(len(msg.name), len(msg.position)), "Joint states")
     position = dict(zip(msg.name, (float(value) for value in msg.position), strict=False))
@@ -352,11 +333,7 @@ def joints_from_msg(msg: JointState) -> tuple[float, dict[str, float]]:
 
 
 def push_interval_from_msg(msg: PushRecord) -> PushInterval:
-    """When a push took place, and how it ended.
-
-    Raises:
-        InputError: Stamps or an object id that cannot be; a push that takes too long.
-    """
+    """When a push took place, and how it ended. Raises InputError: stamps or an object id that cannot be; a push that takes too long."""
     start, end = stamp_from_msg(msg.start), stamp_from_msg(msg.end)
     LIMITS.PUSH_SECONDS.check(end - start, "Push record")
     return PushInterval(int(msg.push_id), check_object_id(msg.object_id) if msg.object_id else "", start, end, int(msg.error_code))
@@ -380,8 +357,7 @@ def occupancy_to_msg(
 def intrinsics_from_msg(info: CameraInfo) -> CameraIntrinsics:
     """Pinhole camera of a rectified image: the left 3 x 3 of P, or K where P is empty.
 
-    Raises:
-        FrameError: Zero, negative or not finite focal length, an empty size, or distortion that nothing has taken out.
+    Raises FrameError: zero, negative or not finite focal length, an empty size, or distortion that nothing has taken out.
     """
     projection = np.asarray(info.p, dtype=np.float64).reshape(3, 4)[:, :3]
     rectified = bool(np.any(projection != 0))

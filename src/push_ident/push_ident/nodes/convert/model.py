@@ -6,10 +6,10 @@ from array import array
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovariance
+from geometry_msgs.msg import Point, Pose, PoseStamped
 from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from push_ident.errors import InputError
@@ -18,12 +18,13 @@ from push_ident.identification.predicting.scoring import PushScore, ScoreSummary
 from push_ident.identification.results.model_file import model_of_text, model_text
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.limits import LIMITS, plain_text
-from push_ident.nodes.convert.marker import MARKERS
+from push_ident.nodes.convert.markers import MARKERS
 from push_ident.nodes.convert.messages import (
     TABLE_FRAME,
     object_frame,
     planar_pose_to_msg,
     position_from_msg,
+    position_to_msg,
     stamp_from_msg,
     stamp_to_msg,
 )
@@ -69,10 +70,8 @@ def map_status(status: SolveStatus | None) -> tuple[int, str]:
 
 def posterior_to_msg(posterior: ModelPosterior, object_id: str, stamp: Time, *, n_pushes: int, is_known: bool) -> ModelPosteriorMsg:
     """The whole posterior of an object; `stamp` and the rest as in the message."""
-    msg = ModelPosteriorMsg(object_id=object_id, n_pushes=int(n_pushes), is_known=bool(is_known))
-    msg.header.stamp = stamp
-    msg.header.frame_id = object_frame(object_id)
-    msg.model = model_text(posterior, object_id)
+    msg = ModelPosteriorMsg(header=Header(stamp=stamp, frame_id=object_frame(object_id)), object_id=object_id)
+    msg.n_pushes, msg.is_known, msg.model = int(n_pushes), bool(is_known), model_text(posterior, object_id)
     return msg
 
 
@@ -85,8 +84,7 @@ def map_to_msg(posterior: ModelPosterior, object_id: str, stamp: Time, status: S
     """The maps of an object with their standard deviations."""
     model = posterior.model
     msg = MassFrictionMap(object_id=object_id, n_pushes=int(n_pushes), cell_size=float(model.shape.cells.size))
-    msg.header.stamp = stamp
-    msg.header.frame_id = object_frame(object_id)
+    msg.header = Header(stamp=stamp, frame_id=object_frame(object_id))
     msg.status, msg.status_text = map_status(status)
     x, y = model.shape.cells.centres.T
     arrays = {
@@ -125,15 +123,13 @@ def prediction_to_msg(prediction: Prediction, object_id: str, status: tuple[int,
     """A predicted motion; its stamp is the first time."""
     start = float(prediction.time[0])
     msg = PushPrediction(object_id=object_id, push_id=int(push_id), cell_error_std=float(prediction.cell_error_std))
-    msg.header.stamp = stamp_to_msg(max(start, 0.0))
-    msg.header.frame_id = TABLE_FRAME
+    msg.header = Header(stamp=stamp_to_msg(max(start, 0.0)), frame_id=TABLE_FRAME)
     msg.status, msg.status_text = status
     msg.touched = prediction.status is not SolveStatus.NO_CONTACT
     for time, pose, covariance in zip(prediction.time, prediction.pose, prediction.covariance, strict=True):
         since = round(1e9 * (float(time) - start))
         msg.time_from_start.append(Duration(sec=int(since // 10**9), nanosec=int(since % 10**9)))
-        stamped: PoseWithCovariance = planar_pose_to_msg(msg.header.stamp, pose, covariance).pose
-        msg.poses.append(stamped)
+        msg.poses.append(planar_pose_to_msg(msg.header.stamp, pose, covariance).pose)
     return msg
 
 
@@ -142,30 +138,22 @@ def prediction_path_to_msg(msg: PushPrediction) -> Path:
     path = Path(header=msg.header)
     start = stamp_from_msg(msg.header.stamp)
     for since, pose in zip(msg.time_from_start, msg.poses, strict=True):
-        stamped = PoseStamped(pose=pose.pose)
-        stamped.header.frame_id = TABLE_FRAME
-        stamped.header.stamp = stamp_to_msg(start + since.sec + 1e-9 * since.nanosec)
-        path.poses.append(stamped)
+        stamp = stamp_to_msg(start + since.sec + 1e-9 * since.nanosec)
+        path.poses.append(PoseStamped(header=Header(stamp=stamp, frame_id=TABLE_FRAME), pose=pose.pose))
     return path
 
 
 def path_to_msg(pusher: PusherPath) -> Path:
     """Path of the tool that makes a push, stamped from 0 (a plan has no date)."""
-    path = Path()
-    path.header.frame_id = TABLE_FRAME
-    for time, (x, y) in zip(pusher.time, pusher.position, strict=True):
-        pose = PoseStamped()
-        pose.header.frame_id = TABLE_FRAME
-        pose.header.stamp = stamp_to_msg(float(time - pusher.time[0]))
-        pose.pose.position.x, pose.pose.position.y = float(x), float(y)
-        pose.pose.orientation.w = 1.0
-        path.poses.append(pose)
-    return path
+    stamps = [stamp_to_msg(float(time - pusher.time[0])) for time in pusher.time]
+    poses = [position_to_msg(stamp, [x, y, 0.0]) for stamp, (x, y) in zip(stamps, pusher.position, strict=True)]
+    return Path(header=Header(frame_id=TABLE_FRAME), poses=poses)
 
 
 def score_to_msg(score: PushScore, summary: ScoreSummary, object_id: str, stamp: float) -> PushScoreMsg:
     """The score of one push, and the running record of its object."""
-    msg = PushScoreMsg(
+    return PushScoreMsg(
+        header=Header(stamp=stamp_to_msg(stamp), frame_id=TABLE_FRAME),
         object_id=object_id,
         number=int(score.number),
         source=score.source,
@@ -180,9 +168,6 @@ def score_to_msg(score: PushScore, summary: ScoreSummary, object_id: str, stamp:
         mean_uniform_cell_error=float(summary.mean_uniform_cell_error),
         share_within_90=float(summary.share_within_90),
     )
-    msg.header.stamp = stamp_to_msg(stamp)
-    msg.header.frame_id = TABLE_FRAME
-    return msg
 
 
 def markers_to_msg(msg: MassFrictionMap, pose: Float64Array) -> MarkerArray:
@@ -209,17 +194,14 @@ def markers_to_msg(msg: MassFrictionMap, pose: Float64Array) -> MarkerArray:
 
 
 def _marker(msg: MassFrictionMap, pose: Pose, number: int, kind: int) -> Marker:
-    marker = Marker(ns=msg.object_id, id=number, type=kind, action=Marker.ADD, pose=pose)
-    marker.header.frame_id = TABLE_FRAME
-    marker.header.stamp = msg.header.stamp
-    return marker
+    header = Header(stamp=msg.header.stamp, frame_id=TABLE_FRAME)
+    return Marker(header=header, ns=msg.object_id, id=number, type=kind, action=Marker.ADD, pose=pose)
 
 
 def pusher_path_from_msg(path: Path, radius: float) -> PusherPath:
     """Path of the pusher with its stamps.
 
-    Raises:
-        InputError: another frame than `table`, fewer than two poses, or stamps that do not increase.
+    Raises InputError: another frame than `table`, fewer than two poses, or stamps that do not increase.
     """
     if len(path.poses) < 2:
         raise InputError(f"The pusher path has {len(path.poses)} poses, expected at least 2 with increasing stamps.")

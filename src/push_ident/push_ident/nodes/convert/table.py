@@ -30,11 +30,7 @@ def table_to_msg(table: Table, stamp: Time) -> PolygonStamped:
 
 
 def table_from_msg(msg: PolygonStamped) -> Table:
-    """The table of a message.
-
-    Raises:
-        InputError: another frame, or corners that are no convex table.
-    """
+    """The table of a message. Raises InputError: another frame, or corners that are no convex table."""
     _check_frame(msg, "table")
     return Table(outline_from_msg(msg))
 
@@ -45,11 +41,7 @@ def edge_to_msg(edge: TableEdge, stamp: Time) -> PolygonStamped:
 
 
 def edge_from_msg(msg: PolygonStamped) -> TableEdge:
-    """The edge of a message.
-
-    Raises:
-        InputError: another frame, not two points, or points that are not finite or too near to each other.
-    """
+    """The edge of a message. Raises InputError: another frame, not two points, or points that are not finite or too near to each other."""
     _check_frame(msg, "edge")
     if len(msg.polygon.points) != 2:
         raise InputError(f"The edge has {len(msg.polygon.points)} points, expected two.")

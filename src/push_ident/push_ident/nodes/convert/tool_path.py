@@ -32,8 +32,7 @@ def path_goal(object_id: str, request: PathRequest) -> ExecutePush.Goal:
 def path_request_from_goal(goal: ExecutePush.Goal) -> PathRequest:
     """The push along a path that a goal requests.
 
-    Raises:
-        InputError: another frame, no path, no corridor around it, or numbers out of range.
+    Raises InputError: another frame, no path, no corridor around it, or numbers out of range.
     """
     if goal.frame_id not in ("", TABLE_FRAME):
         raise InputError(f"frame_id is {plain_text(goal.frame_id)!r}, expected {TABLE_FRAME!r} for a push along a path.")
@@ -55,8 +54,7 @@ def correction_to_msg(correction: ToolCorrection) -> PushCorrection:
 def correction_from_msg(msg: PushCorrection) -> ToolCorrection:
     """A correction, whose numbers are still to be checked.
 
-    Raises:
-        InputError: another frame, a stamp that cannot be, or times without places.
+    Raises InputError: another frame, a stamp that cannot be, or times without places.
     """
     if msg.header.frame_id not in ("", TABLE_FRAME):
         raise InputError(f"The correction is in frame {plain_text(msg.header.frame_id)!r}, expected {TABLE_FRAME!r}.")

@@ -40,8 +40,7 @@ class DiagnosisProcess:
     ) -> dict[str, Any] | None:
         """The outcome as JSON; None where it was ended because `should_continue` returned False.
 
-        Raises:
-            PushIdentError: the diagnosis failed.
+        Raises PushIdentError: the diagnosis failed.
         """
         is_over = False
         try:
@@ -111,11 +110,7 @@ def diagnose_requests(connection: Connection) -> None:
             return
         try:
             latest = diagnose(
-                records,
-                settings,
-                push_settings=push_settings,
-                earlier=latest,
-                on_progress=lambda text: connection.send((_STAGE, text)),
+                records, settings, push_settings=push_settings, earlier=latest, on_progress=lambda text: connection.send((_STAGE, text))
             )
             connection.send((_DONE, to_json(latest)))
         except PushIdentError as error:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import math
 import threading
 from collections import deque
 from dataclasses import replace
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Point
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
+from std_msgs.msg import Header
 
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
@@ -18,7 +22,7 @@ from push_ident.identification.unknowns.prior import Prior
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.run import run_node
-from push_ident.nodes.gap_diagnosis.convert_diagnosis import report_to_msg
+from push_ident.nodes.convert.messages import TABLE_FRAME, stamp_to_msg
 from push_ident.nodes.gap_diagnosis.diagnosis_process import DiagnosisProcess
 from push_ident.nodes.input.push_collector import PushCollector
 from push_ident.nodes.input.table import CORNERS, TableInput, table_of_corners
@@ -26,10 +30,9 @@ from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
 from push_ident.types import ObjectShape, PushRecord
 from push_ident_msgs.action import DiagnoseGap
-from push_ident_msgs.msg import GapReport
+from push_ident_msgs.msg import GapEffect, GapPart, GapReport
 
-__all__ = ["PARAMETERS", "GapDiagnosisNode", "main"]
-
+__all__ = ["PARAMETERS", "GapDiagnosisNode", "main", "report_to_msg"]
 
 PARAMETERS: Final = (
     Parameter("total_mass", 0.5, "Nominal total mass of an object [kg]", 0.001, 1000.0, read_only=True),
@@ -67,11 +70,7 @@ class _GapDiagnosis(Component):
         self._table = TableInput(node)
         self._is_active = False
         self._collector = PushCollector(
-            node,
-            self._settings["push_gap"],
-            on_object=lambda object_id: None,
-            on_shape=self._on_shape,
-            on_pushes=self._on_pushes,
+            node, self._settings["push_gap"], on_object=lambda object_id: None, on_shape=self._on_shape, on_pushes=self._on_pushes
         )
         self._reports = node.create_publisher(GapReport, "gap_report", LATCHED)
         node.create_action_server(
@@ -85,11 +84,9 @@ class _GapDiagnosis(Component):
         )
 
     def resume(self) -> None:
-        """Take in pushes and goals."""
         self._is_active = True
 
     def pause(self) -> None:
-        """Drop a push under way; end a diagnosis that is running, and its process."""
         self._is_active = False
         self._collector.pause()
         if self._busy.acquire(blocking=False):
@@ -97,7 +94,6 @@ class _GapDiagnosis(Component):
             self._busy.release()
 
     def close(self) -> None:
-        """End the process of diagnoses."""
         self._process.stop()
 
     # ---- input
@@ -180,7 +176,6 @@ class _GapDiagnosis(Component):
     # ---- health
 
     def health(self) -> Health:
-        """What arrives, and whether a diagnosis is running."""
         pushes = {object_id: len(records) for object_id, records in list(self._records.items())}
         missing = self._collector.what_is_missing()
         level = DiagnosticStatus.WARN if missing else DiagnosticStatus.OK
@@ -190,6 +185,83 @@ class _GapDiagnosis(Component):
 
 def _failed(why: str) -> DiagnoseGap.Result:
     return DiagnoseGap.Result(success=False, message=why)
+
+
+def report_to_msg(content: dict[str, Any], object_id: str, stamp: float, n_pushes: int) -> GapReport:
+    """A diagnosis as a message.
+
+    Args:
+        content: JSON of the command-line contract, see `push_ident.diagnosis.diagnosis_json.to_json`.
+        object_id: of the object.
+        stamp: of its newest push [s].
+        n_pushes: that were diagnosed.
+    """
+    gap, account, proposal = content["gap"], content["account"], content["next_push"]
+    low, high = (_number(value) for value in gap["shrink_interval"])
+    msg = GapReport(
+        header=Header(stamp=stamp_to_msg(stamp), frame_id=TABLE_FRAME),
+        object_id=object_id,
+        n_pushes=int(n_pushes),
+        verdict=content["verdict"],
+        sentence=content["sentence"],
+        confusable=list(content["confusable"]),
+        before=_number(gap["before_m"]),
+        after=_number(gap["after_m"]),
+        noise=_number(gap["noise_m"]),
+        shrink=_number(gap["shrink"]),
+        shrink_low=low,
+        shrink_high=high,
+        more_pushes=-1 if account["more_pushes"] is None else int(account["more_pushes"]),
+        ranking=[row["name"] for row in content["ranking"]],
+        ranking_evidence=[_number(row["evidence"]) for row in content["ranking"]],
+        ranking_smallest=[_number(row["smallest"]) for row in content["ranking"]],
+        check=content["check"],
+        json=json.dumps(content),
+    )
+    msg.effects = [_effect_to_msg(effect) for effect in content["effects"]]
+    # Parts by push are there where there are parts.
+    msg.account = _account_to_msg(account) if account["per_push_m"] else []
+    if (push := account["first_push"]) is not None:
+        msg.has_first_push, msg.first_contact_point = True, _point(push)
+        msg.first_direction, msg.first_distance = float(push["direction_rad"]), float(push["distance_m"])
+        msg.first_speed = float(push["speed_mps"])
+    if proposal is not None:
+        msg.has_next_push, msg.contact_point = True, _point(proposal)
+        msg.next_push_between, msg.next_push_mahalanobis2 = list(proposal["between"]), _number(proposal["distance2"])
+        msg.direction, msg.distance = float(proposal["direction_rad"]), float(proposal["distance_m"])
+        msg.speed = float(proposal["speed_mps"])
+    return msg
+
+
+def _account_to_msg(account: dict[str, Any]) -> list[GapPart]:
+    """The parts in the order in which they are added up."""
+    fixed = [(key.removesuffix("_m"), account[key], account["intervals"][key]) for key in ("noise_m", "maps_m", "model_m", "unexplained_m")]
+    effects = [(name, value, account["intervals"]["effects"][name]) for name, value in account["effects"].items()]
+    return [
+        GapPart(name=name, mean=_number(mean), low=_number(low), high=_number(high))
+        for name, mean, (low, high) in (*fixed[:-1], *effects, fixed[-1])
+    ]
+
+
+def _effect_to_msg(effect: dict[str, Any]) -> GapEffect:
+    names = list(effect["parameters"])
+    return GapEffect(
+        name=effect["name"],
+        parameters=names,
+        values=[_number(effect["parameters"][name]) for name in names],
+        std=[_number(effect["std"][name]) for name in names],
+        evidence=_number(effect["evidence"]),
+    )
+
+
+def _point(push: dict[str, Any]) -> Point:
+    x, y = push["contact_point_m"]
+    return Point(x=float(x), y=float(y), z=0.0)
+
+
+def _number(value: float | None) -> float:
+    """JSON has null where a number is not finite."""
+    return math.nan if value is None else float(value)
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""`planning.goal_ports.GoalPorts` of a cell on ROS."""
+"""`planning.goal_ports.GoalPorts` of a cell on ROS: models, plans, and pushes that this process may correct at the rate of the poses."""
 
 from __future__ import annotations
 
@@ -6,38 +6,44 @@ import math
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point
+from rclpy.callback_groups import CallbackGroup
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.frames import TABLE_FRAME
+from push_ident.identification.results.known_effects import effects_text
+from push_ident.nodes.base.cell_node import LATCHED, CellNode
+from push_ident.nodes.convert.model import posterior_from_msg
 from push_ident.nodes.convert.tool_path import path_goal
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink, RequestedPush
-from push_ident.nodes.goal_pushing.model_input import ModelInput
-from push_ident.nodes.goal_pushing.parameters import SteeringValues
-from push_ident.nodes.goal_pushing.planners import GoalPlanners, PathPlanners, WorkUnderWay
-from push_ident.nodes.goal_pushing.steered_push import SteeredPush
+from push_ident.nodes.goal_pushing.parameters import GOAL_PUSHING
+from push_ident.nodes.goal_pushing.planners import Planners, WorkUnderWay
+from push_ident.nodes.input.objects import ObjectTopics, TrackedObjects
 from push_ident.nodes.input.table import TableInput
-from push_ident.nodes.input.tracked_objects import TrackedObjects
 from push_ident.physics.overhang import TableEdge
-from push_ident.planning.edge_goal import EdgeGoal, edges_of
+from push_ident.planning.belief import Belief
+from push_ident.planning.curved_planner import CurvedPush
+from push_ident.planning.edge_goal import EdgeGoal, edge_target, edges_of, held_target
 from push_ident.planning.goal import Target
-from push_ident.planning.goal_ports import KnownModel, Wish
+from push_ident.planning.goal_ports import KnownModel, PushReport, Wish
+from push_ident.planning.path_follower import Correction, FollowStatus, PathFollower
 from push_ident.planning.path_goal import PathGoal
-from push_ident.planning.path_steps import PathStep
-from push_ident.planning.planner import GoalPush
+from push_ident.planning.path_steps import PathStep, PathSteps
+from push_ident.planning.planner import GoalPlanner, GoalPush
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.steering import PathRequest, ToolCorrection
 from push_ident.pushing.tool_path import ToolPath
 from push_ident.types import Float64Array
 from push_ident_msgs.action import ExecutePush
+from push_ident_msgs.msg import ModelPosterior
 
-__all__ = ["CellPorts", "CellView", "Steering", "WishOfClient"]
+__all__ = ["CellPorts", "CellView", "ModelInput", "SteeredPush", "WishOfClient"]
 
 
 class WishOfClient:
@@ -67,35 +73,142 @@ class WishOfClient:
         return Wish.FINISH if self._finish.is_set() else Wish.GO_ON
 
 
-@dataclass(frozen=True, slots=True)
-class Steering:
-    """How pushes along paths are corrected."""
+class ModelInput:
+    """The latest model of every object; a message that cannot be used does not replace the one before."""
 
-    values: Callable[[], SteeringValues]
-    """The numbers of it."""
-    send: Callable[[ToolCorrection], None]
-    """Publishes a correction."""
-    guard: Callable[[str], Any]
-    """`Guard.watch`."""
+    def __init__(self, node: CellNode, callback_group: CallbackGroup) -> None:
+        self._node, self._group = node, callback_group
+        self._models: dict[str, KnownModel] = {}
+        self._effects: dict[str, str] = {}
+        self._topics = ObjectTopics(node, self._subscribe, callback_group=callback_group)
+
+    def get(self, object_id: str) -> KnownModel | None:
+        """The model of an object; None before one was published."""
+        return self._models.get(object_id)
+
+    def n_pushes(self) -> dict[str, int]:
+        """Pushes in the model of each object."""
+        return {object_id: model.n_pushes for object_id, model in sorted(self._models.items())}
+
+    def effects(self) -> dict[str, str]:
+        """Diagnosed effects in the model of each object that has some, with their values."""
+        return {object_id: text for object_id, text in sorted(self._effects.items()) if text}
+
+    def _subscribe(self, object_id: str) -> None:
+        self._node.create_subscription(
+            ModelPosterior, f"objects/{object_id}/model", partial(self._on_model, object_id), LATCHED, callback_group=self._group
+        )
+
+    def _on_model(self, object_id: str, msg: ModelPosterior) -> None:
+        stamp, posterior = posterior_from_msg(msg)
+        self._effects[object_id] = effects_text(posterior)
+        self._models[object_id] = KnownModel(posterior, stamp, int(msg.n_pushes), bool(msg.is_known))
 
 
-class CellView:
-    """What all goals share: objects, models, table, executor, planners."""
+class SteeredPush:
+    """`planning.goal_ports.SteeredUnderWay`.
+
+    Args:
+        push: that was asked for.
+        follower: decides the corrections.
+        plan: of the push.
+        tracked: the object before it.
+        observe: the object as observed last.
+        send: publishes a correction.
+        guard: `Guard.watch`: what fails in the thread is refused and counted; the executor then stops for want of corrections.
+    """
 
     def __init__(
         self,
-        objects: TrackedObjects,
-        models: ModelInput,
-        table: TableInput,
-        executor: ExecutorLink,
-        planners: GoalPlanners,
-        settings: Callable[[], PushSettings | None],
-        steering: Steering,
+        push: RequestedPush,
+        follower: PathFollower,
+        plan: CurvedPush,
+        tracked: TrackedObject,
+        *,
+        observe: Callable[[str], TrackedObject],
+        send: Callable[[ToolCorrection], None],
+        guard: Callable[[str], Any],
     ) -> None:
-        self.objects, self.models, self.table, self.executor = objects, models, table, executor
-        self.planners, self.settings, self.steering, self.path_planners = planners, settings, steering, PathPlanners()
-        self.steered: SteeredPush | None = None
-        """The latest push along a path."""
+        assert plan.time is not None and plan.tool is not None, "a push has a path"
+        self._push, self._follower, self._plan, self._observe, self._send, self._guard = push, follower, plan, observe, send, guard
+        follower.begin(plan.time, plan.tool, tracked.pose, tracked.covariance, plan.done, plan.expected_error)
+        self._object_id, self._contact = tracked.object_id, float(plan.time[1])
+        self.done = plan.done
+        """As `SteeredUnderWay`."""
+        self.n_corrections = 0
+        """As `SteeredUnderWay`."""
+        self.tool: Float64Array | None = None
+        """As `SteeredUnderWay`."""
+        self.seconds: list[float] = []
+        """That corrections took, by the wall clock."""
+        self.ended = ""
+        """Why the contact was given up; empty while it goes on."""
+        threading.Thread(target=self._run, name="corrections", daemon=True).start()
+
+    def report(self) -> PushReport | None:
+        """As `PushUnderWay`."""
+        return self._push.report()
+
+    def cancel(self) -> None:
+        """As `PushUnderWay`."""
+        self._push.cancel()
+
+    def _run(self) -> None:
+        latest = -np.inf
+        while not self._push.has_ended:
+            with self._guard("push_correction"):
+                tracked = self._observe(self._object_id)
+                push_id, start = self._push.begun
+                # Poses before the contact show nothing new.
+                if push_id and start > 0.0 and tracked.stamp > max(latest, start + self._contact):
+                    latest = tracked.stamp
+                    self._correct(tracked, push_id, start)
+                    continue
+            time.sleep(GOAL_PUSHING.pose_poll)
+
+    def _correct(self, tracked: TrackedObject, push_id: int, start: float) -> None:
+        begun = time.perf_counter()
+        if self.ended:
+            self._send(ToolCorrection(push_id, tracked.stamp, True, np.empty(0), np.empty((0, 2))))
+            return
+        due = begun + GOAL_PUSHING.correction_budget
+        correction = self._follower.correct(tracked.stamp - start, tracked.pose, tracked.covariance, lambda: time.perf_counter() > due)
+        self._send(_correction(correction, push_id, tracked.stamp))
+        self.seconds = [*self.seconds, time.perf_counter() - begun][-GOAL_PUSHING.n_correction_times :]
+        self.n_corrections += 1
+        self.done, self.tool = correction.done, correction.tool
+        if correction.status is not FollowStatus.GOING:
+            self.ended = correction.status.value
+
+
+def _correction(correction: Correction, push_id: int, stamp: float) -> ToolCorrection:
+    is_over = correction.status is not FollowStatus.GOING
+    return ToolCorrection(push_id, stamp, is_over, correction.time - correction.time[0], correction.tool)
+
+
+@dataclass(slots=True)
+class CellView:
+    """What all goals share."""
+
+    objects: TrackedObjects
+    models: ModelInput
+    table: TableInput
+    executor: ExecutorLink
+    values: Callable[[], dict[str, Any]]
+    """Parameters of the node."""
+    settings: Callable[[], PushSettings | None]
+    """Limits of the pushes; None before the pusher is known."""
+    send: Callable[[ToolCorrection], None]
+    """Publishes a correction of a push along a path."""
+    guard: Callable[[str], Any]
+    """`Guard.watch`."""
+    planners: Planners[PushSettings, GoalPlanner] = field(default_factory=lambda: Planners(GOAL_PUSHING.n_planners, GoalPlanner))
+    path_planners: Planners[tuple[PushSettings, float], PathSteps] = field(
+        default_factory=lambda: Planners(GOAL_PUSHING.n_path_planners, lambda shape, key: PathSteps(shape, *key))
+    )
+    """By the width of the corridor of a steered push [m], too."""
+    steered: SteeredPush | None = None
+    """The latest push along a path."""
 
 
 class CellPorts:
@@ -158,13 +271,25 @@ class CellPorts:
         self, model: KnownModel, tracked: TrackedObject, goal: EdgeGoal, edges: Sequence[TableEdge], chosen: Target | None
     ) -> WorkUnderWay[Target]:
         """As `GoalPorts`."""
-        return self._view.planners.begin_target(model.posterior, self._settings(), tracked, goal, edges, chosen)
+        settings = self._settings()
+
+        def choose(belief: Belief, _: GoalPlanner) -> Target:
+            if chosen is not None and chosen.hold is not None:
+                return held_target(chosen.goal, chosen.hold, belief)
+            return edge_target(goal, edges, belief, tracked.pose, settings)
+
+        return self._view.planners.begin(tracked.object_id, model.posterior, settings, choose)
 
     def begin_plan(
         self, model: KnownModel, tracked: TrackedObject, target: Target, obstacles: list[Float64Array], failed: list[PushPlan2D]
     ) -> WorkUnderWay[GoalPush]:
         """As `GoalPorts`."""
-        return self._view.planners.begin(model.posterior, self._settings(), tracked, target, obstacles, failed)
+        pose, covariance = tracked.pose, tracked.covariance
+
+        def plan(belief: Belief, planner: GoalPlanner) -> GoalPush:
+            return planner.plan(belief, pose, covariance, target.goal, obstacles, failed, target.hold)
+
+        return self._view.planners.begin(tracked.object_id, model.posterior, self._settings(), plan)
 
     def _settings(self) -> PushSettings:
         settings = self._view.settings()
@@ -193,24 +318,26 @@ class CellPorts:
         steers: bool,
     ) -> WorkUnderWay[PathStep]:
         """As `PathPorts`."""
-        width = self._view.steering.values().half_width
-        planners = self._view.path_planners
-        return planners.begin(model.posterior, self._settings(), width, tracked, (path, done), (obstacles, failed), steers)
+        key = self._settings(), self._view.values()["path_corridor"]
+
+        def plan(belief: Belief, steps: PathSteps) -> PathStep:
+            return steps.plan(belief, tracked.pose, path, done, obstacles, failed, steers=steers)
+
+        return self._view.path_planners.begin(tracked.object_id, model.posterior, key, plan)
 
     def begin_steered(self, tracked: TrackedObject, step: PathStep, path: PathGoal) -> SteeredPush:
         """As `PathPorts`."""
-        plan, steering = step.steered, self._view.steering
+        plan, values = step.steered, self._view.values()
         assert plan is not None and step.follower is not None, "a push whose tool is steered"
         assert plan.time is not None and plan.tool is not None and plan.corridor is not None, "it has a path"
-        values = steering.values()
-        request = PathRequest(ToolPath(plan.time, plan.tool), plan.corridor, values.timeout)
+        request = PathRequest(ToolPath(plan.time, plan.tool), plan.corridor, values["path_timeout"])
         self._view.steered = SteeredPush(
             self._view.executor.begin(path_goal(tracked.object_id, request), self._executor_timeout),
-            step.follower(values.lead),
+            step.follower(values["path_lead"]),
             plan,
             tracked,
             observe=partial(self._view.objects.get, max_age=np.inf),
-            send=steering.send,
-            guard=steering.guard,
+            send=self._view.send,
+            guard=self._view.guard,
         )
         return self._view.steered

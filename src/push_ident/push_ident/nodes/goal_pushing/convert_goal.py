@@ -1,34 +1,38 @@
-"""Between goals and their messages."""
+"""Between goals and their messages, and what is drawn of a goal."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose
 
 from push_ident.errors import InputError
-from push_ident.geometry.se2 import quaternion_of_yaw
+from push_ident.geometry.se2 import quaternion_of_yaw, transform_points
 from push_ident.limits import LIMITS, check_coordinates, plain_text
+from push_ident.nodes.convert.markers import MARKERS, GoalDrawing
 from push_ident.nodes.convert.messages import TABLE_FRAME, planar_pose_of
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal, Target
-from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest
+from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState
 from push_ident.planning.path_goal import PathGoal
+from push_ident.planning.path_steps import PathStep
+from push_ident.planning.planner import GoalPush
+from push_ident.pushing.push import PushPlan2D
 from push_ident.types import Float64Array
 from push_ident_msgs.action import PushToGoal
 
-__all__ = ["edge_points", "feedback_to_msg", "planar_pose_msg", "request_from_msg", "result_to_msg"]
+__all__ = ["draw_goal", "edge_points", "feedback_to_msg", "planar_pose_msg", "request_from_msg", "result_to_msg"]
 
 
 def request_from_msg(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> GoalRequest:
     """The goal of a request; `defaults` are the parameters that a zero stands for.
 
-    Raises:
-        InputError: another frame, another kind, a pose tilted against the table, an edge that is none, or numbers out of range.
+    Raises InputError: another frame, another kind, a pose tilted against the table, an edge that is none, or numbers out of range.
     """
     frame = msg.goal.header.frame_id
     if frame not in ("", TABLE_FRAME):
@@ -142,3 +146,71 @@ def result_to_msg(outcome: GoalOutcome) -> PushToGoal.Result:
 
 def _target_msg(progress: GoalProgress) -> Pose:
     return planar_pose_msg(np.full(3, np.nan) if progress.target is None else progress.target.goal.pose)
+
+
+def draw_goal(progress: GoalProgress, outline: Float64Array) -> GoalDrawing | None:
+    """What is shown of a goal; None before it is known where the object shall be.
+
+    Args:
+        progress: towards the goal.
+        outline: of the object in its frame [m], shape (n_vertices, 2).
+    """
+    target, path = progress.target, progress.path
+    if target is None:
+        return None
+    at_goal, number = transform_points(target.goal.pose, outline), progress.pushes + 1
+    is_pushing = progress.state is GoalState.PUSH
+    if path is not None:
+        drawing = GoalDrawing(progress.object_id, at_goal, _path_text(path), path=path.at(_path_samples(path))[:, :2])
+        step = progress.step
+        return drawing if step is None or not is_pushing else _with_step(drawing, outline, path, step, progress.tool, number)
+    edge = None if target.hold is None else target.hold.edge.ends
+    drawing = GoalDrawing(progress.object_id, at_goal, _goal_text(target, at_goal), edge=edge)
+    plan = progress.plan
+    return drawing if plan is None or not is_pushing else _with_push(drawing, outline, target, plan, number)
+
+
+def _goal_text(target: Target, at_goal: Float64Array) -> str:
+    goal = target.goal
+    words = f"goal: within {1e3 * goal.position:.0f} mm and {np.degrees(goal.yaw):.1f}°"
+    if target.hold is None:
+        return words
+    return f"{words}, {1e3 * target.overhang(at_goal):.0f} mm over the edge, held by {1e3 * target.margin(goal.pose):.0f} mm"
+
+
+def _path_text(path: PathGoal) -> str:
+    tolerance = f"one tolerance is {1e3 * path.position:.0f} mm and {np.degrees(path.yaw):.1f}°"
+    return f"path: {1e3 * path.length:.0f} mm at {1e3 * path.speed:.0f} mm/s, {tolerance}"
+
+
+def _path_samples(path: PathGoal) -> Float64Array:
+    return np.linspace(0.0, path.length, min(len(path.poses), MARKERS.n_path_points))
+
+
+def _with_push(drawing: GoalDrawing, outline: Float64Array, target: Target, plan: GoalPush, number: int) -> GoalDrawing:
+    """Also push `number` to a pose, counted from 1."""
+    if plan.plan is None:
+        return drawing
+    chance = f"push {number}: {100 * plan.chance:.0f} % chance of the goal"
+    if target.hold is not None:
+        chance += f", {100 * plan.risk:.1f} % of being held by less than {1e3 * target.hold.margin:.0f} mm"
+    return replace(drawing, tool=_straight(plan.plan), end=transform_points(plan.end, outline), chance=chance)
+
+
+def _with_step(
+    drawing: GoalDrawing, outline: Float64Array, path: PathGoal, step: PathStep, corrected: Float64Array | None, number: int
+) -> GoalDrawing:
+    """Also push `number` along a path, with the tool as it was corrected last."""
+    if step.contact is None:
+        return drawing
+    end = transform_points(path.at(step.expected_done), outline)
+    chance = f"push {number}: expected to {100 * step.expected_done / path.length:.0f} % of the path"
+    steered = step.steered
+    if steered is None or steered.tool is None or steered.corridor is None:
+        return replace(drawing, tool=_straight(step.contact), end=end, chance=chance)
+    tool = steered.tool if corrected is None else corrected
+    return replace(drawing, tool=tool, end=end, chance=chance, corridor=steered.corridor.outline())
+
+
+def _straight(push: PushPlan2D) -> Float64Array:
+    return np.array([push.tool_at_contact, push.tool_end])

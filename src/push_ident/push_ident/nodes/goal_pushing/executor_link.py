@@ -19,7 +19,7 @@ from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.base.cell_node import CellNode
 from push_ident.nodes.base.keep_alive import KeepAlive, ServerWatch
 from push_ident.nodes.convert.messages import push_interval_from_msg, stamp_from_msg
-from push_ident.nodes.goal_pushing.settings import GOAL_PUSHING
+from push_ident.nodes.goal_pushing.parameters import GOAL_PUSHING
 from push_ident.planning.goal_ports import PushReport
 from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush

@@ -23,23 +23,21 @@ from push_ident.limits import plain_text
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.keep_alive import ClientWatch
 from push_ident.nodes.base.run import run_node
-from push_ident.nodes.convert.goal_markers import GoalDrawing, draw_goal, goal_markers_to_msg
+from push_ident.nodes.convert.markers import GoalDrawing, goal_markers_to_msg
 from push_ident.nodes.convert.messages import cylinder_radius_from_msg
 from push_ident.nodes.convert.table import EDGE_TOPIC, edge_to_msg
 from push_ident.nodes.convert.tool_path import correction_to_msg
-from push_ident.nodes.goal_pushing.cell_ports import CellPorts, CellView, Steering, WishOfClient
-from push_ident.nodes.goal_pushing.convert_goal import feedback_to_msg, request_from_msg, result_to_msg
+from push_ident.nodes.goal_pushing.cell_ports import CellPorts, CellView, ModelInput, WishOfClient
+from push_ident.nodes.goal_pushing.convert_goal import draw_goal, feedback_to_msg, request_from_msg, result_to_msg
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink
-from push_ident.nodes.goal_pushing.model_input import ModelInput
-from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values, push_settings, session_limits, steering_values
-from push_ident.nodes.goal_pushing.planners import GoalPlanners
-from push_ident.nodes.goal_pushing.settings import GOAL_PUSHING
+from push_ident.nodes.goal_pushing.parameters import GOAL_PUSHING, PARAMETERS, check_values, push_settings, session_limits
+from push_ident.nodes.input.objects import TrackedObjects
 from push_ident.nodes.input.table import TableInput
-from push_ident.nodes.input.tracked_objects import TrackedObjects
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import GoalCode, GoalRefusedError
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState, Wish
 from push_ident.planning.goal_session import GoalSession
+from push_ident.planning.library import compile_planning
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_session import PathSession
 from push_ident.pushing.push import PushSettings
@@ -90,16 +88,20 @@ class _GoalPushing(Component):
         self._clients = ClientWatch(node, "push_to_goal")
         table = TableInput(node, housekeeping)
         corrections = node.create_publisher(PushCorrection, "push_correction", qos_profile_sensor_data)
-        steering = Steering(
-            lambda: steering_values(self._settings.as_dict()),
+        self._view = CellView(
+            self._objects,
+            self._models,
+            table,
+            self._executor,
+            self._settings.as_dict,
+            self._push_settings,
             lambda correction: corrections.publish(correction_to_msg(correction)),
             node.guard.watch,
         )
-        self._view = CellView(self._objects, self._models, table, self._executor, GoalPlanners(), self._push_settings, steering)
+        self._view.planners.prepare(compile_planning)
         node.create_action_server(PushToGoal, "push_to_goal", self._execute, failed=_failed, callback_group=ReentrantCallbackGroup())
 
     def resume(self) -> None:
-        """Take goals."""
         self._is_active = True
 
     def pause(self) -> None:
@@ -113,7 +115,6 @@ class _GoalPushing(Component):
             time.sleep(GOAL_PUSHING.look_period)
 
     def close(self) -> None:
-        """Withdraw the client of the executor."""
         self._executor.close()
 
     # ---- input
@@ -233,7 +234,6 @@ class _GoalPushing(Component):
     # ---- health
 
     def health(self) -> Health:
-        """Whether objects, models and executor are there, and how the last goal ended."""
         served, models = self._executor.is_served, self._models.n_pushes()
         reasons = [
             text

@@ -1,8 +1,8 @@
-"""Parameters of goal_pushing_node, and the settings made of them."""
+"""Parameters of goal_pushing_node, the settings made of them, and what is no parameter."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Final
 
 from push_ident.nodes.base.parameters import Parameter
@@ -11,8 +11,37 @@ from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal_ports import SessionLimits
 from push_ident.pushing.push import PushSettings
 
-__all__ = ["PARAMETERS", "SteeringValues", "check_values", "push_settings", "session_limits", "steering_values"]
+__all__ = ["GOAL_PUSHING", "PARAMETERS", "GoalPushingSettings", "check_values", "push_settings", "session_limits"]
 
+
+@dataclass(frozen=True, slots=True)
+class GoalPushingSettings:
+    """What the node of goals decides on that is no parameter. Times are wall time."""
+
+    executor_discovery: float = 5.0
+    """For the executor to be there and to discover this node [s]; one that runs answers within milliseconds."""
+    executor_answer: float = 10.0
+    """For the executor to accept a push that was sent [s]."""
+    n_records: int = 16
+    """Latest push records that are remembered."""
+    look_period: float = 0.01
+    """Between two looks whether the previous goal has ended [s]; see `planning.goal_session`."""
+    hold_wait: float = 0.9
+    """For the arm to hold when the node is deactivated [s]; a component may take a second."""
+    pose_poll: float = 0.002
+    """Between two looks for a pose during a steered push [s]: a tenth of what a correction takes."""
+    correction_budget: float = 0.02
+    """After so long nothing begins any more that makes a correction better [s]: with what is under way then, and where others use the cores
+    as well, it still comes before the next of 30 frames a second. On free cores all of it takes less."""
+    n_correction_times: int = 2000
+    """Latest times of corrections that are kept: over a minute."""
+    n_planners: int = 4
+    """Objects whose planner of goals is kept: each holds a library of some 3 MB."""
+    n_path_planners: int = 2
+    """The same of paths."""
+
+
+GOAL_PUSHING: Final = GoalPushingSettings()
 _EDGE: Final = EdgeGoal(None)
 
 PARAMETERS: Final = (
@@ -23,13 +52,7 @@ PARAMETERS: Final = (
         "edge_held", _EDGE.held, "Least distance of the centre of mass from the border of its support, for such a goal [m]", 0.0, 1.0
     ),
     Parameter("edge_yaw_tolerance", _EDGE.turn, "Largest angle to the pre-grasp pose, where a goal at an edge gives 0 [rad]", 0.001, 3.15),
-    Parameter(
-        "edge_risk",
-        _EDGE.limit,
-        "Largest chance that a push leaves it held by less; riskier ones are not made [0..1]",
-        1e-6,
-        0.5,
-    ),
+    Parameter("edge_risk", _EDGE.limit, "Largest chance that a push leaves it held by less; riskier ones are not made [0..1]", 1e-6, 0.5),
     CORNERS,
     Parameter("time_limit", 300.0, "Longest time for a goal that gives 0, wall time [s]", 1.0, 86400.0),
     Parameter("max_pushes", 15, "Most pushes for a goal that gives 0", 1, 1000),
@@ -44,13 +67,7 @@ PARAMETERS: Final = (
     Parameter("path_yaw_tolerance", 0.035, "Angle to a path that counts as one tolerance, where a goal gives 0 [rad]", 0.001, 3.15),
     Parameter("path_speed", 0.05, "Of an object along a path, where a goal gives 0 [m/s]", 0.001, 0.25),
     Parameter("path_corridor", 0.06, "How far from its path a tool may be corrected; the arm must reach all of it [m]", 0.005, 0.2),
-    Parameter(
-        "path_lead",
-        0.1,
-        "From a frame to the motion that it corrects: a frame, its processing, a correction [s]",
-        0.01,
-        0.5,
-    ),
+    Parameter("path_lead", 0.1, "From a frame to the motion that it corrects: a frame, its processing, a correction [s]", 0.01, 0.5),
     Parameter("path_timeout", 0.3, "Without a correction for so long, the tool stops on a path [s]", 0.05, 5.0),
     Parameter("executor_timeout", 60.0, "Longest silence of the executor during a push [s]; planning sends no feedback", 1.0, 600.0),
     Parameter("client_timeout", 1.0, "Longest silence of a client that says that it lives; then its goal is canceled [s]", 0.3, 10.0),
@@ -79,26 +96,4 @@ def push_settings(values: dict[str, Any], pusher_radius: float) -> PushSettings:
 
 def session_limits(values: dict[str, Any]) -> SessionLimits:
     """How long is waited for what."""
-    return SessionLimits(
-        pose_timeout=values["pose_timeout"],
-        object_patience=values["object_patience"],
-        learn_timeout=values["learn_timeout"],
-        max_refusals=values["max_refusals"],
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class SteeringValues:
-    """Numbers of corrected pushes along a path."""
-
-    half_width: float
-    """Of their corridors [m]."""
-    lead: float
-    """From a frame to the motion that it corrects [s]."""
-    timeout: float
-    """Longest time without a correction [s]."""
-
-
-def steering_values(values: dict[str, Any]) -> SteeringValues:
-    """How pushes along a path are corrected."""
-    return SteeringValues(values["path_corridor"], values["path_lead"], values["path_timeout"])
+    return SessionLimits(**{field.name: values[field.name] for field in fields(SessionLimits) if field.name in values})

@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from push_ident.identification.results.posterior import ModelPosterior
-from push_ident.nodes.goal_pushing.settings import GOAL_PUSHING
-from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
-from push_ident.planning.edge_goal import EdgeGoal, edge_target, held_target
-from push_ident.planning.goal import Target
-from push_ident.planning.library import compile_planning
-from push_ident.planning.path_goal import PathGoal
-from push_ident.planning.path_steps import PathStep, PathSteps
-from push_ident.planning.planner import GoalPlanner, GoalPush
-from push_ident.pushing.ports import TrackedObject
-from push_ident.pushing.push import PushPlan2D, PushSettings
-from push_ident.types import Float64Array, ObjectShape
+from push_ident.types import ObjectShape
 
-__all__ = ["GoalPlanners", "PathPlanners", "WorkUnderWay"]
+__all__ = ["Planners", "WorkUnderWay"]
 
 K = TypeVar("K")
 P = TypeVar("P")
@@ -56,14 +46,36 @@ class WorkUnderWay(Generic[T]):
             self._done.set()
 
 
-class _Planners(Generic[K, P]):
-    """Belief and planner of each object, which keeps what it has simulated; another planner for another outline or another key."""
+class Planners(Generic[K, P]):
+    """Belief and planner of each object, which keeps what it has simulated; another planner for another outline or another key.
+
+    One plan at a time.
+    """
 
     def __init__(self, n_kept: int, make: Callable[[ObjectShape, K], P]) -> None:
         self._n_kept, self._make = n_kept, make
         self._known: dict[str, tuple[Belief, K, P]] = {}
+        self._one_at_a_time = threading.Lock()
 
-    def get(self, object_id: str, posterior: ModelPosterior, key: K) -> tuple[Belief, P]:
+    def prepare(self, work: Callable[[], object]) -> None:
+        """Begin with something that plans wait for."""
+
+        def prepared() -> None:
+            with self._one_at_a_time:
+                work()
+
+        threading.Thread(target=prepared, name="compile", daemon=True).start()
+
+    def begin(self, object_id: str, posterior: ModelPosterior, key: K, plan: Callable[[Belief, P], T]) -> WorkUnderWay[T]:
+        """Begin to `plan` for an object."""
+
+        def work() -> T:
+            with self._one_at_a_time:
+                return plan(*self._get(object_id, posterior, key))
+
+        return WorkUnderWay(work)
+
+    def _get(self, object_id: str, posterior: ModelPosterior, key: K) -> tuple[Belief, P]:
         known, shape = self._known.pop(object_id, None), posterior.unknowns.shape
         if known is None or known[1] != key or not np.array_equal(known[0].shape.outline, shape.outline):
             known = (Belief.of(posterior), key, self._make(shape, key))
@@ -73,93 +85,3 @@ class _Planners(Generic[K, P]):
         while len(self._known) > self._n_kept:
             del self._known[next(iter(self._known))]
         return known[0], known[2]
-
-
-class GoalPlanners:
-    """The planners of goals, one plan at a time."""
-
-    def __init__(self) -> None:
-        self._one_at_a_time = threading.Lock()
-        self._planners = _Planners(GOAL_PUSHING.n_planners, GoalPlanner)
-        threading.Thread(target=self._warm_up, name="compile", daemon=True).start()
-
-    def begin(
-        self,
-        posterior: ModelPosterior,
-        settings: PushSettings,
-        tracked: TrackedObject,
-        target: Target,
-        obstacles: list[Float64Array],
-        failed: list[PushPlan2D],
-    ) -> WorkUnderWay[GoalPush]:
-        """Begin to plan; arguments as of `GoalPlanner.plan`."""
-
-        def work() -> GoalPush:
-            with self._one_at_a_time:
-                belief, planner = self._planners.get(tracked.object_id, posterior, settings)
-                return planner.plan(belief, tracked.pose, tracked.covariance, target.goal, obstacles, failed, target.hold)
-
-        return WorkUnderWay(work)
-
-    def begin_target(
-        self,
-        posterior: ModelPosterior,
-        settings: PushSettings,
-        tracked: TrackedObject,
-        goal: EdgeGoal,
-        edges: Sequence[TableEdge],
-        chosen: Target | None,
-    ) -> WorkUnderWay[Target]:
-        """Begin to choose a pre-grasp pose; arguments as of `GoalPorts.begin_target`."""
-
-        def work() -> Target:
-            with self._one_at_a_time:
-                belief, _ = self._planners.get(tracked.object_id, posterior, settings)
-                if chosen is not None and chosen.hold is not None:
-                    return held_target(chosen.goal, chosen.hold, belief)
-                return edge_target(goal, edges, belief, tracked.pose, settings)
-
-        return WorkUnderWay(work)
-
-    def _warm_up(self) -> None:
-        with self._one_at_a_time:
-            compile_planning()
-
-
-class PathPlanners:
-    """The planners of paths, one plan at a time."""
-
-    def __init__(self) -> None:
-        self._one_at_a_time = threading.Lock()
-        self._planners: _Planners[tuple[PushSettings, float], PathSteps] = _Planners(
-            GOAL_PUSHING.n_path_planners, lambda shape, key: PathSteps(shape, *key)
-        )
-
-    def begin(
-        self,
-        posterior: ModelPosterior,
-        settings: PushSettings,
-        half_width: float,
-        tracked: TrackedObject,
-        where: tuple[PathGoal, float],
-        around: tuple[list[Float64Array], list[PushPlan2D]],
-        steers: bool,
-    ) -> WorkUnderWay[PathStep]:
-        """Begin to plan the next push.
-
-        Args:
-            posterior: what is known of the object.
-            settings: limits of the pushes.
-            half_width: of the corridor of a steered push [m].
-            tracked: the object.
-            where: the path, and the length of it that is behind [m].
-            around: outlines of other objects, and pushes that failed.
-            steers: whether the tool may be steered.
-        """
-
-        def work() -> PathStep:
-            with self._one_at_a_time:
-                belief, steps = self._planners.get(tracked.object_id, posterior, (settings, half_width))
-                return steps.plan(belief, tracked.pose, *where, *around, steers=steers)
-
-        return WorkUnderWay(work)

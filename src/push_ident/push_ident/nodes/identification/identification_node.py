@@ -60,14 +60,7 @@ PARAMETERS: Final = (
     Parameter("method", DEFAULT_SOLVER, "Solver of the maps", read_only=True, choices=tuple(SOLVERS)),
     Parameter("window", 8, "Latest pushes that are simulated again at every solve; older ones are summed up", 1, 100, read_only=True),
     Parameter("max_solve_time", 10.0, "Of the solve after a push [s]", 0.05, 600.0, read_only=True),
-    Parameter(
-        "max_frame_time",
-        0.02,
-        "Longest update at a frame, for methods without a bound [s]",
-        0.001,
-        1.0,
-        read_only=True,
-    ),
+    Parameter("max_frame_time", 0.02, "Longest update at a frame, for methods without a bound [s]", 0.001, 1.0, read_only=True),
     Parameter("update_period", 0.0, "Shortest time between two updates during a push [s]; 0: at every frame", 0.0, 10.0),
     Parameter("prediction_period", 0.2, "Time between two predictions of the push under way [s]; 0: none", 0.0, 10.0),
     Parameter("prediction_horizon", 0.5, "How far ahead the push under way is predicted [s]", 0.05, 10.0),
@@ -153,11 +146,9 @@ class _Identification(Component):
         self._worker.start()
 
     def pause(self) -> None:
-        """Drop a push under way."""
         self._collector.pause()
 
     def close(self) -> None:
-        """Stop the worker; the running solve is abandoned."""
         with self._wake:
             self._closing = True
             self._wake.notify()
@@ -450,7 +441,6 @@ class _Identification(Component):
     # ---- health
 
     def health(self) -> Health:
-        """What arrives, how long a solve takes, and how well pushes were predicted."""
         overload, load = self._collector.overload()
         values = self._collector.report() | load
         missing = self._collector.what_is_missing() or overload

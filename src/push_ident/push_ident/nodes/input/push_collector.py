@@ -21,9 +21,8 @@ from std_msgs.msg import Bool, Float32MultiArray
 from push_ident.bags.contract import Role
 from push_ident.errors import PushIdentError
 from push_ident.geometry.se2 import transform_points
-from push_ident.nodes.base.arrivals import Arrivals
+from push_ident.nodes.base.arrivals import Arrivals, StampCheck
 from push_ident.nodes.base.cell_node import LATCHED, CellNode
-from push_ident.nodes.base.stamps import StampCheck
 from push_ident.nodes.convert.messages import (
     camera_accuracy_from_msg,
     cylinder_radius_from_msg,
@@ -32,8 +31,7 @@ from push_ident.nodes.convert.messages import (
     position_from_msg,
     push_interval_from_msg,
 )
-from push_ident.nodes.input.discovery import ObjectTopics
-from push_ident.nodes.input.shapes import ShapeInput
+from push_ident.nodes.input.objects import ObjectTopics, ShapeInput
 from push_ident.pushing.cutter import UNRECORDED, PushCutter
 from push_ident.types import Float64Array, ObjectShape, PushRecord
 from push_ident_msgs.msg import PushRecord as PushRecordMsg

@@ -42,11 +42,7 @@ def pose_rows(name: str) -> tuple[Parameter, Parameter]:
 
 
 def mark_of(values: dict[str, Any]) -> Mark:
-    """The calibration mark of the parameters.
-
-    Raises:
-        InputError: The outline is not a list of corners, or has a symmetry.
-    """
+    """The calibration mark of the parameters. Raises InputError: the outline is not a list of corners, or has a symmetry."""
     try:
         corners = [[float(number) for number in corner.split(",")] for corner in values["mark_outline"].split()]
         outline = np.array(corners, dtype=np.float64)
@@ -68,8 +64,7 @@ class Extrinsics(ABC):
     def find(self, frame: DepthFrame) -> Float64Array | None:
         """Optical frame in the table frame, shape (4, 4), or None: call again with the next frame. Never waits.
 
-        Raises:
-            PerceptionError: Not to be found with this frame; the text says why.
+        Raises PerceptionError: not to be found with this frame; the text says why.
         """
 
 
@@ -77,11 +72,7 @@ class FromParameters(Extrinsics):
     """The pose that the parameters give."""
 
     def __init__(self, values: dict[str, Any], prefix: str = "") -> None:
-        """`prefix`: of the parameters of a further camera, such as `side.`.
-
-        Raises:
-            InputError: They give none.
-        """
+        """`prefix`: of the parameters of a further camera, such as `side.`. Raises InputError: they give none."""
         try:
             self._pose = pose_of_quaternion(values[prefix + POSITION], values[prefix + QUATERNION])
         except InputError as error:
@@ -121,11 +112,7 @@ class TfBuffer:
     """Transforms of tf2, where it is installed; one for all cameras."""
 
     def __init__(self, node: Node) -> None:
-        """Listen.
-
-        Raises:
-            InputError: tf2_ros is not installed.
-        """
+        """Listen. Raises InputError: tf2_ros is not installed."""
         try:
             import tf2_ros  # Not among the Python wheels of ROS: optional.
         except ImportError:
@@ -137,11 +124,7 @@ class TfBuffer:
         self._listener = tf2_ros.TransformListener(self._buffer, node)
 
     def camera_in_table(self, camera_frame: str) -> Float64Array:
-        """Homogeneous transform, shape (4, 4).
-
-        Raises:
-            PerceptionError: There is none yet.
-        """
+        """Homogeneous transform, shape (4, 4). Raises PerceptionError: there is none yet."""
         from rclpy.time import Time
 
         try:

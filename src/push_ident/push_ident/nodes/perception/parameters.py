@@ -124,11 +124,7 @@ def perception_settings(values: dict[str, Any]) -> PerceptionSettings:
 
 
 def names_of_further_cameras(values: dict[str, Any]) -> list[str]:
-    """Names of the further cameras.
-
-    Raises:
-        InputError: One is no ROS name, or given twice.
-    """
+    """Names of the further cameras. Raises InputError: one is no ROS name, or given twice."""
     names = [name for name in values["extra_cameras"] if name]
     for name in names:
         if not re.fullmatch(r"[a-zA-Z][a-zA-Z0-9_]*", name) or names.count(name) > 1:

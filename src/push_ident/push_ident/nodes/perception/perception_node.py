@@ -31,11 +31,12 @@ from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.arm_shape import ArmShape
 from push_ident.limits import LIMITS
+from push_ident.nodes.base.arrivals import StampCheck
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
-from push_ident.nodes.base.parameters import Parameter
+from push_ident.nodes.base.parameters import Parameter, description_in
 from push_ident.nodes.base.run import run_node
 from push_ident.nodes.base.settings import NODE
-from push_ident.nodes.base.stamps import StampCheck
+from push_ident.nodes.convert.markers import refusals_to_msg
 from push_ident.nodes.convert.messages import (
     camera_accuracy_to_msg,
     cylinder_radius_from_msg,
@@ -47,8 +48,6 @@ from push_ident.nodes.convert.messages import (
     shape_to_msgs,
     transform_to_msg,
 )
-from push_ident.nodes.convert.refusals import refusals_to_msg
-from push_ident.nodes.input.description_file import description_in
 from push_ident.nodes.perception.depth_input import EVERY_POSE, DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
@@ -170,14 +169,12 @@ class _Perception(Component):
             self._node.create_subscription(kind, topic, callback, LATCHED, event_callbacks=events)
 
     def reconfigure(self, changed: dict[str, Any]) -> None:
-        """New limits and sizes, from the next frame on."""
         if self._perception is not None:
             self._perception.settings = perception_settings(self._configured.as_dict())
         self._robot.tool_radius = float(changed.get("tool_radius", self._robot.tool_radius))
         self._robot.tool_length = float(changed.get("tool_length", self._robot.tool_length))
 
     def resume(self) -> None:
-        """Wait for images anew."""
         self._started_at = self._diagnosed_at = self._wall.now()
 
     def _on_tool(self, msg: PoseStamped) -> None:
@@ -461,7 +458,6 @@ class _Perception(Component):
         self._node.guard.refuse(source, why)
 
     def health(self) -> Health:
-        """How many frames give poses, and why none do."""
         now = self._wall.now()
         elapsed = (now - self._diagnosed_at).nanoseconds * 1e-9
         rate = (self._counter["frames"] - self._frames_diagnosed) / max(elapsed, 1e-3)

@@ -21,8 +21,8 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.nodes.base.cell_node import LATCHED
+from push_ident.nodes.base.parameters import description_in
 from push_ident.nodes.convert.messages import stamp_from_msg, stamp_to_msg
-from push_ident.nodes.input.description_file import description_in
 from push_ident.nodes.push_executor.settings import EXECUTOR
 from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.ports import ArmState

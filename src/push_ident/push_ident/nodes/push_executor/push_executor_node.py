@@ -25,7 +25,7 @@ from push_ident.nodes.base.keep_alive import ClientWatch
 from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.messages import TABLE_FRAME, cylinder_to_msg, position_to_msg, stamp_to_msg
 from push_ident.nodes.convert.tool_path import correction_from_msg, path_request_from_goal
-from push_ident.nodes.input.tracked_objects import TrackedObjects
+from push_ident.nodes.input.objects import TrackedObjects
 from push_ident.nodes.push_executor.arm_lease import ArmLease
 from push_ident.nodes.push_executor.arm_port import ArmPort
 from push_ident.nodes.push_executor.force_port import ForcePort
@@ -153,7 +153,6 @@ class _PushExecutor(Component):
         )
 
     def resume(self) -> None:
-        """Take goals."""
         self._execution.start()
         self._is_active = True
 
@@ -164,7 +163,6 @@ class _PushExecutor(Component):
         self._answered.wait(EXECUTOR.answer_wait)
 
     def close(self) -> None:
-        """Give the arm free."""
         self._lease.release()
 
     # ---- requests
@@ -218,7 +216,6 @@ class _PushExecutor(Component):
         self._tool_pub.publish(msg)
 
     def health(self) -> Health:
-        """Whether arm, hand, recorder and objects are there."""
         rate = self._arm.n_received - self._n_received_before
         self._n_received_before = self._arm.n_received
         silent = self._arm.silence > self._settings["arm_timeout"]

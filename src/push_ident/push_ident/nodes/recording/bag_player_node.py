@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import signal
 import threading
 import time
@@ -25,7 +24,8 @@ from push_ident.errors import BagError
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.run import run_node
-from push_ident.nodes.recording.settings import RECORDING
+from push_ident.nodes.convert.messages import message_class
+from push_ident.nodes.recording.recording_port import RECORDING
 
 __all__ = ["PARAMETERS", "BagPlayerNode", "live_object_id", "main"]
 
@@ -76,7 +76,7 @@ class _BagPlayer(Component):
         skipped = []
         for topic, msgtype in bag_topics(self._path).items():
             entry = role_of(topic)
-            message = _message_class(msgtype)
+            message = message_class(msgtype)
             if entry is None or message is None:
                 skipped.append(f"{topic} ({msgtype})")
                 continue
@@ -98,20 +98,17 @@ class _BagPlayer(Component):
         self._is_done = False
 
     def resume(self) -> None:
-        """Play from the beginning."""
         self._stop = threading.Event()
         self._is_done = False
         self._thread = threading.Thread(target=self._play, args=(self._stop,), name="play", daemon=True)
         self._thread.start()
 
     def pause(self) -> None:
-        """Stop playing."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=1.0)
 
     def health(self) -> Health:
-        """How much was played."""
         text = "played to the end" if self._is_done else f"playing {self._path}"
         return Health(DiagnosticStatus.OK, text, {"messages played": self._n_played})
 
@@ -263,15 +260,6 @@ class _Pace:
 def live_object_id(object_id: str) -> str:
     """The id under which a recorded object can be published: ROS refuses topic names with a part that begins with a digit."""
     return f"o{object_id}" if object_id[:1].isdigit() else object_id
-
-
-def _message_class(msgtype: str) -> Any | None:
-    """Python class of `package/msg/Name`, None where the package is not installed."""
-    package, _, name = msgtype.partition("/msg/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name, None)
-    except ImportError:
-        return None
 
 
 def main() -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import shutil
 from collections import Counter
 from itertools import count
@@ -22,8 +21,8 @@ from push_ident.nodes.base.arrivals import Arrivals
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.run import run_node
-from push_ident.nodes.recording.recording_port import RECORDING_TOPIC, REPEATED
-from push_ident.nodes.recording.settings import RECORDING
+from push_ident.nodes.convert.messages import message_class
+from push_ident.nodes.recording.recording_port import RECORDING, RECORDING_TOPIC, REPEATED
 
 __all__ = ["PARAMETERS", "BagRecorderNode", "main"]
 
@@ -86,17 +85,14 @@ class _BagRecorder(Component):
         node.get_logger().info(f"recording to {path}")
 
     def resume(self) -> None:
-        """Subscribe to what there is, and publish that it is written."""
         self._discover()
         self._recording.publish(self._status())
 
     def pause(self) -> None:
-        """Publish that nothing more is written."""
         if not self._failed:
             self._recording.publish(DiagnosticStatus(level=DiagnosticStatus.STALE, message="not active"))
 
     def close(self) -> None:
-        """Finish the bag."""
         if not self._failed:
             self._writer.__exit__(None, None, None)
         self._node.get_logger().info(f"{self._counts.total()} messages in {self._writer.path}")
@@ -135,10 +131,7 @@ class _BagRecorder(Component):
                 continue
             if entry.role is Role.DEPTH and not self._settings["depth"]:
                 continue
-            package, name = entry.role.msgtype.split("/msg/")
-            try:
-                message = getattr(importlib.import_module(f"{package}.msg"), name)
-            except ImportError:
+            if (message := message_class(entry.role.msgtype)) is None:
                 continue
             latched = any(
                 info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for info in self._node.get_publishers_info_by_topic(topic)
@@ -175,7 +168,6 @@ class _BagRecorder(Component):
             self._fail(self._node.guard.explain(error))
 
     def health(self) -> Health:
-        """What was written, or why nothing is."""
         level = DiagnosticStatus.ERROR if self._failed else DiagnosticStatus.OK if self._counts else DiagnosticStatus.WARN
         text = self._failed or (f"{self._counts.total()} messages" if self._counts else "no topic of the bag contract is published")
         values: dict[str, object] = dict(sorted(self._counts.items()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -10,10 +11,35 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 
 from push_ident.nodes.base.cell_node import LATCHED
-from push_ident.nodes.recording.settings import RECORDING
 
-__all__ = ["RECORDING_TOPIC", "REPEATED", "RecordingPort"]
+__all__ = ["RECORDING", "RECORDING_TOPIC", "REPEATED", "RecordingPort", "RecordingSettings"]
 
+
+@dataclass(frozen=True, slots=True)
+class RecordingSettings:
+    """What recorder and player of bags decide on that is no parameter. Times are wall time unless stated otherwise."""
+
+    status_period: float = 0.5
+    """Between two statuses of a recorder that writes [s]."""
+    n_missed: int = 4
+    """Statuses that do not come until a recorder counts as stopped."""
+    n_messages: int = 1000
+    """Messages of a topic that may wait for the disk: 1 s at 1 kHz."""
+    n_images: int = 60
+    """Depth images that may wait for the disk: 2 s at 30 Hz, 37 MB at 640 x 480."""
+    clock_period_ns: int = 10_000_000
+    """Between two messages on /clock of a bag that is played [ns], recorded time."""
+    longest_pause_ns: int = 3600 * 10**9
+    """A longer recorded time without any message is not waited for [ns]: a clock was set in the middle of it, or a stamp is wrong."""
+    n_ahead: int = 2
+    """Depth images under way to the node that processes them."""
+    image_timeout: float = 120.0
+    """Longest time for one image [s]; the first one compiles, on a loaded machine for half a minute."""
+    delivery_timeout: float = 120.0
+    """Longest wait for listeners to take the last messages [s]."""
+
+
+RECORDING: Final = RecordingSettings()
 RECORDING_TOPIC: Final = "recording"
 """diagnostic_msgs/DiagnosticStatus, latched: OK or WARN again and again while a bag is written, ERROR with the reason after a failure,
 STALE when no recording is requested any more."""

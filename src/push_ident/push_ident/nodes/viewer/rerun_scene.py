@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation, transform_points
 from push_ident.limits import plain_text
-from push_ident.nodes.convert.goal_markers import GoalDrawing
+from push_ident.nodes.convert.markers import GoalDrawing
 from push_ident.nodes.viewer.rerun_server import RerunServer
 from push_ident.nodes.viewer.settings import VIEWER
 from push_ident.types import CameraIntrinsics, Float64Array

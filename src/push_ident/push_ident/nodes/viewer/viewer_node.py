@@ -18,11 +18,11 @@ from visualization_msgs.msg import MarkerArray
 from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.se2 import transform_points
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
+from push_ident.nodes.base.arrivals import StampCheck
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter, Parameters
 from push_ident.nodes.base.run import run_node
-from push_ident.nodes.base.stamps import StampCheck
-from push_ident.nodes.convert.goal_markers import GoalDrawing, goal_markers_from_msg
+from push_ident.nodes.convert.markers import GoalDrawing, goal_markers_from_msg, refusals_from_msg
 from push_ident.nodes.convert.messages import (
     cylinder_radius_from_msg,
     depth_frame_from_msgs,
@@ -32,9 +32,7 @@ from push_ident.nodes.convert.messages import (
     stamp_from_msg,
     transform_from_msg,
 )
-from push_ident.nodes.convert.refusals import refusals_from_msg
-from push_ident.nodes.input.discovery import ObjectTopics
-from push_ident.nodes.input.tracked_objects import TrackedObjects
+from push_ident.nodes.input.objects import ObjectTopics, TrackedObjects
 from push_ident.nodes.viewer.rerun_scene import CellMap, RerunScene
 from push_ident.nodes.viewer.settings import VIEWER
 from push_ident.perception.frame.view import height_inside, points_in_table
@@ -136,7 +134,6 @@ class _Viewer(Component):
         self._node.create_timer(1.0 / self._settings["pose_rate"], self._draw_objects, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def health(self) -> Health:
-        """Where it is shown."""
         return Health(DiagnosticStatus.OK, f"shown in {self._where}", {"objects": ", ".join(self._objects.ids)})
 
     # ---- time

@@ -1,27 +1,98 @@
-"""Latest pose and shape of every tracked object."""
+"""Objects of a cell: found by their topics, their shapes, and the latest pose and shape of each."""
 
 from __future__ import annotations
 
+import re
 import time
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Final
 
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from std_msgs.msg import Float32MultiArray
 
 from push_ident.errors import PlanningError
 from push_ident.geometry.se2 import transform_points
+from push_ident.limits import LIMITS, plain_text
+from push_ident.nodes.base.arrivals import StampCheck
 from push_ident.nodes.base.cell_node import LATCHED, CellNode
-from push_ident.nodes.base.stamps import StampCheck
-from push_ident.nodes.convert.messages import planar_pose_from_msg
-from push_ident.nodes.input.discovery import ObjectTopics
-from push_ident.nodes.input.shapes import ShapeInput
+from push_ident.nodes.convert.messages import outline_from_msg, outline_std_from_msg, planar_pose_from_msg, shape_from_msgs
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["TrackedObjects"]
+__all__ = ["ObjectTopics", "ShapeInput", "TrackedObjects"]
+
+_POSE_TYPE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
+
+
+class ObjectTopics:
+    """Watches the ROS graph for `objects/<id>/pose` in the namespace of a node.
+
+    Polled each second of wall time, since the graph changes whether or not simulated time runs.
+    """
+
+    def __init__(self, node: Node, on_new_object: Callable[[str], None], *, callback_group: CallbackGroup | None = None) -> None:
+        """`on_new_object` is called once with the id of each object, as soon as its pose is published."""
+        self._node = node
+        self._on_new_object = on_new_object
+        self._pattern = re.compile(re.escape(node.resolve_topic_name("objects")) + r"/([^/]+)/pose")
+        self._ids: set[str] = set()
+        node.create_timer(1.0, self.poll, callback_group=callback_group, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.poll()
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Every object discovered so far, sorted."""
+        return tuple(sorted(self._ids))
+
+    def poll(self) -> None:
+        """Check now instead of at the next second."""
+        for topic, types in self._node.get_topic_names_and_types():
+            match = self._pattern.fullmatch(topic)
+            if match is None or _POSE_TYPE not in types or match[1] in self._ids or self._node.count_publishers(topic) == 0:
+                continue
+            if len(self._ids) >= LIMITS.OBJECTS.value or len(match[1]) > LIMITS.OBJECT_ID.value:
+                self._node.get_logger().warning(
+                    f"{plain_text(topic)} is ignored: more objects, or a longer name, than the suite takes", throttle_duration_sec=60.0
+                )
+                continue
+            self._ids.add(match[1])
+            self._on_new_object(match[1])
+
+
+class ShapeInput:
+    """Keeps the latest usable messages of each object: cells, outline and its deviations, which arrive in any order."""
+
+    def __init__(self) -> None:
+        self._parts: dict[str, dict[str, Any]] = {}
+
+    def add(
+        self,
+        object_id: str,
+        *,
+        cells: OccupancyGrid | None = None,
+        outline: PolygonStamped | None = None,
+        outline_std: Float32MultiArray | None = None,
+    ) -> ObjectShape | None:
+        """The shape of the object with a new message of any of its topics; None while there are no cells.
+
+        Raises InputError for a message that cannot be used, which then does not replace the one before.
+        """
+        parts = self._parts.setdefault(object_id, {})
+        for name, msg, check in (
+            ("cells", cells, shape_from_msgs),
+            ("outline", outline, outline_from_msg),
+            ("outline_std", outline_std, outline_std_from_msg),
+        ):
+            if msg is not None:
+                check(msg)
+                parts[name] = msg
+        return shape_from_msgs(**parts) if "cells" in parts else None
 
 
 class TrackedObjects:

@@ -1,8 +1,9 @@
-"""The goal or path that is pursued and the push under way, as markers for RViz, Foxglove and the viewer."""
+"""Markers for RViz, Foxglove and the viewer: what perception refused, and the goal or path that is pursued with the push under way."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -12,26 +13,94 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from push_ident.errors import InputError
-from push_ident.geometry.se2 import transform_points
+from push_ident.geometry.frames import TABLE_FRAME
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
-from push_ident.nodes.convert.marker import MARKERS, marker
-from push_ident.nodes.convert.messages import TABLE_FRAME
-from push_ident.planning.goal import Target
-from push_ident.planning.goal_ports import GoalProgress, GoalState
-from push_ident.planning.path_goal import PathGoal
-from push_ident.planning.path_steps import PathStep
-from push_ident.planning.planner import GoalPush
-from push_ident.pushing.push import PushPlan2D
+from push_ident.perception.refusals import Refusal
 from push_ident.types import Float64Array
 
-__all__ = ["GoalDrawing", "draw_goal", "goal_markers_from_msg", "goal_markers_to_msg"]
+__all__ = ["MARKERS", "GoalDrawing", "goal_markers_from_msg", "goal_markers_to_msg", "refusals_from_msg", "refusals_to_msg"]
 
+
+@dataclass(frozen=True, slots=True)
+class MarkerSettings:
+    """Sizes of what is drawn [m]."""
+
+    goal_line: float = 0.003
+    """Width of outlines and paths of a goal."""
+    refusal_line: float = 0.002
+    """Width of outlines of what perception refuses."""
+    letter: float = 0.015
+    """Height of text."""
+    cell: float = 0.004
+    """Thickness of the cells of an object above the table."""
+    n_path_points: int = 500
+    """Of a path at most: 1 mm apart on one of half a metre."""
+
+
+MARKERS: Final = MarkerSettings()
 _GOAL: Final = ColorRGBA(r=0.94, g=0.89, b=0.26, a=1.0)
 _PUSH: Final = ColorRGBA(r=0.80, g=0.47, b=0.65, a=1.0)
 _EDGE: Final = ColorRGBA(r=0.84, g=0.37, b=0.0, a=1.0)
+"""Of refusals, too."""
 _CORRIDOR: Final = ColorRGBA(r=0.55, g=0.55, b=0.55, a=1.0)
 _WITH_POINTS: Final = ("goal", "push", "expected", "edge", "path", "corridor")
 """Markers whose points are drawn."""
+
+
+def _marker(stamp: Time, name: str, kind: int, colour: ColorRGBA, number: int = 0) -> Marker:
+    """A marker in the frame `table`, to be added; `kind` is a type of visualization_msgs/Marker."""
+    msg = Marker(ns=name, id=number, type=kind, action=Marker.ADD, color=colour, header=Header(stamp=stamp, frame_id=TABLE_FRAME))
+    msg.pose.orientation.w = 1.0
+    return msg
+
+
+def _added(msg: MarkerArray, what: str) -> Iterator[Marker]:
+    """The markers that are added; raises InputError for too many, and for another frame."""
+    LIMITS.POINTS.check(sum(len(item.points) for item in msg.markers) + len(msg.markers), f"Markers of {what}")
+    for item in msg.markers:
+        if item.action != Marker.ADD:
+            continue
+        if item.header.frame_id != TABLE_FRAME:
+            raise InputError(f"A marker of {what} is in frame {plain_text(item.header.frame_id)}, expected {TABLE_FRAME}.")
+        yield item
+
+
+# ---- refusals
+
+
+def refusals_to_msg(refusals: Iterable[Refusal], stamp: Time) -> MarkerArray:
+    """Outline and reason of each; they replace the earlier ones."""
+    markers = [_marker(stamp, "refused", Marker.LINE_STRIP, _EDGE)]
+    markers[0].action = Marker.DELETEALL
+    for number, refusal in enumerate(refusals):
+        line = _marker(stamp, "refused", Marker.LINE_STRIP, _EDGE, number)
+        line.scale.x = MARKERS.refusal_line
+        line.points = [Point(x=float(x), y=float(y), z=float(refusal.height)) for x, y in [*refusal.outline, refusal.outline[0]]]
+        text = _marker(stamp, "refused_because", Marker.TEXT_VIEW_FACING, _EDGE, number)
+        text.scale.z, text.text = MARKERS.letter, refusal.why
+        text.pose.position.x, text.pose.position.y = (float(value) for value in refusal.outline.mean(axis=0))
+        text.pose.position.z = float(refusal.height + MARKERS.letter)
+        markers += [line, text]
+    return MarkerArray(markers=markers)
+
+
+def refusals_from_msg(msg: MarkerArray) -> list[tuple[Float64Array, str]]:
+    """Outline [m], shape (n, 3), table frame, and reason of each.
+
+    Raises InputError: another frame, too many, or coordinates that are not on a table.
+    """
+    lines: dict[int, Float64Array] = {}
+    words: dict[int, str] = {}
+    for item in _added(msg, "a refusal"):
+        if item.type == Marker.LINE_STRIP and len(item.points) > 1:
+            lines[item.id] = np.array([(point.x, point.y, point.z) for point in item.points])
+            check_coordinates(lines[item.id], "Outline of a refusal")
+        elif item.type == Marker.TEXT_VIEW_FACING:
+            words[item.id] = plain_text(item.text)
+    return [(line, words.get(number, "")) for number, line in lines.items()]
+
+
+# ---- goals
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,74 +125,6 @@ class GoalDrawing:
     """Of the object's origin, shape (n, 2); None where the goal is none."""
     corridor: Float64Array | None = None
     """Border of the strip that a steered tool does not leave, shape (n, 2); None for other pushes."""
-
-
-def draw_goal(progress: GoalProgress, outline: Float64Array) -> GoalDrawing | None:
-    """What is shown of a goal; None before it is known where the object shall be.
-
-    Args:
-        progress: towards the goal.
-        outline: of the object in its frame [m], shape (n_vertices, 2).
-    """
-    target, path = progress.target, progress.path
-    if target is None:
-        return None
-    at_goal, number = transform_points(target.goal.pose, outline), progress.pushes + 1
-    is_pushing = progress.state is GoalState.PUSH
-    if path is not None:
-        drawing = GoalDrawing(progress.object_id, at_goal, _path_text(path), path=path.at(_path_samples(path))[:, :2])
-        step = progress.step
-        return drawing if step is None or not is_pushing else _with_step(drawing, outline, path, step, progress.tool, number)
-    edge = None if target.hold is None else target.hold.edge.ends
-    drawing = GoalDrawing(progress.object_id, at_goal, _goal_text(target, at_goal), edge=edge)
-    plan = progress.plan
-    return drawing if plan is None or not is_pushing else _with_push(drawing, outline, target, plan, number)
-
-
-def _goal_text(target: Target, at_goal: Float64Array) -> str:
-    goal = target.goal
-    words = f"goal: within {1e3 * goal.position:.0f} mm and {np.degrees(goal.yaw):.1f}°"
-    if target.hold is None:
-        return words
-    return f"{words}, {1e3 * target.overhang(at_goal):.0f} mm over the edge, held by {1e3 * target.margin(goal.pose):.0f} mm"
-
-
-def _path_text(path: PathGoal) -> str:
-    tolerance = f"one tolerance is {1e3 * path.position:.0f} mm and {np.degrees(path.yaw):.1f}°"
-    return f"path: {1e3 * path.length:.0f} mm at {1e3 * path.speed:.0f} mm/s, {tolerance}"
-
-
-def _path_samples(path: PathGoal) -> Float64Array:
-    return np.linspace(0.0, path.length, min(len(path.poses), MARKERS.n_path_points))
-
-
-def _with_push(drawing: GoalDrawing, outline: Float64Array, target: Target, plan: GoalPush, number: int) -> GoalDrawing:
-    """Also push `number` to a pose, counted from 1."""
-    if plan.plan is None:
-        return drawing
-    chance = f"push {number}: {100 * plan.chance:.0f} % chance of the goal"
-    if target.hold is not None:
-        chance += f", {100 * plan.risk:.1f} % of being held by less than {1e3 * target.hold.margin:.0f} mm"
-    return replace(drawing, tool=_straight(plan.plan), end=transform_points(plan.end, outline), chance=chance)
-
-
-def _with_step(
-    drawing: GoalDrawing, outline: Float64Array, path: PathGoal, step: PathStep, corrected: Float64Array | None, number: int
-) -> GoalDrawing:
-    """Also push `number` along a path, with the tool as it was corrected last."""
-    if step.contact is None:
-        return drawing
-    end = transform_points(path.at(step.expected_done), outline)
-    chance = f"push {number}: expected to {100 * step.expected_done / path.length:.0f} % of the path"
-    steered = step.steered
-    if steered is None or steered.tool is None or steered.corridor is None:
-        return replace(drawing, tool=_straight(step.contact), end=end, chance=chance)
-    tool = steered.tool if corrected is None else corrected
-    return replace(drawing, tool=tool, end=end, chance=chance, corridor=steered.corridor.outline())
-
-
-def _straight(push: PushPlan2D) -> Float64Array:
-    return np.array([push.tool_at_contact, push.tool_end])
 
 
 def goal_markers_to_msg(drawing: GoalDrawing | None, stamp: Time) -> MarkerArray:
@@ -158,18 +159,12 @@ def goal_markers_to_msg(drawing: GoalDrawing | None, stamp: Time) -> MarkerArray
 def goal_markers_from_msg(msg: MarkerArray) -> GoalDrawing | None:
     """What is shown of a goal; None where no goal is pursued.
 
-    Raises:
-        InputError: another frame, too many points, coordinates that are not on a table, or no object id.
+    Raises InputError: another frame, too many points, coordinates that are not on a table, or no object id.
     """
-    LIMITS.POINTS.check(sum(len(item.points) for item in msg.markers) + len(msg.markers), "Goal markers")
     points: dict[str, Float64Array] = {}
     words: dict[str, str] = {}
     object_id = ""
-    for item in msg.markers:
-        if item.action != Marker.ADD:
-            continue
-        if item.header.frame_id != TABLE_FRAME:
-            raise InputError(f"A marker of the goal is in frame {plain_text(item.header.frame_id)}, expected {TABLE_FRAME}.")
+    for item in _added(msg, "the goal"):
         kind, _, name = item.ns.partition("/")
         object_id = check_object_id(name)
         points[kind] = np.array([(point.x, point.y) for point in item.points]).reshape(-1, 2)
@@ -193,7 +188,7 @@ def goal_markers_from_msg(msg: MarkerArray) -> GoalDrawing | None:
 
 
 def _line(stamp: Time, name: str, colour: ColorRGBA, points: Float64Array, width: float = MARKERS.goal_line) -> Marker:
-    line = marker(stamp, name, Marker.LINE_STRIP, colour)
+    line = _marker(stamp, name, Marker.LINE_STRIP, colour)
     line.scale.x = width
     line.points = [Point(x=float(x), y=float(y)) for x, y in points]
     return line
@@ -205,7 +200,7 @@ def _outline(stamp: Time, name: str, colour: ColorRGBA, corners: Float64Array) -
 
 def _text(stamp: Time, name: str, colour: ColorRGBA, corners: Float64Array, text: str) -> Marker:
     """Beside the upper edge of an outline."""
-    label = marker(stamp, name, Marker.TEXT_VIEW_FACING, colour)
+    label = _marker(stamp, name, Marker.TEXT_VIEW_FACING, colour)
     label.text, label.scale.z = text, MARKERS.letter
     label.pose.position.x, label.pose.position.y = float(corners[:, 0].max()) + MARKERS.letter, float(corners[:, 1].mean())
     return label
