@@ -52,7 +52,7 @@ def with_more_topics_than_can_be_read(folder: Path) -> None:
 
 
 @pytest.mark.fuzz
-@fuzzed(30, shrink=False)
+@fuzzed(25, shrink=False)
 @example(with_a_name_that_is_no_text)
 @example(with_more_topics_than_can_be_read)
 @given(st.deferred(lambda: bags(SOUND)))
@@ -78,7 +78,7 @@ def model(reader: ProcessPoolExecutor, tmp_path_factory: pytest.TempPathFactory)
 
 
 @pytest.mark.fuzz
-@fuzzed(10, shrink=False)
+@fuzzed(8, shrink=False)
 @given(st.deferred(lambda: bags(SOUND)), st.sampled_from(["identify", "diagnose", "predict"]))
 def test_any_bag_is_answered_or_refused_in_one_line(
     reader: ProcessPoolExecutor, model: Path, tmp_path_factory: pytest.TempPathFactory, write: Callable[[Path], None], command: str

@@ -104,5 +104,4 @@ def test_shells_can_complete_commands_and_options() -> None:
         program = "import sys; sys.argv[0] = 'push-ident'; from push_ident.cli.entry import main; main()"
         return subprocess.run([sys.executable, "-c", program], env=os.environ | asked, capture_output=True, text=True).stdout.split()
 
-    assert completed("push-ident", "push") == ["push", "push-to"]
     assert completed("push-ident", "import", "csv", "--rad") == ["--radius"]
