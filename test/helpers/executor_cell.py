@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, PolygonStamped, PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from nav_msgs.msg import OccupancyGrid
@@ -72,15 +71,8 @@ class Cell(Node):
         self.offset = np.zeros(7)
         self._n_ticks = 0
         self.silent = False
-        self.box_sticks = True
-        self.sees_box = True
         self.force = 1.0
-        self.feels = True
-        self.felt_at: Time | None = None
-        """Stamp of the wrench, where it is not the present."""
         self.pose_variance = 1e-6
-        self.lie: Callable[[JointState], None] = lambda state: None
-        """Changes a joint state before it is published."""
         self.fist = dict(FIST)
         self.box = np.array([0.0, 0.02, 0.3])
         self.commands: list[tuple[float, JointTrajectory]] = []
@@ -104,8 +96,6 @@ class Cell(Node):
         self._wrenches = self.create_publisher(WrenchStamped, "pusher/wrench", qos_profile_sensor_data)
         self._hand = self.create_publisher(HandStatus, "Robotiq3FGripper/InputRegisters", 10)
         self.recording = self.create_publisher(DiagnosticStatus, "recording", LATCHED)
-        self.recorded: list[DiagnosticStatus] = []
-        """What a recorder says."""
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_command, 10)
         for kind, topic, kept, qos in (
             (PoseStamped, "tool/pose", self.tool, 10),
@@ -113,7 +103,6 @@ class Cell(Node):
             (PushRecord, "push_record", self.records, 10),
             (SolidPrimitive, "pusher/shape", self.shapes, LATCHED),
             (DiagnosticArray, "/diagnostics", self.diagnostics, 10),
-            (DiagnosticStatus, "recording", self.recorded, LATCHED),
         ):
             self.create_subscription(kind, topic, kept.append, qos)
         self.create_timer(0.01, self._tick)
@@ -121,22 +110,16 @@ class Cell(Node):
 
     def reset(self) -> None:
         """As at the start: at home, all sensors alive, nothing recorded yet."""
-        self.silent, self.box_sticks, self.offset = False, True, np.zeros(7)
-        self.sees_box, self.feels, self.force, self.fist = True, True, 1.0, dict(FIST)
-        self.felt_at, self.pose_variance, self.lie = None, 1e-6, lambda state: None
+        self.silent, self.offset, self.force, self.fist, self.pose_variance = False, np.zeros(7), 1.0, dict(FIST), 1e-6
         self.box[:] = 0.0, 0.02, 0.3
         for kept in (self.commands, self.states, self.tool, self.pusher, self.records):
             kept.clear()
         if np.max(np.abs(self.q - PARKED)) > 1e-3:
-            self.place_arm(np.array(PARKED))
+            with self._lock:  # without a motion that would carry the box along
+                self.q = np.array(PARKED)
+                self._followed = Followed.hold(self.q)
+                self._tip = self.kinematics.forward(self.q)[:3, 3]
             time.sleep(1.2)  # an arm that jumped is believed after a second
-
-    def place_arm(self, q: np.ndarray) -> None:
-        """Joint positions [rad], shape (7,), without a motion that would carry the box along."""
-        with self._lock:
-            self.q = q
-            self._followed = Followed.hold(q)
-            self._tip = self.kinematics.forward(q)[:3, 3]
 
     @property
     def holds(self) -> list[tuple[float, JointTrajectory]]:
@@ -184,7 +167,7 @@ class Cell(Node):
         self.q = self._followed.sample(now)[0]
         self.states.append((now, self.q))
         before, self._tip = self._tip, self.kinematics.forward(self.q)[:3, 3]
-        if self.box_sticks and self._tip[2] < 0.05 and signed_distance(self._tip[None, :2], transform_points(self.box, BOX))[0] < RADIUS:
+        if self._tip[2] < 0.05 and signed_distance(self._tip[None, :2], transform_points(self.box, BOX))[0] < RADIUS:
             self._carry_box(self._tip[:2], self._tip[:2] - before[:2])
 
     def _carry_box(self, tip: np.ndarray, moved: np.ndarray) -> None:
@@ -196,16 +179,12 @@ class Cell(Node):
         if not self.silent:
             state = JointState(name=list(self.kinematics.joint_names), position=(self.q + self.offset).tolist())
             state.header.stamp = stamp
-            self.lie(state)
             self._states.publish(state)
-        if self.feels:
-            wrench = force_to_msg(stamp, np.array([0.6 * self.force, -0.8 * self.force]))
-            wrench.header.stamp = self.felt_at or stamp
-            self._wrenches.publish(wrench)
+        self._wrenches.publish(force_to_msg(stamp, np.array([0.6 * self.force, -0.8 * self.force])))
         self._n_ticks += 1
         if self._n_ticks % 10 == 0:
             self._hand.publish(HandStatus(**self.fist))
-        if self._n_ticks % 3 == 0 and self.sees_box:
+        if self._n_ticks % 3 == 0:
             self._poses.publish(planar_pose_to_msg(stamp, self.box, np.eye(3) * self.pose_variance))
 
 

@@ -13,6 +13,7 @@ from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.pushing.arm_clock import ArmClock
+from push_ident.pushing.arm_motion import JointLimits
 from push_ident.pushing.executed_push import ExecutedPush
 from push_ident.pushing.execution import PushExecution
 from push_ident.pushing.motion import MotionSettings
@@ -228,6 +229,26 @@ class Bench:
                 action(cell)
 
         self.cell.events.append(event)
+
+
+def largest_shares(followed: Followed, since: float, until: float, limits: JointLimits) -> tuple[float, float]:
+    """Of the limits of velocity and of acceleration, that an arm reaches on the cubics that it follows between two times [s]."""
+    t = followed.time
+    if len(t) < 2 or until <= since or followed.velocity is None:
+        return 0.0, 0.0
+    q, v, span = followed.position, followed.velocity, np.diff(t)[:, None]
+    cubic = 2.0 * (q[:-1] - q[1:]) / span**3 + (v[:-1] + v[1:]) / span**2
+    square = 3.0 * (q[1:] - q[:-1]) / span**2 - (2.0 * v[:-1] + v[1:]) / span
+    reached = (t[1:, None] > since) & (t[:-1, None] < until)
+    begin, end = (np.clip(time - t[:-1], 0.0, span[:, 0]) for time in (since, until))
+    velocity = acceleration = 0.0
+    for share in np.linspace(0.0, 1.0, 5):
+        x = (begin + share * (end - begin))[:, None]
+        speeds = np.abs(v[:-1] + 2.0 * square * x + 3.0 * cubic * x**2) / limits.velocity
+        changes = np.abs(2.0 * square + 6.0 * cubic * x) / limits.acceleration
+        velocity = max(velocity, float(np.max(np.where(reached, speeds, 0.0))))
+        acceleration = max(acceleration, float(np.max(np.where(reached, changes, 0.0))))
+    return velocity, acceleration
 
 
 def code_of(outcome: PushOutcome) -> int:

@@ -9,12 +9,14 @@ import numpy as np
 from system.faults.cell import IDENTIFICATION, Cell
 from system.faults.hold import ARM
 from system.faults.process import TRACEBACK
+from trajectory_msgs.msg import JointTrajectory
 
-from helpers.corrupted_states import shares_of_commands
+from helpers.memory_cell import largest_shares
 from push_ident.nodes.convert.messages import stamp_from_msg
 from push_ident.pushing.motion import MotionSettings, joint_limits
 from push_ident.types import Float64Array
 from push_ident_sim.cell.robot import HOME
+from push_ident_sim.cell.trajectory import JointTrajectory as Followed
 
 LIMITS = joint_limits(ARM, MotionSettings(home=HOME))
 """That the executor is given."""
@@ -57,9 +59,28 @@ def _commands(cell: Cell, stood_at: Float64Array | None) -> list[str]:
     # Without stamps (`stamp_commands`) an arm begins each command on receipt, a time that others do not know to a millisecond.
     if stood_at is None or not any(stamp_from_msg(msg.header.stamp) for msg in commands):
         return []
-    velocity, acceleration, _ = shares_of_commands(commands, stood_at, LIMITS)
+    velocity, acceleration = _shares(commands, stood_at)
     kept = max(velocity, acceleration) <= 1.0 + ROUNDING
     return [] if kept else [f"commands reach {velocity:.0%} of a limit of velocity and {acceleration:.0%} of one of acceleration"]
+
+
+def _shares(commands: list[JointTrajectory], start: Float64Array) -> tuple[float, float]:
+    """Of the limits, that an arm reaches which stands at `start` [rad] and follows commands from their stamps on."""
+    followed, last, shares = Followed.hold(start), 0.0, [(0.0, 0.0)]
+    for msg in commands:
+        order = [list(msg.joint_names).index(name) for name in LIMITS.names]
+        times = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in msg.points])
+        position, velocity = (np.array([getattr(p, name) for p in msg.points])[:, order] for name in ("positions", "velocities"))
+        now = stamp_from_msg(msg.header.stamp)
+        if not now and len(times) == 1:  # a hold starts on receipt, which varies
+            shares.append(largest_shares(followed, last, followed.time[-1], LIMITS))
+            followed = Followed.hold(position[0])  # the next command finds the arm there
+            continue
+        now = now or last
+        shares.append(largest_shares(followed, last, now, LIMITS))
+        followed, last = Followed(times, position, velocity).from_state(now, *followed.sample(now)), now
+    shares.append(largest_shares(followed, last, last + 100.0, LIMITS))
+    return max(v for v, _ in shares), max(a for _, a in shares)
 
 
 def _messages(cell: Cell) -> list[str]:
