@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from push_ident.identification.results.covariance import lower_root
+from push_ident.identification.results.posterior import lower_root
 
 
 @pytest.mark.parametrize("rank", [0, 2, 4])

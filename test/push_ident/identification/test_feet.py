@@ -18,8 +18,8 @@ from push_ident.identification.identify import identify
 from push_ident.identification.online.identifier import OnlineIdentifier, OnlineState
 from push_ident.identification.predicting.prediction import held_out_errors, push_errors
 from push_ident.identification.report.result_json import result_json
+from push_ident.identification.results.identifiability import supports
 from push_ident.identification.results.result import Identification
-from push_ident.identification.results.supports import supports
 from push_ident.identification.unknowns.load import Feet, balanced_load, feet_load
 from push_ident.identification.unknowns.mechanics import feet_at, foot_position_unknowns
 from push_ident.identification.unknowns.prior import Prior

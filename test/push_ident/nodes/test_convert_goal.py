@@ -25,9 +25,8 @@ from push_ident.nodes.goal_pushing.parameters import PARAMETERS, check_values
 from push_ident.nodes.input.table import table_of_corners
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
-from push_ident.planning.goal import Goal, GoalCode, Target
+from push_ident.planning.goal import EdgeHold, Goal, GoalCode, Target
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalState
-from push_ident.planning.hold import EdgeHold
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.planner import GoalPush, PlanStatus
 from push_ident.pushing.steering import PathRequest, ToolCorrection

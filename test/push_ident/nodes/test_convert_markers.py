@@ -15,9 +15,8 @@ from push_ident.nodes.goal_pushing.convert_goal import draw_goal
 from push_ident.perception.refusals import Reason, Refusal, summary_of
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.curved_planner import CurvedPush
-from push_ident.planning.goal import Goal, Target
+from push_ident.planning.goal import EdgeHold, Goal, Target
 from push_ident.planning.goal_ports import GoalProgress, GoalState
-from push_ident.planning.hold import EdgeHold
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathPush, PathStatus
 from push_ident.planning.path_steps import PathStep

@@ -83,7 +83,7 @@ def test_tool_without_unknowns_moves_as_if_fixed_to_the_object_on_its_path_and_w
     start, horizon = start_of(plan), Horizon.of(CIRCLE.speed, 0.08, np.array([-0.2, 0.0]))
     changed = np.zeros((1, 2, N_SEGMENTS, 2))
     changed[0, 1, 0] = 0.5, 0.3
-    fixed, turned = CurvedPushes(SETTINGS, CIRCLE).tool_paths(horizon, [start], changed)[0]
+    fixed, turned = CurvedPushes(SETTINGS, CIRCLE).roll(known(), horizon, [start], changed).tool[0]
     poses = CIRCLE.at(CIRCLE.speed * horizon.knots[2:])
     seen, beside = ([seen_from(pose, at) for pose, at in zip(poses, tool[2:], strict=True)] for tool in (fixed, turned))
     np.testing.assert_allclose(seen, np.broadcast_to(seen[0], (len(poses), 2)), atol=1e-9)
@@ -99,8 +99,8 @@ def test_tool_that_would_be_too_fast_keeps_its_headings_at_the_largest_speed() -
     start, horizon = start_of(plan), Horizon.of(fast.speed, 0.08, np.array([-0.1, 0.0]))
     wanted = np.zeros((1, 3, N_SEGMENTS, 2))
     wanted[0, 1, 0], wanted[0, 2, 0] = [0.9, 0.0], [-0.3, 0.0]
-    free = CurvedPushes(replace(SETTINGS, max_speed=10.0), fast).tool_paths(horizon, [start], wanted)[0]
-    held = CurvedPushes(SETTINGS, fast).tool_paths(horizon, [start], wanted)[0]
+    free = CurvedPushes(replace(SETTINGS, max_speed=10.0), fast).roll(known(), horizon, [start], wanted).tool[0]
+    held = CurvedPushes(SETTINGS, fast).roll(known(), horizon, [start], wanted).tool[0]
     np.testing.assert_array_equal(held[[0, 2]], free[[0, 2]])
     steps = [np.diff(path[1], axis=0)[1:] for path in (free, held)]
     speed = [np.linalg.norm(step, axis=1) / np.diff(horizon.knots)[1:] for step in steps]

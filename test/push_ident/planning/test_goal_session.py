@@ -15,7 +15,7 @@ from push_ident.identification.results.posterior import prior_posterior
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.curved_planner import CurvedPush
 from push_ident.planning.edge_goal import EdgeGoal
-from push_ident.planning.goal import Goal, GoalCode, GoalRefusedError, Target
+from push_ident.planning.goal import EdgeHold, Goal, GoalCode, GoalRefusedError, Target
 from push_ident.planning.goal_ports import (
     GoalOutcome,
     GoalProgress,
@@ -27,7 +27,6 @@ from push_ident.planning.goal_ports import (
     Wish,
 )
 from push_ident.planning.goal_session import GoalSession
-from push_ident.planning.hold import EdgeHold
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathPush, PathStatus
 from push_ident.planning.path_session import PathSession
@@ -158,7 +157,7 @@ class Cell:
         if self.plans:
             return Computed(self, self.plans.pop(0), self.time + 1.0)
         push = PushPlan2D(np.array([0.1 * len(failed), 0.0]), np.zeros(2), 0.0, 0.05, 0.1)
-        return Computed(self, GoalPush(PlanStatus.PUSH, 0.8, push, target.goal.pose, target.goal.pose[None], 1.3), self.time + 1.0)
+        return Computed(self, GoalPush(PlanStatus.PUSH, 0.8, push, target.goal.pose, target.goal.pose[None]), self.time + 1.0)
 
     def begin_push(self, object_id: str, push: PushPlan2D | int) -> Any:
         self.asked.append(push)

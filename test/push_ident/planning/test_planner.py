@@ -19,8 +19,7 @@ from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.planning.belief import Belief
 from push_ident.planning.goal import Goal
 from push_ident.planning.library import Library, path_of, strokes
-from push_ident.planning.planner import GoalPlanner, PlanStatus
-from push_ident.planning.refine import end_by_push, refine
+from push_ident.planning.planner import GoalPlanner, PlanStatus, end_by_push, refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectModel, ObjectShape
 from push_ident_sim.studies.common.objects import random_object

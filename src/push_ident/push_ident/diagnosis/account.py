@@ -32,7 +32,7 @@ from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.observing.observation import NoiseModel, Observation
 from push_ident.identification.predicting.next_push import CHATTER
-from push_ident.identification.results.covariance import lower_root
+from push_ident.identification.results.posterior import lower_root
 from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at
 from push_ident.physics.accuracy import choose_steps
 from push_ident.physics.effect_values import true_pose

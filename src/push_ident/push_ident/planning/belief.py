@@ -10,8 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from push_ident.identification.observing.observation import NoiseModel
-from push_ident.identification.results.covariance import square_root
-from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.results.posterior import ModelPosterior, square_root
 from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at, model_at
 from push_ident.physics.batch import BatchModel
 from push_ident.physics.effect import OnPusherPath, OnTable

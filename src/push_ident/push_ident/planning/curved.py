@@ -227,15 +227,11 @@ class CurvedPushes:
     def __init__(self, settings: PushSettings, path: PathGoal, corridor: Corridor | None = None) -> None:
         self._settings, self._path, self._corridor = settings, path, corridor
 
-    def tool_paths(self, horizon: Horizon, starts: Sequence[PushStart], unknowns: Float64Array) -> Float64Array:
-        """Axis of the tool at the knots [m], shape (n_starts, n_variants, n_knots, 2).
+    def roll(self, models: ModelBatch, horizon: Horizon, starts: Sequence[PushStart], unknowns: Float64Array) -> RolledPushes:
+        """Simulate pushes.
 
         `unknowns`: velocities along and across the path beside that of the path, in its speed, shape (n_starts, n_variants, N_SEGMENTS, 2).
         """
-        return self._tool(self._prepared(horizon, starts), unknowns)
-
-    def roll(self, models: ModelBatch, horizon: Horizon, starts: Sequence[PushStart], unknowns: Float64Array) -> RolledPushes:
-        """Simulate pushes; `unknowns` as in `tool_paths`."""
         return self._roll(models, self._prepared(horizon, starts), unknowns)
 
     def _prepared(self, horizon: Horizon, starts: Sequence[PushStart]) -> _Prepared:

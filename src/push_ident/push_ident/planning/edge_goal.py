@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -13,27 +12,9 @@ from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
 from push_ident.geometry.table import Table
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
-from push_ident.planning.goal import Goal, GoalCode, GoalRefusedError, Target
-from push_ident.planning.hold import RISK, EdgeHold
+from push_ident.planning.goal import RISK, EdgeHold, Goal, GoalCode, GoalRefusedError, Target
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
-
-
-@dataclass(frozen=True, slots=True)
-class PregraspOptions:
-    """Search of a pre-grasp pose."""
-
-    n_headings: int = 72
-    """Headings that are compared."""
-    n_models: int = 32
-    """Models that the margin is taken from."""
-    preferred_margin: float = 0.5
-    """Additional margin of the centre of mass where that is possible, as a share of the tolerance of position [1]."""
-    lever: float = 0.1
-    """Distance that a turn by one radian counts as, in the distance to a pose [m/rad]."""
-
-
-_OPTIONS: Final = PregraspOptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +87,20 @@ def held_target(goal: Goal, hold: EdgeHold, belief: Belief) -> Target:
     return Target(goal, hold, belief.shape.cells.centres, _centres(belief))
 
 
-def pregrasp(goal: EdgeGoal, belief: Belief, pose: Float64Array, settings: PushSettings) -> tuple[Goal, EdgeHold]:
+def pregrasp(
+    goal: EdgeGoal,
+    belief: Belief,
+    pose: Float64Array,
+    settings: PushSettings,
+    *,
+    n_headings: int = 72,
+    preferred_margin: float = 0.5,
+    lever: float = 0.1,
+) -> tuple[Goal, EdgeHold]:
     """The pre-grasp pose that is nearest to a pose, shape (3,), and what holds the object there.
+
+    Of `n_headings` headings one with an additional margin of the centre of mass is preferred, as a share of the tolerance of position [1].
+    In the distance to a pose, a turn by one radian counts as `lever` [m/rad].
 
     Raises:
         GoalRefusedError: the edge is not known, the workspace does not reach it, or the object would not be held there, as far as is known.
@@ -117,7 +110,7 @@ def pregrasp(goal: EdgeGoal, belief: Belief, pose: Float64Array, settings: PushS
             GoalCode.EDGE_UNKNOWN, "the table's edge is not known; give the edge with the goal, or the corners of the table to the node."
         )
     hold, shape = EdgeHold(goal.edge, goal.held, goal.limit), belief.shape
-    turns = np.array([goal.yaw]) if goal.yaw is not None else pose[2] + 2 * np.pi * np.arange(_OPTIONS.n_headings) / _OPTIONS.n_headings
+    turns = np.array([goal.yaw]) if goal.yaw is not None else pose[2] + 2 * np.pi * np.arange(n_headings) / n_headings
     poses = np.array([_at_edge(goal, goal.edge, shape.outline, pose, turn, settings) for turn in turns])
     inside = np.array([_is_within(goal.edge, settings, transform_points(one, shape.outline)) for one in poses])
     if not np.any(inside):
@@ -138,15 +131,15 @@ def pregrasp(goal: EdgeGoal, belief: Belief, pose: Float64Array, settings: PushS
             f"{1e3 * float(margins[:, best].std()):.0f} mm) inside its support, not surely the {1e3 * goal.held:.0f} mm of the goal; "
             "allow less overhang, or push the object a few times more so that its centre of mass is known better.",
         )
-    preferred = held & (mean >= goal.held + _OPTIONS.preferred_margin * goal.position)
-    far = np.linalg.norm(poses[:, :2] - pose[:2], axis=1) + _OPTIONS.lever * np.abs(wrap_angle(poses[:, 2] - pose[2]))
+    preferred = held & (mean >= goal.held + preferred_margin * goal.position)
+    far = np.linalg.norm(poses[:, :2] - pose[:2], axis=1) + lever * np.abs(wrap_angle(poses[:, 2] - pose[2]))
     best = int(np.argmin(np.where(preferred if np.any(preferred) else held, far, np.inf)))
     return Goal(poses[best], goal.position, goal.turn), hold
 
 
 def _centres(belief: Belief) -> Float64Array:
     """Centres of mass by models of the posterior, shape (n_models, 2), object frame."""
-    return np.array([model.body.centre for model in belief.models(_OPTIONS.n_models, np.random.default_rng(0))])
+    return np.array([model.body.centre for model in belief.models(32, np.random.default_rng(0))])
 
 
 def _at_edge(

@@ -10,7 +10,7 @@ import numpy as np
 from push_ident.errors import PlanningError
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, transform_points
-from push_ident.planning.hold import EdgeHold
+from push_ident.planning.goal import EdgeHold
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
 from push_ident.types import Float64Array, ObjectShape

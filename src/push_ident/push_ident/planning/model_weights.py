@@ -11,8 +11,7 @@ A stretch is simulated model by model during the frames of the next one: a frame
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -21,20 +20,6 @@ from push_ident.physics.batch import BatchClock, BatchModel, ModelBatch
 from push_ident.planning.curved import Face
 from push_ident.types import Float64Array, ObjectShape
 
-
-@dataclass(frozen=True, slots=True)
-class WeightOptions:
-    """Numbers of the weighing of models."""
-
-    stretch: float = 0.025
-    """Travel of the tool in a stretch [m]: long enough that models differ by more than the errors of the poses."""
-    step: float = 1.0 / 80.0
-    """Time step of the simulation [s]."""
-    max_distance2: float = 12.0
-    """Largest squared distance of a model in one stretch [1]: a wrong pose must not decide for good."""
-
-
-_OPTIONS: Final = WeightOptions()
 _STD: Final = np.array([1e-3, 1e-3, 8e-3])
 """Of the difference of two filtered poses from that of the right model [m, m, rad]."""
 
@@ -70,6 +55,13 @@ class ModelWeights:
         models: the most probable one, then others; equally likely at first.
         radius: of the tool [m].
     """
+
+    stretch: ClassVar[float] = 0.025
+    """Travel of the tool in a stretch [m]: long enough that models differ by more than the errors of the poses."""
+    step: ClassVar[float] = 1.0 / 80.0
+    """Time step of the simulation [s]."""
+    max_distance2: ClassVar[float] = 12.0
+    """Largest squared distance of a model in one stretch [1]: a wrong pose must not decide for good."""
 
     def __init__(self, shape: ObjectShape, models: Sequence[BatchModel], radius: float) -> None:
         self._models = ModelBatch(shape, models, radius)
@@ -108,12 +100,12 @@ class ModelWeights:
             self._tool.extend(tool[1:])
             self._n_frames += 1
             travel = float(np.sum(np.linalg.norm(np.diff(self._tool, axis=0), axis=1)))
-            if travel < _OPTIONS.stretch:
+            if travel < self.stretch:
                 return
             self.work(all_of_it=True)
             first, first_velocity, first_face = self._begun
             knots, models = np.array(self._time), touching(self._models, first_face)
-            clock = BatchClock.of(knots, knots[-1:], _OPTIONS.step)
+            clock = BatchClock.of(knots, knots[-1:], self.step)
             self._waiting = _Stretch(models, clock, np.array(self._tool)[None], first[None], first_velocity[None], pose, self._n_frames)
         self._time, self._tool, self._n_frames = [float(time[-1])], [np.array(tool[-1])], 0
         self._begun = pose, velocity, face
@@ -128,7 +120,7 @@ class ModelWeights:
         last = n if all_of_it else min(n, done + -(-n // max(stretch.n_frames - 1, 1)))
         ends = stretch.models.picked(range(done, last)).roll(stretch.clock, stretch.tool, stretch.first, stretch.velocity)[:, 0, 0]
         errors = np.column_stack([ends[:, :2] - stretch.end[:2], wrap_angle(ends[:, 2] - stretch.end[2])]) / _STD
-        self._squares.append(np.where(np.isfinite(errors).all(axis=1), np.sum(np.nan_to_num(errors) ** 2, axis=1), _OPTIONS.max_distance2))
+        self._squares.append(np.where(np.isfinite(errors).all(axis=1), np.sum(np.nan_to_num(errors) ** 2, axis=1), self.max_distance2))
         if last == n:
-            self.log_weight = self.log_weight - 0.5 * np.minimum(np.concatenate(self._squares), _OPTIONS.max_distance2)
+            self.log_weight = self.log_weight - 0.5 * np.minimum(np.concatenate(self._squares), self.max_distance2)
             self._waiting, self._squares = None, []

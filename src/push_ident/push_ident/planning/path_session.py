@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from push_ident.planning.goal import Goal, GoalCode, GoalRefusedError, Target
-from push_ident.planning.goal_ports import GoalProgress, GoalRequest, GoalState, PathPorts, PushReport, PushUnderWay, SessionLimits
+from push_ident.planning.goal_ports import GoalProgress, GoalRequest, GoalState, PathPorts, SessionLimits
 from push_ident.planning.goal_session import Ended, GoalSession
 from push_ident.planning.path_follower import FollowerOptions
 from push_ident.planning.path_goal import PathGoal, check_path
@@ -17,20 +17,6 @@ from push_ident.planning.path_steps import PathStep, may_steer_after
 from push_ident.planning.planner import PlanStatus
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode
-
-
-class _Watched:
-    """A push under way during which poses are observed."""
-
-    def __init__(self, push: PushUnderWay, look: Callable[[], None]) -> None:
-        self._push, self._look = push, look
-
-    def report(self) -> PushReport | None:
-        self._look()
-        return self._push.report()
-
-    def cancel(self) -> None:
-        self._push.cancel()
 
 
 class PathSession(GoalSession):
@@ -121,11 +107,11 @@ class PathSession(GoalSession):
                 self._look()
                 self.progress.tool = steered.tool
 
-            report = self._carry_out(_Watched(steered, look))
+            report = self._carry_out(steered, look)
             self._take_done(steered.done)
             self.progress.corrections += steered.n_corrections
         else:
-            report = self._carry_out(_Watched(self._ports.begin_push(observed.object_id, contact), self._look))
+            report = self._carry_out(self._ports.begin_push(observed.object_id, contact), self._look)
         if report.code is PushCode.NONE:
             self._failed.clear()
             self._refusals = 0

@@ -25,21 +25,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Final
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import SimulationSettings
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import held_target
 from push_ident.planning.feasible import Surroundings, is_possible
-from push_ident.planning.goal import CERTAIN, Goal
-from push_ident.planning.hold import EdgeHold
+from push_ident.planning.goal import CERTAIN, EdgeHold, Goal
 from push_ident.planning.library import Library, Strokes, moved, path_of, placed, simulated, strokes
-from push_ident.planning.refine import refine
 from push_ident.pushing.push import PushPlan2D, PushSettings
-from push_ident.types import Float64Array, ObjectShape
+from push_ident.types import Float64Array, ObjectShape, SolveStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +94,6 @@ class GoalPush:
     """Expected pose after the push, shape (3,), table frame."""
     ends: Float64Array = field(default_factory=lambda: np.empty((0, 3)))
     """Poses after it under models that may be true, shape (n_models, 3), table frame."""
-    expected_pushes: float = np.nan
-    """Pushes from now on, this one included."""
     risk: float = 0.0
     """Chance that the object is not held by the margin during the push [1]; 0 away from edges."""
 
@@ -229,7 +228,6 @@ class GoalPlanner:
             placed(group, number, pose, length, self._settings.speed_range[0]),
             ends[0, best],
             ends[:, best],
-            float(value[best]),
             float(risk[best]),
         )
 
@@ -351,3 +349,100 @@ class _EdgeRisk:
 def _probability_within_tolerance(error: Float64Array) -> Float64Array:
     """Smooth probability that an error [tolerances] is within 1: from 1 at no error to 0 at large ones, since the models are few."""
     return np.asarray(1.0 / (1.0 + np.nan_to_num(error, nan=np.inf) ** 4))
+
+
+_RANGE: Final = np.array([0.01, 0.3, 0.03])
+"""Largest change of contact [m], direction [rad] and length [m] in a step: the derivative holds on one side of a switch only."""
+_NUMERICS: Final = SimulationSettings(step=1.0 / 120.0, resolve_events=True)
+_ORIGIN: Final = np.zeros(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedStroke:
+    """A push that brings the mean model nearer to the goal."""
+
+    stroke: Strokes
+    """One."""
+    length: float
+    """Travel after contact [m]."""
+    motion: Float64Array
+    """Pose of the object after it in its frame before it, shape (3,)."""
+
+
+def refine(
+    belief: Belief,
+    stroke: Strokes,
+    length: float,
+    wanted: Goal,
+    settings: PushSettings,
+    pose: Float64Array = _ORIGIN,
+    *,
+    n_evaluations: int = 5,
+    damping: float = 0.5,
+) -> RefinedStroke | None:
+    """A stroke and a length [m] whose motion is nearer to the wanted one; None where the push cannot be improved.
+
+    The rollout gives the derivative of the end by the first pose. To move the path of the pusher by a small motion is to move the object by
+    the inverse one and then everything by that motion, so the same derivative tells what another contact and another direction do; the
+    velocity at the end tells what another length does. Three numbers of the push for three of the pose: Gauss-Newton.
+
+    Args:
+        belief: about the object.
+        stroke: one.
+        length: travel after contact [m]; at least 3 mm.
+        wanted: motion, in the frame of the object before it.
+        settings: limits of pushes.
+        pose: of the object before it, table frame of the arm, shape (3,).
+        n_evaluations: simulations with their derivative.
+        damping: weight of a change of the push by its whole range, in tolerances [1]: changes that hardly move the end are not made.
+    """
+    best: RefinedStroke | None = None
+    first = least = np.inf
+    step = np.zeros(3)
+    for _ in range(n_evaluations):
+        origin = best or RefinedStroke(stroke, length, np.zeros(3))
+        tried = origin.stroke.changed(float(step[0]), float(step[1]))
+        longer = float(np.clip(origin.length + step[2], 0.003, settings.max_distance))
+        end, by_push = end_by_push(belief, tried, longer, settings, pose)
+        if end is None or by_push is None:
+            break
+        residual = np.append((end - wanted.pose)[:2], wrap_angle(end[2] - wanted.pose[2])) / wanted.tolerance
+        cost = float(residual @ residual)
+        first = min(first, cost) if best is None else first
+        if cost >= least:
+            step *= 0.3  # a shorter step from the best push so far
+            continue
+        best, least = RefinedStroke(tried, longer, end), cost
+        scaled = by_push / wanted.tolerance[:, None] * _RANGE
+        step = _RANGE * np.clip(-np.linalg.solve(scaled.T @ scaled + damping**2 * np.eye(3), scaled.T @ residual), -1.0, 1.0)
+    return best if least < first else None
+
+
+def end_by_push(
+    belief: Belief, stroke: Strokes, length: float, settings: PushSettings, pose: Float64Array = _ORIGIN
+) -> tuple[Float64Array | None, Float64Array | None]:
+    """Pose after a push in the frame of the object before it, shape (3,), and its derivative by contact, direction and length, (3, 3).
+
+    Where a turn of everything changes the motion, the derivative leaves that out.
+    """
+    tool, heading = stroke.tool[0], stroke.heading()[0]
+    path = path_of(tool, heading, length, settings.speed_range[0], settings)
+    # The motion at the end is averaged over some travel: an object that has been hit runs ahead of the pusher for a moment.
+    window = 0.003
+    just_before = float(path.time[-1]) - window / settings.speed_range[0]
+    first = pose if belief.depends_on_pose else _ORIGIN
+    scenario = PushScenario(moved(first, path), first, np.array([just_before, path.time[-1]]))
+    law = belief.numerics
+    numerics = replace(_NUMERICS, smoothing_speed=law.smoothing_speed, quasi_static=law.quasi_static)
+    motion = belief.mean.simulate(scenario, settings=numerics, jacobian=True)
+    if motion.status is not SolveStatus.CONVERGED:
+        return None, None
+    before, end = compose(inverse(first), motion.pose)
+    axes = np.eye(3)
+    axes[:2, :2] = rotation(float(first[2]))
+    by_first = axes.T @ motion.jacobian[-1, :, :3] @ axes
+    tangent = stroke.tangent[0]
+    moves = np.array([[tangent[0], tangent[1], 0.0], [tool[1], -tool[0], 1.0]])
+    columns = [move + move[2] * np.array([-end[1], end[0], 0.0]) - by_first @ move for move in moves]
+    by_length = (end - before) / window
+    return end, np.column_stack([*columns, by_length])

@@ -12,8 +12,7 @@ import numpy as np
 from push_ident.geometry.se2 import transform_points
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal, pregrasp
-from push_ident.planning.goal import Goal, GoalCode, GoalRefusedError
-from push_ident.planning.hold import EdgeHold
+from push_ident.planning.goal import EdgeHold, Goal, GoalCode, GoalRefusedError
 from push_ident.planning.planner import PlanStatus
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array

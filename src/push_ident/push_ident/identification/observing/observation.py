@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from push_ident.geometry.outline import signed_distance
 from push_ident.physics.effect_values import EffectValues, force_times, measured_forces
 from push_ident.physics.simulation import Motion
-from push_ident.types import BoolArray, Float64Array, ObjectShape, PoseTrack, PushRecord, WrenchTrack
+from push_ident.types import BoolArray, Float64Array, ObjectShape, PoseTrack, PushRecord
 
 UNCHECKED = 2.0
 """Factor on the stated standard deviation of a pose that nothing checks, where the pushes do not set it [-]."""
@@ -377,9 +377,12 @@ def observe_forces(
     measured = (count > 0) & ~_leans(record, edges)
     sums = np.column_stack([np.bincount(window, weights=wrench.force[:, axis], minlength=n) for axis in (0, 1)])
     force = sums / np.maximum(count, 1)[:, None]
-    sensor = np.hypot(_sensor_noise(wrench) / np.sqrt(np.maximum(count, 1)), noise.floor_force)
+    # Of a sample about its neighbours, from the median: robust against the jumps of a contact.
+    sample_std = float(np.median(np.abs(np.diff(wrench.force, axis=0))) / (0.6745 * np.sqrt(2.0)))
+    sensor = np.hypot(sample_std / np.sqrt(np.maximum(count, 1)), noise.floor_force)
     discrepancy = noise.force_discrepancy * np.linalg.norm(force, axis=1) * np.sqrt(max(1.0, n / _SHARING))
-    rise = min(1.0, noise.force_rise / (edges[1] - edges[0])) * _jumps(force)
+    jump = np.r_[0.0, np.linalg.norm(np.diff(force, axis=0), axis=1), 0.0]  # from each window to its neighbours
+    rise = min(1.0, noise.force_rise / (edges[1] - edges[0])) * np.maximum(jump[:-1], jump[1:])
     std = np.sqrt(sensor**2 + discrepancy**2 + rise**2)
     return ForceObservation(edges, force, np.where(measured, std, np.inf))
 
@@ -396,14 +399,3 @@ def _leans(record: PushRecord, edges: Float64Array) -> BoolArray:
     stands = np.searchsorted(standing, edges[1:], side="right") > np.searchsorted(standing, edges[:-1], side="left")
     nearest = np.minimum(*(np.interp(side, pusher.time, gap) for side in (edges[:-1], edges[1:])))
     return np.asarray(stands & (nearest < near) & (edges[:-1] > arrived[0]))
-
-
-def _jumps(force: Float64Array) -> Float64Array:
-    """Largest difference of each window to its neighbours [N], shape (n,), of forces of shape (n, 2)."""
-    jump = np.r_[0.0, np.linalg.norm(np.diff(force, axis=0), axis=1), 0.0]
-    return np.asarray(np.maximum(jump[:-1], jump[1:]))
-
-
-def _sensor_noise(wrench: WrenchTrack) -> float:
-    """Standard deviation of a sample about its neighbours [N], from the median, robust against the jumps of a contact."""
-    return float(np.median(np.abs(np.diff(wrench.force, axis=0))) / (0.6745 * np.sqrt(2.0)))

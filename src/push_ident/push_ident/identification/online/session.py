@@ -141,7 +141,9 @@ class ObjectSession:
             fresh = OnlineIdentifier.new(shape, self.options.prior)
             self.online = self._identifier(OnlineIdentifier.with_effects(fresh, state.known) if state.known else fresh)
             return False
-        if (before.outline_std is None) != (shape.outline_std is None) or state.past is not None or _is_equal(before, shape):
+        if (before.outline_std is None) != (shape.outline_std is None) or state.past is not None:
+            return False
+        if all(np.array_equal(getattr(before, name), getattr(shape, name)) for name in ("outline", "outline_std")):
             return False
         self.online.refine(replace(shape, cells=before.cells))
         self.save()
@@ -321,12 +323,6 @@ class ObjectSession:
             max_seconds=options.max_seconds,
             frame_seconds=options.frame_seconds,
         )
-
-
-def _is_equal(one: ObjectShape, other: ObjectShape) -> bool:
-    """Whether two shapes with the same cells have the same outline and deviations."""
-    pairs = ((one.outline, other.outline), (one.outline_std, other.outline_std))
-    return all(a is b or (a is not None and b is not None and np.array_equal(a, b)) for a, b in pairs)
 
 
 def _key(record: PushRecord) -> _Key:

@@ -28,8 +28,7 @@ from push_ident.errors import InputError, PlanningError, PushIdentError
 from push_ident.geometry.cells import cell_displacement
 from push_ident.identification.fitting.problem import RunAll
 from push_ident.identification.observing.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.results.covariance import lower_root, square_root
-from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.results.posterior import ModelPosterior, lower_root, square_root
 from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at
 from push_ident.pages.tables import html_table
 from push_ident.physics.scenario import PushScenario

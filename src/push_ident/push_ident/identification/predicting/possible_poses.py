@@ -213,7 +213,9 @@ def _why_no_excursions(steps: _Steps, record: PushRecord, runs: list[NDArray[np.
     # Where most poses are left out, of the push or of a rest, nothing says which of them show the object.
     certain = np.flatnonzero(steps.certain)
     # The contact is that of the object as it is seen first, or as it is kept: what was never touched has none.
-    before = min((rest_frames(replace(record, poses=_held(record.poses, frame)))[0] for frame in (certain[0], frames[0])), key=len)
+    poses = record.poses
+    held = [replace(poses, pose=np.broadcast_to(poses.pose[frame], poses.pose.shape)) for frame in (certain[0], frames[0])]
+    before = min((rest_frames(replace(record, poses=track))[0] for track in held), key=len)
     for part, text in (
         (certain, "most poses of the push contradict the others"),
         (np.intersect1d(certain, before) if certain[0] < frames[0] else frames, "most poses before the contact contradict what follows"),
@@ -239,8 +241,3 @@ def _without_others(steps: _Steps, record: PushRecord, kept: NDArray[np.intp]) -
         f"the first {steps.text(*step)}."
     )
     return CheckedPoses(replace(record, poses=track), n_left_out=len(impossible), note=note)
-
-
-def _held(poses: PoseTrack, frame: int) -> PoseTrack:
-    """The same track with one pose throughout."""
-    return replace(poses, pose=np.broadcast_to(poses.pose[frame], poses.pose.shape))

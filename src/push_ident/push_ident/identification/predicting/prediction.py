@@ -12,8 +12,7 @@ from push_ident.geometry.cells import cell_displacement, cell_error, cell_error_
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.fitting.problem import unknowns_of_push
 from push_ident.identification.observing.observation import NoiseModel, Observation, observe_push
-from push_ident.identification.results.covariance import square_root
-from push_ident.identification.results.posterior import ModelPosterior
+from push_ident.identification.results.posterior import ModelPosterior, square_root
 from push_ident.identification.results.result import Identification
 from push_ident.identification.unknowns.mechanics import mechanics_at
 from push_ident.physics.accuracy import choose_steps

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from push_ident.identification.predicting.prediction import PushErrors
-from push_ident.identification.results.identifiability import Identifiability, identifiability
+from push_ident.identification.results.identifiability import Identifiability, Support, identifiability, supports
 from push_ident.identification.results.result import Candidate, Identification
-from push_ident.identification.results.supports import Support, supports
 
 
 def result_json(result: Identification, object_id: str, train: PushErrors, test: PushErrors, notes: Sequence[str] = ()) -> dict[str, Any]:

@@ -198,7 +198,9 @@ def _evidence(mechanics: Mechanics, record: PushRecord, settings: SimulationSett
     scenario = PushScenario(record.pusher, true_pose(mechanics.effects, first), poses.time[-1:], record.order)
     motion = mechanics.simulate(scenario, settings=settings)
     error = np.inf if motion.status is SolveStatus.SIMULATION_FAILED else cell_error(cells, motion.pose[-1], last)
-    noise = _noise(record)
+    covariance = np.median(poses.covariance, axis=0)
+    arm2 = float(np.mean(np.sum(cells.centres**2, axis=1)))
+    noise = float(np.sqrt(2.0 * (covariance[0, 0] + covariance[1, 1] + arm2 * covariance[2, 2])))
     # An object that is hidden at the end of a push is last observed while it moves: compared is where the pusher was then.
     end_time, pusher = float(np.median(poses.time[end])), record.pusher
     tip = np.array([[np.interp(end_time, pusher.time, pusher.position[:, axis]) for axis in (0, 1)]])
@@ -209,13 +211,6 @@ def _evidence(mechanics: Mechanics, record: PushRecord, settings: SimulationSett
         overlap=pusher.radius - _distance(record, tip, last)[0],
         remote_motion=_remote_motion(record, first, _near_distance(noise)),
     )
-
-
-def _noise(record: PushRecord) -> float:
-    """Standard deviation of a cell error between two frames [m]."""
-    covariance = np.median(record.poses.covariance, axis=0)
-    arm2 = float(np.mean(np.sum(record.shape.cells.centres**2, axis=1)))
-    return float(np.sqrt(2.0 * (covariance[0, 0] + covariance[1, 1] + arm2 * covariance[2, 2])))
 
 
 def _remote_motion(record: PushRecord, first: Float64Array, near: float) -> float:

@@ -12,8 +12,8 @@ from enum import Enum
 
 import numpy as np
 
-from push_ident.identification.results.posterior import ModelPosterior
-from push_ident.identification.unknowns.mechanics import log_derivatives_at
+from push_ident.identification.results.posterior import ModelPosterior, lower_root
+from push_ident.identification.unknowns.mechanics import feet_at, log_derivatives_at
 from push_ident.physics.simulation import GRAVITY
 from push_ident.physics.tape import Param
 from push_ident.types import Float64Array
@@ -139,3 +139,35 @@ def _scale(quantity: Quantity) -> tuple[float, int, str]:
     if quantity.unit == "m":
         return 1e3, 1, " mm"
     return 1.0, 3, f" {quantity.unit}" if quantity.unit else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Support:
+    """One foot."""
+
+    position: Float64Array
+    """Object frame [m], shape (2,)."""
+    position_std: Float64Array
+    """[m], shape (2,)."""
+    share: float
+    """Of the weight [-]."""
+    share_std: float
+
+
+def supports(posterior: ModelPosterior, n_draws: int = 200) -> tuple[Support, ...]:
+    """The feet of an object, the one with the largest share first; none where it stands on its whole base.
+
+    The standard deviations are those about this arrangement; another one may explain the same pushes as well. They are known to 5 % with
+    200 drawn models.
+    """
+    unknowns = posterior.unknowns
+    if not unknowns.prior.feet:
+        return ()
+    mean = feet_at(unknowns, posterior.z)
+    root = lower_root(posterior.covariance)
+    draws = np.random.default_rng(0).normal(size=(n_draws, unknowns.size)) @ root.T
+    drawn = [feet_at(unknowns, posterior.z + step) for step in draws]
+    position_std = np.std([feet.position for feet in drawn], axis=0)
+    share_std = np.std([feet.share for feet in drawn], axis=0)
+    order = np.argsort(-mean.share)
+    return tuple(Support(mean.position[k], position_std[k], float(mean.share[k]), float(share_std[k])) for k in order)

@@ -38,10 +38,6 @@ class Quadratic:
             raise InputError("The covariance of the model is singular, expected a positive definite one; identify again.") from None
         return cls(mean, -mean, np.linalg.inv(covariance) - np.eye(len(mean)))
 
-    def scaled(self, unit: Float64Array) -> Quadratic:
-        """The same cost of y with z = unit * y, shape (n,)."""
-        return Quadratic(self.point / unit, unit * self.gradient, self.hessian * np.outer(unit, unit))
-
     def transformed(self, matrix: Float64Array) -> Quadratic:
         """The same cost of y with z = matrix @ y, up to the cost at zero, shape (n, m)."""
         zero = np.zeros(len(self.point))
