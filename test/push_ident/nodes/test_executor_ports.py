@@ -30,9 +30,7 @@ from push_ident.errors import InputError
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.messages import force_to_msg
-from push_ident.nodes.push_executor.arm_lease import ArmLease
-from push_ident.nodes.push_executor.arm_port import ArmPort
-from push_ident.nodes.push_executor.force_port import ForcePort
+from push_ident.nodes.push_executor.arm_port import ArmLease, ArmPort, ForcePort
 from push_ident.nodes.push_executor.hand_port import RobotiqHand
 from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
 from push_ident.nodes.recording import recording_port
@@ -218,7 +216,7 @@ def test_simulated_hand_is_activated_and_closed_to_a_fist(executor: SingleThread
 
 
 HOLD = """
-from push_ident.nodes.push_executor.arm_lease import ArmLease
+from push_ident.nodes.push_executor.arm_port import ArmLease
 lease = ArmLease(7, "/arm")
 print("held", flush=True)
 input()

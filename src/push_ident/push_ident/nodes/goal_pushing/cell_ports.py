@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from geometry_msgs.msg import Point
@@ -17,12 +17,12 @@ from rclpy.callback_groups import CallbackGroup
 from push_ident.errors import PlanningError
 from push_ident.geometry.frames import TABLE_FRAME
 from push_ident.identification.results.known_effects import effects_text
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.convert.model import posterior_from_msg
 from push_ident.nodes.convert.tool_path import path_goal
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink, RequestedPush
 from push_ident.nodes.goal_pushing.parameters import GOAL_PUSHING
-from push_ident.nodes.goal_pushing.planners import Planners, WorkUnderWay
 from push_ident.nodes.input.objects import ObjectTopics, TrackedObjects
 from push_ident.nodes.input.table import TableInput
 from push_ident.physics.overhang import TableEdge
@@ -39,11 +39,83 @@ from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.steering import PathRequest, ToolCorrection
 from push_ident.pushing.tool_path import ToolPath
-from push_ident.types import Float64Array
+from push_ident.types import Float64Array, ObjectShape
 from push_ident_msgs.action import ExecutePush
-from push_ident_msgs.msg import ModelPosterior
+from push_ident_msgs.msg import ModelPosterior as ModelPosteriorMsg
 
-__all__ = ["CellPorts", "CellView", "ModelInput", "SteeredPush", "WishOfClient"]
+__all__ = ["CellPorts", "CellView", "ModelInput", "Planners", "SteeredPush", "WishOfClient", "WorkUnderWay"]
+
+K = TypeVar("K")
+P = TypeVar("P")
+T = TypeVar("T")
+
+
+class WorkUnderWay(Generic[T]):
+    """`planning.goal_ports.UnderWay` in a thread. A result that is not awaited any more is dropped."""
+
+    def __init__(self, work: Callable[[], T]) -> None:
+        self._work = work
+        self._done = threading.Event()
+        self._result: T | None = None
+        self._error: Exception | None = None
+        threading.Thread(target=self._run, name="plan", daemon=True).start()
+
+    def result(self) -> T | None:
+        """As `UnderWay`."""
+        if not self._done.is_set():
+            return None
+        if self._error is not None:
+            raise self._error
+        return self._result
+
+    def _run(self) -> None:
+        try:
+            self._result = self._work()
+        except Exception as error:
+            self._error = error
+        finally:
+            self._done.set()
+
+
+class Planners(Generic[K, P]):
+    """Belief and planner of each object, which keeps what it has simulated; another planner for another outline or another key.
+
+    One plan at a time.
+    """
+
+    def __init__(self, n_kept: int, make: Callable[[ObjectShape, K], P]) -> None:
+        self._n_kept, self._make = n_kept, make
+        self._known: dict[str, tuple[Belief, K, P]] = {}
+        self._one_at_a_time = threading.Lock()
+
+    def prepare(self, work: Callable[[], object]) -> None:
+        """Begin with something that plans wait for."""
+
+        def prepared() -> None:
+            with self._one_at_a_time:
+                work()
+
+        threading.Thread(target=prepared, name="compile", daemon=True).start()
+
+    def begin(self, object_id: str, posterior: ModelPosterior, key: K, plan: Callable[[Belief, P], T]) -> WorkUnderWay[T]:
+        """Begin to `plan` for an object."""
+
+        def work() -> T:
+            with self._one_at_a_time:
+                return plan(*self._get(object_id, posterior, key))
+
+        return WorkUnderWay(work)
+
+    def _get(self, object_id: str, posterior: ModelPosterior, key: K) -> tuple[Belief, P]:
+        known, shape = self._known.pop(object_id, None), posterior.unknowns.shape
+        if known is None or known[1] != key or not np.array_equal(known[0].shape.outline, shape.outline):
+            known = (Belief.of(posterior), key, self._make(shape, key))
+        elif known[0].posterior is not posterior:
+            known = (Belief.of(posterior), key, known[2])
+        self._known[object_id] = known
+        while len(self._known) > self._n_kept:
+            del self._known[next(iter(self._known))]
+        return known[0], known[2]
 
 
 class WishOfClient:
@@ -96,10 +168,10 @@ class ModelInput:
 
     def _subscribe(self, object_id: str) -> None:
         self._node.create_subscription(
-            ModelPosterior, f"objects/{object_id}/model", partial(self._on_model, object_id), LATCHED, callback_group=self._group
+            ModelPosteriorMsg, f"objects/{object_id}/model", partial(self._on_model, object_id), LATCHED, callback_group=self._group
         )
 
-    def _on_model(self, object_id: str, msg: ModelPosterior) -> None:
+    def _on_model(self, object_id: str, msg: ModelPosteriorMsg) -> None:
         stamp, posterior = posterior_from_msg(msg)
         self._effects[object_id] = effects_text(posterior)
         self._models[object_id] = KnownModel(posterior, stamp, int(msg.n_pushes), bool(msg.is_known))

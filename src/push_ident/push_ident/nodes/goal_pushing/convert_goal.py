@@ -114,7 +114,7 @@ def planar_pose_msg(pose: Float64Array) -> Pose:
     msg = Pose()
     msg.position.x, msg.position.y = float(pose[0]), float(pose[1])
     turn = [math.nan] * 4 if math.isnan(pose[2]) else quaternion_of_yaw(pose[2])
-    msg.orientation.x, msg.orientation.y, msg.orientation.z, msg.orientation.w = (float(value) for value in turn)
+    msg.orientation.x, msg.orientation.y, msg.orientation.z, msg.orientation.w = map(float, turn)
     return msg
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from push_ident.diagnosis.usable_effects import UsableEffects
+from push_ident.diagnosis.usable_effects import UsableEffects, usable_effects_of_file, usable_effects_of_text
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.online.session import ObjectSession, SessionOptions
 from push_ident.identification.predicting.possible_poses import ImpossiblePosesError, check_poses
@@ -23,13 +25,13 @@ from push_ident.identification.results.known_effects import effects_text
 from push_ident.identification.results.model_file import load_model, save_model
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS
 from push_ident.identification.unknowns.prior import Prior
-from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.limits import plain_text
+from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.paths import file_to_read, file_to_write
 from push_ident.nodes.base.run import run_node, settle_memory
-from push_ident.nodes.convert.messages import planar_pose_of, position_from_msg
+from push_ident.nodes.convert.messages import planar_pose_of, position_from_msg, stamp_from_msg
 from push_ident.nodes.convert.model import pusher_path_from_msg
-from push_ident.nodes.identification.effects_input import USE_DIAGNOSIS, EffectsInput
 from push_ident.nodes.identification.output import ObjectOutput
 from push_ident.nodes.identification.work import Kind, LatestJobs, WorkQueue
 from push_ident.nodes.input.push_collector import PushCollector
@@ -38,6 +40,7 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import compile_kernels
 from push_ident.pushing.push import PushSettings
 from push_ident.types import ObjectShape, PushRecord
+from push_ident_msgs.msg import GapReport
 from push_ident_msgs.srv import LoadModel, PredictPush, SaveModel
 
 __all__ = ["PARAMETERS", "IdentificationNode", "main"]
@@ -65,7 +68,11 @@ PARAMETERS: Final = (
     Parameter("prediction_period", 0.2, "Time between two predictions of the push under way [s]; 0: none", 0.0, 10.0),
     Parameter("prediction_horizon", 0.5, "How far ahead the push under way is predicted [s]", 0.05, 10.0),
     CORNERS,
-    USE_DIAGNOSIS,
+    Parameter(
+        "use_diagnosis",
+        True,
+        "Whether effects that gap_diagnosis_node names with enough probability join the model of the object, with their values",
+    ),
     Parameter("suggest_candidates", 24, "Pushes to choose the next one from; 0: suggest none", 0, 500),
     Parameter("state_directory", "", "Where the state of each object is kept through restarts; empty: nowhere", read_only=True),
 )
@@ -142,7 +149,8 @@ class _Identification(Component):
         node.create_service(PredictPush, "predict_push", self._predict_push)
         node.create_service(SaveModel, "save_model", self._save_model)
         node.create_service(LoadModel, "load_model", self._load_model)
-        EffectsInput(node, self._on_effects, self._use_effects)
+        node.create_subscription(GapReport, "gap_report", self._on_report, LATCHED)
+        node.create_service(LoadModel, "load_diagnosis", self._load_diagnosis)
         self._worker.start()
 
     def pause(self) -> None:
@@ -176,9 +184,7 @@ class _Identification(Component):
                 known.refine_shape(shape)
             self._publish_model(known, 0.0)
         else:
-            with self._wake:
-                self._queue.put(Kind.OUTLINE, partial(self._refine, object_id, shape), instead_of=object_id)
-                self._wake.notify()
+            self._enqueue(Kind.OUTLINE, partial(self._refine, object_id, shape), instead_of=object_id)
 
     def _new_session(self, session: ObjectSession) -> ObjectSession:
         if session.restored:
@@ -194,18 +200,22 @@ class _Identification(Component):
             self._frames.setdefault(object_id, time.monotonic())
             self._wake.notify()
 
-    def _on_effects(self, object_id: str, usable: UsableEffects, stamp: float) -> None:
-        """After the pushes that wait: a diagnosis may be of them."""
+    def _on_report(self, msg: GapReport) -> None:
+        """Use the effects of a diagnosis after the pushes that wait: it may be of them."""
+        if not self._settings["use_diagnosis"]:
+            return
+        if not msg.object_id:
+            raise InputError("The report names no object; its `object_id` is empty.")
+        usable = usable_effects_of_text(msg.json, f"gap_report of `{plain_text(msg.object_id)}`")
+        stamp = stamp_from_msg(msg.header.stamp)
 
         def use() -> None:
             try:
-                self._use_effects(object_id, usable, stamp)
+                self._use_effects(msg.object_id, usable, stamp)
             except PushIdentError as error:
                 self._collector.refuse("diagnoses", "gap_report", str(error))
 
-        with self._wake:
-            self._queue.put(Kind.EFFECTS, use, instead_of=object_id)
-            self._wake.notify()
+        self._enqueue(Kind.EFFECTS, use, instead_of=msg.object_id)
 
     def _on_pushes(self, pushes: list[list[PushRecord]]) -> None:
         with self._wake:
@@ -214,8 +224,11 @@ class _Identification(Component):
             self._wake.notify()
 
     def _on_left_out(self) -> None:
+        self._enqueue(Kind.PUSH, self._drop_updates)
+
+    def _enqueue(self, kind: Kind, work: Callable[[], None], instead_of: str = "") -> None:
         with self._wake:
-            self._queue.put(Kind.PUSH, self._drop_updates)
+            self._queue.put(kind, work, instead_of=instead_of)
             self._wake.notify()
 
     # ---- the worker
@@ -261,9 +274,7 @@ class _Identification(Component):
             is_fitted = session.shape.is_same_object(shape) and session.refine_shape(shape)
         if is_fitted:
             self._counts["outlines refined"] += 1
-            self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
-            self._publish_model(session, self._answered.get(object_id, 0.0))
-            self._advise(object_id)
+            self._publish_refitted(session)
 
     def _use_effects(self, object_id: str, usable: UsableEffects, stamp: float) -> str:
         """Fit the pushes of an object with the effects of a diagnosis whose newest push ended at `stamp` [s]; the id of the object."""
@@ -275,12 +286,15 @@ class _Identification(Component):
             )
         with self._solving:
             session.use_effects(usable.effects, n_pushes=usable.n_pushes, until=stamp, keep=usable.base)
-        self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
-        self._publish_model(session, self._answered.get(session.object_id, 0.0))
         text = effects_text(session.posterior) or "none"
         self._node.get_logger().info(f"object {session.object_id}: effects of its diagnosis in the model: {text}")
-        self._advise(session.object_id)
+        self._publish_refitted(session)
         return session.object_id
+
+    def _publish_refitted(self, session: ObjectSession) -> None:
+        self._publish_map(session, max(self._collector.now, 0.0), session.n_pushes)
+        self._publish_model(session, self._answered.get(session.object_id, 0.0))
+        self._advise(session.object_id)
 
     def _finish(self, push: list[PushRecord]) -> None:
         """Update the models with a finished push."""
@@ -436,6 +450,13 @@ class _Identification(Component):
         self._publish_map(session, max(self._collector.now, 0.0), 0)
         self._publish_model(session, self._answered.get(session.object_id, 0.0))
         response.success, response.message = True, f"object {session.object_id} taken from {request.path}"
+        return response
+
+    def _load_diagnosis(self, request: LoadModel.Request, response: LoadModel.Response) -> LoadModel.Response:
+        usable = usable_effects_of_file(file_to_read(request.path)) if request.path else UsableEffects((), frozenset(), 1)
+        object_id = self._use_effects(request.object_id, usable, math.inf)
+        names = ", ".join(effect.name for effect in usable.effects) or "no effect"
+        response.success, response.message = True, f"object {object_id} has {names} of a diagnosis in its model"
         return response
 
     # ---- health

@@ -48,7 +48,7 @@ from push_ident.nodes.convert.messages import (
     shape_to_msgs,
     transform_to_msg,
 )
-from push_ident.nodes.perception.depth_input import EVERY_POSE, DepthInput
+from push_ident.nodes.input.depth_pairs import EVERY_POSE, DepthInput
 from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
 from push_ident.nodes.perception.parameters import IMAGE_TIMES, PARAMETERS, names_of_further_cameras, perception_settings

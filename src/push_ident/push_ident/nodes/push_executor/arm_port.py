@@ -1,8 +1,13 @@
-"""The arm on ROS: joint states in, joint trajectories out."""
+"""The arm on ROS: joint states and the force of the pusher in, joint trajectories out, and the lease that makes one executor command it."""
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import math
+import socket
+import struct
+import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
@@ -10,6 +15,7 @@ from contextlib import contextmanager
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import WrenchStamped
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
@@ -22,7 +28,7 @@ from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.parameters import description_in
-from push_ident.nodes.convert.messages import stamp_from_msg, stamp_to_msg
+from push_ident.nodes.convert.messages import force_from_msg, stamp_from_msg, stamp_to_msg
 from push_ident.nodes.push_executor.settings import EXECUTOR
 from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.ports import ArmState
@@ -30,7 +36,7 @@ from push_ident.pushing.push import PushCode
 from push_ident.pushing.state_intake import StateCheck, StateIntake
 from push_ident.pushing.trajectory import JointTrajectory
 
-__all__ = ["ArmPort"]
+__all__ = ["ArmPort", "ForcePort", "ArmLease"]
 
 
 def _message(joint_names: tuple[str, ...], piece: JointTrajectory) -> JointTrajectoryMsg:
@@ -244,3 +250,92 @@ class ArmPort:
         self.n_received += 1
         self._clock.observe(received, stamp)
         self._on_state(state, msg.header.stamp)
+
+
+class ForcePort:
+    """Subscribes to `pusher/wrench`, where there is one."""
+
+    def __init__(self, node: Node, callback_group: CallbackGroup) -> None:
+        self._node, self._lock = node, threading.Lock()
+        self._peak = 0.0
+        self._received = -math.inf
+        self._stamp = Time()
+        self._is_there = False
+        self.fault = ""
+        """Why the latest measurement cannot be trusted; empty where it can."""
+        node.create_subscription(WrenchStamped, "pusher/wrench", self._on_wrench, qos_profile_sensor_data, callback_group=callback_group)
+
+    @property
+    def is_there(self) -> bool:
+        """As `pushing.ports.ForceSensor`: from the first message on, and while the topic has a publisher."""
+        return self._is_there or self._node.count_publishers(self._node.resolve_topic_name("pusher/wrench")) > 0
+
+    @property
+    def silence(self) -> float:
+        """Wall time since the last measurement that can be trusted [s]; infinite before the first."""
+        return time.monotonic() - self._received
+
+    def take_peak(self) -> float:
+        """Largest horizontal force since the last call [N]; infinite where a measurement could not be trusted."""
+        with self._lock:
+            peak, self._peak = self._peak, 0.0
+        return peak
+
+    def _on_wrench(self, msg: WrenchStamped) -> None:
+        self._is_there = True
+        if msg.header.stamp == self._stamp != Time():
+            raise InputError("its stamp is that of the message before: a driver that repeats itself has lost its sensor.")
+        self._stamp = msg.header.stamp
+        try:
+            size = float(np.linalg.norm(force_from_msg(msg)[1]))
+        except InputError as error:
+            self._note(math.inf, str(error))
+            raise
+        self._received = time.monotonic()
+        self._note(size, "")
+
+    def _note(self, size: float, fault: str) -> None:
+        with self._lock:
+            self._peak, self.fault = max(self._peak, size), fault
+
+
+class ArmLease:
+    """The right to command the arm that listens on a topic of a ROS domain.
+
+    It is the name of an abstract Unix socket: binding it is atomic, so of two processes that start at once one wins, and the name is
+    free again as soon as its holder is gone, even by SIGKILL. Such names are shared by all processes of one network namespace, where
+    ROS nodes of one machine find each other. An executor on another machine is found in the ROS graph instead (`ArmPort.rivals`).
+    """
+
+    def __init__(self, domain_id: int, topic: str) -> None:
+        """Take the lease; raises InputError, naming the process that holds it, when it is taken.
+
+        `topic` is the resolved name of the topic that commands the arm.
+        """
+        name = "\0push_ident_arm_" + hashlib.sha256(f"{domain_id} {topic}".encode()).hexdigest()[:32]
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.bind(name)
+        except OSError as error:
+            self._socket.close()
+            if error.errno != errno.EADDRINUSE:
+                raise InputError(f"The lease of the arm on {topic} cannot be taken: {error.strerror}.") from None
+            raise InputError(
+                f"Another executor ({_holder(name)}) commands the arm on {topic} in ROS domain {domain_id}; stop it first."
+            ) from None
+        self._socket.listen()
+
+    def release(self) -> None:
+        """Give the arm free; the end of the process does so, too."""
+        self._socket.close()
+
+
+def _holder(name: str) -> str:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(0.2)
+        try:
+            probe.connect(name)
+        except OSError:
+            return "process unknown"
+        pid, _, _ = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")))
+    return f"process {pid}"

@@ -26,9 +26,7 @@ from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.messages import TABLE_FRAME, cylinder_to_msg, position_to_msg, stamp_to_msg
 from push_ident.nodes.convert.tool_path import correction_from_msg, path_request_from_goal
 from push_ident.nodes.input.objects import TrackedObjects
-from push_ident.nodes.push_executor.arm_lease import ArmLease
-from push_ident.nodes.push_executor.arm_port import ArmPort
-from push_ident.nodes.push_executor.force_port import ForcePort
+from push_ident.nodes.push_executor.arm_port import ArmLease, ArmPort, ForcePort
 from push_ident.nodes.push_executor.hand_port import make_hand
 from push_ident.nodes.push_executor.parameters import PARAMETERS, execution_settings
 from push_ident.nodes.push_executor.settings import EXECUTOR
