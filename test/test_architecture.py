@@ -137,8 +137,7 @@ def test_every_public_name_exists() -> None:
             if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
                 exported = [c.value for c in getattr(node.value, "elts", []) if isinstance(c, ast.Constant)]
             for target in getattr(node, "targets", [getattr(node, "target", None)]):
-                if isinstance(target, ast.Name):
-                    defined.add(target.id)
+                defined |= {name.id for name in ast.walk(target or ast.Pass()) if isinstance(name, ast.Name)}
             if isinstance(node, ast.ClassDef | ast.FunctionDef):
                 defined.add(node.name)
             if isinstance(node, ast.ImportFrom | ast.Import):

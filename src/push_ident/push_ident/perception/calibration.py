@@ -29,8 +29,6 @@ from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
 __all__ = ["Calibration", "Mark", "calibrate", "camera_over_table", "table_extent"]
 
-_PLANES_IN_VIEW: Final = 300
-"""Random planes tried."""
 _MIN_SHARE: Final = 0.15
 """Least fraction of all points that must lie on the plane of the table."""
 _DIFFERENT: Final = 0.004
@@ -93,12 +91,11 @@ class Calibration:
     """Number of frames used."""
 
 
-def camera_over_table(frame: DepthFrame, tilt_limit: float = np.deg2rad(80.0)) -> tuple[Float64Array, float, float]:
+def camera_over_table(frame: DepthFrame) -> tuple[Float64Array, float, float]:
     """Camera pose over the largest plane in view, without prior knowledge: z points up, the origin is the middle of that plane.
 
     Args:
         frame: Preferably the `median_frame` of several frames.
-        tilt_limit: Largest angle between the optical axis and the plane's normal [rad]; excludes walls.
 
     Returns:
         Optical frame in a frame of the plane, shape (4, 4); noise about the plane [m]; fraction of the points on it.
@@ -110,7 +107,7 @@ def camera_over_table(frame: DepthFrame, tilt_limit: float = np.deg2rad(80.0)) -
     points = points[np.isfinite(points[:, 2])]
     if len(points) < 200:
         raise PerceptionError(f"Depth image has {len(points) * STRIDE**2} valid of {frame.depth.size} pixels; check the camera.")
-    normal, offset = _largest_plane(points, np.cos(tilt_limit))
+    normal, offset = _largest_plane(points)
     # Noise grows with the square of the depth, so near points get more weight.
     weight = 1.0 / points[:, 2] ** 2
     noise, inliers = 0.01, np.abs(points @ normal - offset) < 0.02
@@ -189,15 +186,15 @@ def calibrate(frames: Sequence[DepthFrame], mark: Mark) -> Calibration:
     return Calibration(plane_in_table @ camera, noise, residual, height - mark.height, fit.covariance, len(frames))
 
 
-def _largest_plane(points: Float64Array, least_cosine: float) -> tuple[Float64Array, float]:
-    """Normal and offset of the plane through three points with the most points within 1 % of their depth."""
+def _largest_plane(points: Float64Array) -> tuple[Float64Array, float]:
+    """Normal and offset of the plane through three points with the most points within 1 % of their depth, walls excluded."""
     rng = np.random.default_rng(0)
     scored = points[rng.integers(len(points), size=min(len(points), 3000))]
     best, best_count = (np.array([0.0, 0.0, -1.0]), -1.0), -1
-    for triple in points[rng.integers(len(points), size=(_PLANES_IN_VIEW, 3))]:
+    for triple in points[rng.integers(len(points), size=(300, 3))]:
         normal = np.cross(triple[1] - triple[0], triple[2] - triple[0])
         length = float(np.linalg.norm(normal))
-        if length < 1e-4 or abs(normal[2]) < least_cosine * length:
+        if length < 1e-4 or abs(normal[2]) < np.cos(np.deg2rad(80.0)) * length:
             continue
         normal /= length
         offset = float(normal @ triple[0])

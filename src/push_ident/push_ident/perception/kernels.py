@@ -23,7 +23,6 @@ __all__ = [
     "displaced_scores",
     "edges_nearest",
     "grow_surfaces",
-    "highest_in_cells",
     "innermost_points",
     "interpolate",
     "intersect_object",
@@ -181,7 +180,7 @@ def intersect_object(field: Any, tops: Any, depth: Any, left_out: Any, rays: Any
     Args:
         field: Signed distance to the outline [m].
         tops: Height of the upper side [m].
-        depth, rays, centre: As `rays_in_table` returns them.
+        depth, rays, centre: As of `FrameView`.
         left_out: Which pixels of the box are not used, 1, shape (rows, columns) of the box.
         box: First and end row, first and end column, stride.
         limits: Mean height of the top; largest distance from the outline at that height; how far below the top a line counts as
@@ -523,22 +522,6 @@ def sort_columns(values: Any) -> Any:
             for column in range(m):
                 a, b = values[row, column], values[row + 1, column]
                 values[row, column], values[row + 1, column] = (a if a < b else b), (b if a < b else a)
-
-
-@_kernel(_DEPTH, _read_only(types.float64, 1), _REAL, types.int64, types.int64)
-def highest_in_cells(points: Any, origin: Any, size: Any, rows: Any, columns: Any) -> Any:
-    """Height of the highest of the points in each cell, -infinity in cells without any [m], shape (rows, columns).
-
-    Args:
-        points: [m], shape (n, 3), all in the cells.
-        origin: Low corner of the first cell [m], shape (2,).
-        size: Edge of a cell [m].
-    """
-    heights = np.full((rows, columns), np.float32(-np.inf))
-    for i in range(len(points)):
-        column, row = int((points[i, 0] - origin[0]) / size), int((points[i, 1] - origin[1]) / size)
-        heights[row, column] = max(heights[row, column], points[i, 2])
-    return heights
 
 
 @_kernel(_DEPTH, _FLAGS, _REAL)

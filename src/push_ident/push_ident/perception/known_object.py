@@ -18,6 +18,7 @@ from push_ident.types import BoolArray, Float64Array, ObjectShape
 
 __all__ = [
     "FIELD_MARGIN",
+    "NOISE_STEP",
     "ON_OBJECT",
     "THIN",
     "TOP_QUANTILE",
@@ -42,16 +43,10 @@ THIN: Final = np.ones((5, 5), np.uint8)
 """Pixels in strips thinner than this are the smeared border of a known object [px]."""
 _FIELD_STEP: Final = 0.001
 """Edge of a cell of the signed distance field [m]."""
+NOISE_STEP: Final = 0.005
+"""A smaller difference of heights is noise [m]: three times the noise of a height."""
 FIELD_MARGIN: Final = 0.04
 """Width of the field around the outline [m]; further out the distance is held."""
-_UNCERTAIN: Final = 0.004
-"""The position of a step of the upper side, and of the edge of a hollow, is known to this [m]: two cells of the heights."""
-_START_CONTRADICTING: Final = 0.02
-"""A pose that is too hidden to be published may start the next fit if at most this fraction of the pixels contradicts it ..."""
-_START_PIXELS: Final = 300
-"""... more than this number of pixels is informative ..."""
-_START_DEVIATION: Final = (0.002, 0.002, 0.03)
-"""... and its standard deviations are smaller [m, m, rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,13 +192,13 @@ class PoseFit:
 
     @property
     def can_start_next(self) -> bool:
-        """Whether the fit of the next frame may start from this pose. That includes poses too hidden to be published, if every visible
-        pixel agrees with them."""
+        """Whether the fit of the next frame may start from this pose. That includes poses too hidden to be published, if all but 2 % of the
+        pixels away from the edge agree with them, and more than 300 determine them to 2 mm and 0.03 rad."""
         return self.status is TrackStatus.TRACKED or (
             self.status is TrackStatus.HIDDEN
-            and self.share_contradicting < _START_CONTRADICTING
-            and self.n_pixels > _START_PIXELS
-            and bool(np.all(np.diag(self.covariance) < np.square(_START_DEVIATION)))
+            and self.share_contradicting < 0.02
+            and self.n_pixels > 300
+            and bool(np.all(np.diag(self.covariance) < np.square((0.002, 0.002, 0.03))))
         )
 
 
@@ -212,14 +207,7 @@ class Template:
 
     def __init__(self, traced: TracedObject) -> None:
         self.outline = traced.shape.outline
-        self.first_pose: Final = traced.pose
-        """Pose that defines the object frame (x, y, yaw) [m, m, rad]."""
-        self.displaced_std: Final = traced.displaced_std
-        """As of `TracedObject`."""
-        self.displaced_frame: Final = np.array(traced.displaced_frame, dtype=np.float64)
-        """As of `TracedObject`."""
-        self.frame_covariance: Final = np.array(traced.frame_covariance, dtype=np.float64)
-        """As of `TracedObject`."""
+        self.traced: Final = traced
         self.camera_positions: Final = None if traced.camera_positions is None else _padded(traced.camera_positions)
         """As of `TracedObject`, shape (n_rests, n_cameras, 2); NaN where a rest has fewer cameras."""
         self.tops: Final = Grid(
@@ -228,7 +216,7 @@ class Template:
         """Heights of the upper side [m]."""
         self.hollow: Final = None if traced.hollow is None else self.tops._replace(values=traced.hollow.astype(np.float64, order="C"))
         """1 in the cells of `tops` that lie over a hollow; None where there is none."""
-        around = np.ones(2 * (2 * int(np.ceil(_UNCERTAIN / self.tops.step)) + 1,), np.uint8)
+        around = np.ones((5, 5), np.uint8)  # Steps of the upper side, and edges of hollows, are known to two cells.
         lowest = cv2.erode(self.tops.values, around)
         if traced.hollow is not None:
             lowest[cv2.dilate(traced.hollow.astype(np.uint8), around) > 0] = 0.0

@@ -185,7 +185,7 @@ class Perception:
 
     def first_pose(self, object_id: str) -> Float64Array:
         """Pose (x, y, yaw) of a known object when it was registered, table frame: it defines the object frame."""
-        return self._objects[object_id].first_pose
+        return self._objects[object_id].traced.pose
 
     def add_further_view(self, name: str, frame: DepthFrame, camera_in_table: ArrayLike, robot: Sequence[RobotPart] = ()) -> None:
         """Keep a frame of a further camera for tracing objects at rest; poses come from the main camera only.

@@ -28,6 +28,9 @@ class TableSettings:
     """Points that are further below the plane lie under the table [m], unless noise is larger."""
     max_share_under: float = 0.1
     """Largest fraction of the points in the workspace that may lie under the table: more is a reflection, or a rim taken for the table."""
+    calmer: float = 0.67
+    """A table with less than this share of the noise that its plane was fitted with is less noisy [-]: by three deviations of a deviation
+    that the median of 125 points gives, the least number of a plane."""
     moved: float = 0.0015
     """A table plane whose height differs by more at a corner of the workspace replaces the one in use [m]."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import cv2
 import numpy as np
@@ -14,9 +13,7 @@ from push_ident.perception.kernels import project_down
 
 __all__ = ["FREE", "OCCUPIED", "UNOBSERVED", "OccupancyMap", "TopDownGrid", "top_down"]
 
-UNOBSERVED: Final = -1
-FREE: Final = 0
-OCCUPIED: Final = 100
+UNOBSERVED, FREE, OCCUPIED = -1, 0, 100  # as in nav_msgs/OccupancyGrid
 
 
 @dataclass(frozen=True, slots=True)

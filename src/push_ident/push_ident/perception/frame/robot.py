@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +17,6 @@ if TYPE_CHECKING:  # it needs pinocchio, which a wheel without ROS has not
     from push_ident.geometry.arm_shape import ArmShape
 
 __all__ = ["Cylinder", "RobotHistory", "RobotPart"]
-
-_TOOL_POSES: Final = 200
-"""Tool poses kept: 3 s at 60 Hz."""
-_JOINT_STATES: Final = 400
-"""Joint states kept: 4 s at 100 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +46,8 @@ class RobotHistory:
         self.tool_radius, self.tool_length = tool_radius, tool_length
         self.arm_shape: ArmShape | None = None
         """Links of the arm; None until its description is known."""
-        self._tool: deque[tuple[float, Float64Array]] = deque(maxlen=_TOOL_POSES)
-        self._joints: deque[tuple[float, Float64Array]] = deque(maxlen=_JOINT_STATES)
+        self._tool: deque[tuple[float, Float64Array]] = deque(maxlen=200)  # 3 s at 60 Hz
+        self._joints: deque[tuple[float, Float64Array]] = deque(maxlen=400)  # 4 s at 100 Hz
         self._joint_names: tuple[str, ...] = ()
 
     def add_tool(self, stamp: float, position: Float64Array) -> None:

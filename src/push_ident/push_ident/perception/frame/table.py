@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import PerceptionError
 from push_ident.perception.frame.robot import RobotPart
-from push_ident.perception.frame.view import FrameView, points_in_table
+from push_ident.perception.frame.view import DEVIATIONS, FrameView, points_in_table
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import DepthFrame, Float64Array
 
@@ -19,15 +19,8 @@ __all__ = ["STRIDE", "TableCamera", "TablePlane", "fit_table"]
 
 STRIDE: Final = 4
 """Every fourth pixel of every fourth row is used: enough for three unknowns."""
-_HYPOTHESES: Final = 60
-"""Random planes tried."""
 _MIN_POINTS: Final = 125
 """Least number of points on the plane, after the stride."""
-_CALMER: Final = 0.67
-"""A table with less than this share of the noise that its plane was fitted with is less noisy [-]: by three deviations of a deviation that
-the median of 125 points gives, the least number of a plane."""
-_HEIGHTS_OF_NOISE: Final = 4.0
-"""An object is at least that many deviations of a height high: one pixel in 16,000 of a flat table is further off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +37,11 @@ class TablePlane:
     @property
     def least_height(self) -> float:
         """Height below which nothing can be told from the table [m]."""
-        return _HEIGHTS_OF_NOISE * self.noise
+        return DEVIATIONS * self.noise
 
     def height(self, x: float, y: float) -> float:
         """Height of the plane above the expected one at (x, y) [m]."""
         return self.slope[0] * x + self.slope[1] * y + self.offset
-
-    @classmethod
-    def expected(cls) -> TablePlane:
-        """The plane z = 0 of exact extrinsics."""
-        return cls((0.0, 0.0), 0.0, 0.0, 0)
 
     def difference(self, other: TablePlane, settings: PerceptionSettings) -> float:
         """Largest difference of the heights of two planes at the corners of the workspace [m]."""
@@ -118,7 +106,7 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
             "it is not flat, or glossy, or too far from the camera."
         )
     everything = valid[in_workspace]
-    under = float(np.mean(everything[:, 2] - everything[:, :2] @ plane[:2] - plane[2] < -max(accepted.under, _HEIGHTS_OF_NOISE * noise)))
+    under = float(np.mean(everything[:, 2] - everything[:, :2] @ plane[:2] - plane[2] < -max(accepted.under, DEVIATIONS * noise)))
     if under > accepted.max_share_under:
         raise PerceptionError(
             f"{under:.0%} of the points in the workspace lie more than {accepted.under * 1e3:.0f} mm under the table, expected at most "
@@ -129,10 +117,10 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
 
 def _best_random_plane(points: Float64Array, max_tilt: float) -> Float64Array:
     """The plane through three points with the most points within 6 mm."""
-    rng = np.random.default_rng(0)
+    rng, n_planes = np.random.default_rng(0), 60
     scored = points[rng.integers(len(points), size=min(len(points), 1500))]
-    triples = points[rng.integers(len(points), size=(_HYPOTHESES, 3))]
-    design = np.concatenate([triples[:, :, :2], np.ones((_HYPOTHESES, 3, 1))], axis=2)
+    triples = points[rng.integers(len(points), size=(n_planes, 3))]
+    design = np.concatenate([triples[:, :, :2], np.ones((n_planes, 3, 1))], axis=2)
     spread = np.abs(np.linalg.det(design)) > 1e-3
     planes = np.linalg.solve(design[spread], triples[spread][:, :, 2:])[:, :, 0]
     planes = planes[np.hypot(planes[:, 0], planes[:, 1]) < 2 * max_tilt]
@@ -205,9 +193,9 @@ class TableCamera:
             if anew.difference(plane, self.settings) <= self.settings.table.moved:
                 raise
             return anew
-        if moved.difference(TablePlane.expected(), self.settings) > self.settings.table.moved:
+        if moved.difference(TablePlane((0.0, 0.0), 0.0, 0.0, 0), self.settings) > self.settings.table.moved:
             return fit_table(points_in_table(view.frame, self._extrinsics), self.settings)
-        return replace(plane, noise=moved.noise) if moved.noise < _CALMER * plane.noise else plane
+        return replace(plane, noise=moved.noise) if moved.noise < self.settings.table.calmer * plane.noise else plane
 
     def _use(self, plane: TablePlane) -> None:
         self.plane, self.camera_in_table = plane, plane.correct(self._extrinsics)

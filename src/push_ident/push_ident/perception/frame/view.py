@@ -25,6 +25,7 @@ from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame, Float64Array
 
 __all__ = [
+    "DEVIATIONS",
     "OBJECT",
     "ROBOT",
     "TABLE",
@@ -37,19 +38,10 @@ __all__ = [
     "unmeasured_areas",
 ]
 
-UNKNOWN: Final = -1
-TABLE: Final = 0
-OBJECT: Final = 1
-ROBOT: Final = 2
-
-_ROUNDING: Final = 1e-3
-"""Tolerance of periods [s], so that a camera at exactly that rate does not miss every other turn by rounding."""
-_UNDER_TABLE: Final = -0.02
-"""Points below this height are beside the table [m]."""
-_SHADOW_WIDTH: Final = 3
-"""Least width of an unmeasured area that counts as a shadow [px]: wider than the pixels that are lost on both sides of an edge."""
-_BLOCK: Final = 8192
-"""Pixels of all frames that are sorted at once."""
+UNKNOWN, TABLE, OBJECT, ROBOT = -1, 0, 1, 2
+"""Labels of pixels."""
+DEVIATIONS: Final = 4.0
+"""Heights that differ by so many standard deviations of the noise are different: one pixel in 16,000 of a flat table is further off [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +71,10 @@ class FrameView:
         Raises:
             FrameError: The pose of the camera is no finite (4, 4) transform.
         """
-        return rays_in_table(self.frame.intrinsics, self.camera_in_table)
+        transform = np.ascontiguousarray(self.camera_in_table, dtype=np.float64)
+        if transform.shape != (4, 4) or not np.all(np.isfinite(transform)):
+            raise FrameError(f"camera_in_table has shape {transform.shape}, expected a finite homogeneous (4, 4) transform.")
+        return _rays_in_table(self.frame.intrinsics, transform.tobytes())
 
     @cached_property
     def points(self) -> NDArray[np.float32]:
@@ -93,7 +88,7 @@ class FrameView:
         """UNKNOWN, TABLE, OBJECT or ROBOT of each pixel by the height of its point, shape (height, width).
 
         A median over 3 x 3 pixels removes single outliers from the heights and keeps edges in place. Everything above `max_object_height`
-        is ROBOT as well; outside the workspace nothing is OBJECT.
+        is ROBOT as well; outside the workspace nothing is OBJECT; what is more than 20 mm below the table is beside it.
         """
         heights, settings = self.points[..., 2], self.settings
         (low_x, low_y), (high_x, high_y) = settings.workspace_low, settings.workspace_high
@@ -102,7 +97,7 @@ class FrameView:
             self.points,
             cv2.medianBlur(np.where(np.isfinite(heights), heights, np.float32(0.0)), 3),
             (low_x, high_x, low_y, high_y),
-            (_UNDER_TABLE, 0.5 * settings.min_object_height, settings.min_object_height, settings.max_object_height),
+            (-0.02, 0.5 * settings.min_object_height, settings.min_object_height, settings.max_object_height),
             (UNKNOWN, TABLE, OBJECT, ROBOT),
         )
         if self.robot:
@@ -115,8 +110,11 @@ class FrameView:
         return in_robot(points, self.robot, self.settings.mask_margin)
 
     def is_due(self, last: float, period: float) -> bool:
-        """Whether something that was last done at `last` [s] is to be done in this frame: once in a period, not twice in one frame."""
-        return last < self.frame.stamp and self.frame.stamp - last >= period - _ROUNDING
+        """Whether something that was last done at `last` [s] is to be done in this frame: once in a period, not twice in one frame.
+
+        A millisecond less will do, so that a camera at exactly that rate does not miss every other turn by rounding.
+        """
+        return last < self.frame.stamp and self.frame.stamp - last >= period - 1e-3
 
     def with_pixels(self, depth: NDArray[np.float32], points: NDArray[np.float32], labels: NDArray[np.int8]) -> FrameView:
         """The same view with these depths, points and labels."""
@@ -137,20 +135,13 @@ def _rays_in_camera(intrinsics: CameraIntrinsics) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=8)
 def _rays_in_table(intrinsics: CameraIntrinsics, transform: bytes) -> tuple[Float64Array, NDArray[np.float32]]:
+    """As `FrameView.rays`, kept for cameras that do not move."""
     camera_in_table = np.frombuffer(transform).reshape(4, 4)
     rays = _rays_in_camera(intrinsics) @ camera_in_table[:3, :3].T.astype(np.float32)
     centre = camera_in_table[:3, 3].copy()
     for array in (centre, rays):
         array.setflags(write=False)
     return centre, rays
-
-
-def rays_in_table(intrinsics: CameraIntrinsics, camera_in_table: ArrayLike) -> tuple[Float64Array, NDArray[np.float32]]:
-    """As `FrameView.rays`; cached for a camera that does not move."""
-    transform = np.ascontiguousarray(camera_in_table, dtype=np.float64)
-    if transform.shape != (4, 4) or not np.all(np.isfinite(transform)):
-        raise FrameError(f"camera_in_table has shape {transform.shape}, expected a finite homogeneous (4, 4) transform.")
-    return _rays_in_table(intrinsics, transform.tobytes())
 
 
 def points_in_table(frame: DepthFrame, camera_in_table: ArrayLike) -> NDArray[np.float32]:
@@ -184,25 +175,26 @@ def median_frame(frames: Sequence[DepthFrame]) -> DepthFrame:
     """The last of some frames at rest with the median depth of each pixel; NaN where fewer than half of them measured something."""
     images = [np.asarray(frame.depth, dtype=np.float32).reshape(-1) for frame in frames]
     median = np.empty(len(images[0]), dtype=np.float32)
-    for at in range(0, len(median), _BLOCK):  # blocks that stay in the cache
-        stack = np.stack([image[at : at + _BLOCK] for image in images])
+    block = 8192  # pixels of all frames that stay in the cache
+    for at in range(0, len(median), block):
+        stack = np.stack([image[at : at + block] for image in images])
         valid = np.isfinite(stack)
         n_valid = np.count_nonzero(valid, axis=0)
         stack[~valid] = np.inf
         sort_columns(stack)  # What was not measured is at the end, so the median is in the middle of the first n_valid.
         last, column = np.maximum(n_valid - 1, 0), np.arange(stack.shape[1])
         low, high = stack[last // 2, column], stack[(last + 1) // 2, column]
-        median[at : at + _BLOCK] = np.where(2 * n_valid >= len(stack), 0.5 * (low + high), np.float32(np.nan))
+        median[at : at + block] = np.where(2 * n_valid >= len(stack), 0.5 * (low + high), np.float32(np.nan))
     return replace(frames[-1], depth=median.reshape(frames[0].depth.shape))
 
 
 def unmeasured_areas(measured: BoolArray) -> NDArray[np.uint8]:
     """Unmeasured pixels of an area, not of a line: 1, same shape.
 
-    They are the shadow that the projector or the second imager of a camera leaves beside an object. Single unmeasured pixels along an edge
-    may belong to either side of it and prove nothing.
+    They are the shadow that the projector or the second imager of a camera leaves beside an object, at least three pixels wide. Single
+    unmeasured pixels along an edge may belong to either side of it and prove nothing.
     """
-    return np.asarray(cv2.morphologyEx((~measured).astype(np.uint8), cv2.MORPH_OPEN, np.ones((_SHADOW_WIDTH, _SHADOW_WIDTH), np.uint8)))
+    return np.asarray(cv2.morphologyEx((~measured).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
 
 
 def height_inside(points: NDArray[np.float32], outline_in_table: Float64Array) -> float | None:

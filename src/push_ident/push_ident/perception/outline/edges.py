@@ -32,7 +32,7 @@ from push_ident.perception.frame.view import FrameView
 from push_ident.perception.kernels import edges_nearest
 from push_ident.perception.known_object import Template, TracedObject, TrackStatus
 from push_ident.perception.outline.tracing import straighten
-from push_ident.perception.tracking.pose_fit import fit_pose, lines_of_sight
+from push_ident.perception.tracking.pose_fit import EDGE_WIDTH, fit_pose, lines_of_sight
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
 __all__ = [
@@ -56,31 +56,17 @@ __all__ = [
 
 _BAND: Final = 0.005
 """Lines of sight within this distance of an edge are used [m]."""
-_WIDTH: Final = 0.0015
-"""Width w of the step from stopped to passing [m], as in the tracker."""
-_CORNER: Final = 0.004
-"""Lines of sight within this distance of the end of an edge are left out, as they depend on both edges of the corner [m]."""
 _PRIOR: Final = 0.001
 """Prior standard deviation of the offset of an edge [m]."""
 VARIANCE: Final = 0.05
 """Variance of the measured (stopped 1, passing 0) about the expected near an edge."""
 SAME_CURVE: Final = 0.35
 """Neighbouring edges whose headings differ by less belong to one curve and share their lines of sight [rad]."""
-_CURVE_REACH: Final = 0.008
-"""Largest distance along a curve between edges that share their lines of sight [m]."""
 _DISPLACED: Final = 1.8
 """Deviation of the mean position of an edge where depth jumps, in units of the scatter about it [-]: the root mean square over the models
 of a Kinect (2.3), a D435 (1.3 and 1.5) and a D415 (1.5). The displacement in these models is an estimate itself."""
-_TOOTH: Final = 1.5
-"""Largest height of a tooth of an outline that is taken for raggedness [px]: matchers displace edges by about one."""
-_MOST_SCATTER: Final = 0.005
-"""Largest scatter that is told from no edge at all [m]: that of the band."""
-_LARGEST: Final = 0.003
-"""Largest offset of an edge over all passes [m]."""
 _LEAST_SINE2: Final = 0.12
 """Two edges whose angle has a smaller squared sine meet too far away: their corner moves by the mean offset."""
-_FIT_PASSES: Final = 3
-"""Iterations of pose fit and edge fit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,20 +102,15 @@ def lines_near_edges(template: Template, outline: Float64Array, view: FrameView,
         return EdgeLines(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty((0, 2)))
     points = lines.innermost_points(template, pose)
     distance, _ = template.distance(points)
-    expected = 1.0 / (1.0 + np.exp(np.clip(distance / _WIDTH, -30.0, 30.0)))
+    expected = 1.0 / (1.0 + np.exp(np.clip(distance / EDGE_WIDTH, -30.0, 30.0)))
     edge, clear = _nearest_edge(points, outline)
     clear &= np.abs(distance) < _BAND
-    slope = expected * (1.0 - expected) / _WIDTH
+    slope = expected * (1.0 - expected) / EDGE_WIDTH
     return EdgeLines(edge[clear], slope[clear], (lines.stopped - expected)[clear], points[clear])
 
 
-def _prior_curvature(n_edges: int) -> Float64Array:
-    """What the prior of the offsets adds to the diagonal of J'J, shape (n_edges,)."""
-    return np.full(n_edges, VARIANCE / _PRIOR**2)
-
-
 def same_curve(outline: Float64Array) -> Float64Array:
-    """Which edges share their lines of sight, shape (n_edges, n_edges): nearby pieces of one curve."""
+    """Which edges share their lines of sight, shape (n_edges, n_edges): pieces of one curve up to 8 mm apart along it."""
     n = len(outline)
     edge = np.roll(outline, -1, axis=0) - outline
     length, heading = np.linalg.norm(edge, axis=1), np.arctan2(edge[:, 1], edge[:, 0])
@@ -140,7 +121,7 @@ def same_curve(outline: Float64Array) -> Float64Array:
             while True:
                 j = (j + step) % n
                 turned = abs((heading[j] - heading[i] + np.pi) % (2 * np.pi) - np.pi)
-                if j == i or turned > SAME_CURVE or travel > _CURVE_REACH:
+                if j == i or turned > SAME_CURVE or travel > 0.008:
                     break
                 shared[i, j] = 1.0
                 travel += length[j]
@@ -148,8 +129,8 @@ def same_curve(outline: Float64Array) -> Float64Array:
 
 
 def without_teeth(outline: Float64Array, pixel: float) -> Float64Array:
-    """The outline without the teeth that the raggedness of edges gives it; `pixel` is the width of a pixel on the object [m]."""
-    simple = cv2.approxPolyDP((outline / pixel).astype(np.float32)[:, None], _TOOTH, True)[:, 0].astype(np.float64) * pixel
+    """The outline without teeth up to 1.5 pixels high, as matchers give it; `pixel` is the width of a pixel on the object [m]."""
+    simple = cv2.approxPolyDP((outline / pixel).astype(np.float32)[:, None], 1.5, True)[:, 0].astype(np.float64) * pixel
     return simple if len(simple) >= 3 else outline
 
 
@@ -192,7 +173,7 @@ def edge_std(
         camera_positions: As of `hidden_walls`.
     """
     n = len(outline)
-    curvature = same_curve(outline) @ (_prior_curvature(n) + sum(view.derivatives(n)[1] for view in views))
+    curvature = same_curve(outline) @ (np.full(n, VARIANCE / _PRIOR**2) + sum(view.derivatives(n)[1] for view in views))
     hidden, simple_hidden = hidden_walls(outline, camera_positions), hidden_walls(simple, camera_positions)
     ragged = [scatter_of([view.of_edges(chosen) for view in simple_views]) for chosen in (~simple_hidden, simple_hidden)]
     displaced = np.where(hidden, displaced_std(simple, camera_positions, simple_views), 0.0)
@@ -212,9 +193,9 @@ def scatter_of(views: Sequence[EdgeLines]) -> float:
 @cache
 def _expected_squares() -> tuple[Float64Array, Float64Array]:
     """Scatter of an edge [m], and the mean square of residuals that it causes, weighted by the squared slope; each shape (n,)."""
-    scatter = np.linspace(1e-6, _MOST_SCATTER, 200)
+    scatter = np.linspace(1e-6, _BAND, 200)
     distance = np.linspace(-_BAND, _BAND, 501)
-    expected = 1.0 / (1.0 + np.exp(distance / _WIDTH))
+    expected = 1.0 / (1.0 + np.exp(distance / EDGE_WIDTH))
     stopped = ndtr(-distance / scatter[:, None])
     square = stopped * (1.0 - 2.0 * expected) + expected**2
     return scatter, np.average(square, axis=1, weights=(expected * (1.0 - expected)) ** 2)
@@ -224,8 +205,8 @@ def _nearest_edge(points: Float64Array, outline: Float64Array) -> tuple[NDArray[
     """Index of the edge nearest to each point, and whether the point is clear of the corners of a long edge."""
     index, position = edges_nearest(points, np.ascontiguousarray(outline))
     length = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)[index]
-    # A short edge of a curve has no corners of its own.
-    margin = np.minimum(_CORNER, 0.25 * length)
+    # Lines within 4 mm of a corner depend on both of its edges; a short edge of a curve has no corners of its own.
+    margin = np.minimum(0.004, 0.25 * length)
     return index, (position > margin) & (position < length - margin)
 
 
@@ -245,12 +226,12 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject
     """
     moved = np.zeros(len(traced.shape.outline))
     outline = np.array(traced.shape.outline)
-    for _ in range(_FIT_PASSES):
+    for _ in range(3):
         template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, outline)))
         fitted = _fitted(template, views)
         gradient, curvature = _derivatives(template, outline, fitted)
         shared = same_curve(outline)
-        step = np.clip(moved + (shared @ gradient) / (shared @ curvature), -_LARGEST, _LARGEST) - moved
+        step = np.clip(moved + (shared @ gradient) / (shared @ curvature), -0.003, 0.003) - moved
         outline, moved = without_reversed(outline, with_edges_moved(outline, step), moved + step)
     straight = straighten(dense(outline))
     outline = straight if len(straight) >= 3 else outline
@@ -261,7 +242,8 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject
     std = edge_std(outline, lines, simple, simple_lines, cameras)
     x, y = polygon_centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), traced.shape.cells.size), outline - (x, y), std)
-    fused = replace(traced, shape=shape, pose=_shifted_frame(traced.pose, (x, y)), top_origin=traced.top_origin - (x, y))
+    pose = np.array([*transform_points(traced.pose, [(x, y)])[0], traced.pose[2]])
+    fused = replace(traced, shape=shape, pose=pose, top_origin=traced.top_origin - (x, y))
     return replace(fused, camera_positions=(cameras - (x, y),), displaced_std=displaced_std(simple, cameras, simple_lines))
 
 
@@ -289,7 +271,7 @@ def _lines_of(traced: TracedObject, outline: Float64Array, fitted: Sequence[Pose
 
 def _derivatives(template: Template, outline: Float64Array, fitted: Sequence[PosedView]) -> tuple[Float64Array, Float64Array]:
     """J'r and the diagonal of J'J of the offsets of the edges, with their prior, shapes (n_edges,)."""
-    gradient, curvature = np.zeros(len(outline)), _prior_curvature(len(outline))
+    gradient, curvature = np.zeros(len(outline)), np.full(len(outline), VARIANCE / _PRIOR**2)
     for view, pose in fitted:
         g, c = lines_near_edges(template, outline, view, pose).derivatives(len(outline))
         gradient += g
@@ -337,8 +319,3 @@ def dense(outline: Float64Array, step: float = 2.5e-4) -> Float64Array:
     return np.concatenate(
         [a + np.linspace(0.0, 1.0, n, endpoint=False)[:, None] * (b - a) for a, b, n in zip(outline, ends, counts, strict=True)]
     )
-
-
-def _shifted_frame(pose: Float64Array, origin: tuple[float, float]) -> Float64Array:
-    """The frame `pose`, (x, y, yaw), moved to a point given in it [m]."""
-    return np.array([*transform_points(pose, [origin])[0], pose[2]])

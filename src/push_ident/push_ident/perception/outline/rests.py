@@ -1,11 +1,15 @@
-"""Known objects at rest between pushes: what is kept of each rest, and when it gives a better outline.
+"""Known objects at rest between pushes: what is kept of each rest, and the better outline that several rests give.
 
-A rest in a new place or heading is kept as one view. An outline is replaced when the latest rest, which did not make it, contradicts it
-clearly more than it contradicts the outline of all rests. So nothing changes for a camera that was right at once, and nothing is
-replaced for the noise of a single view.
+What one view cannot show, another one does: an edge that a matcher displaces behind the object and not in front of it, a part in the
+shadow of a higher part, the raggedness of every edge. A rest in a new pose is kept as one view. The views are brought together in the
+object frame, which stays that of the first of them; unknown are the offset of each edge along its normal and the pose in each later view,
+fitted to the lines of sight at once. The outline is traced anew from all views at these poses, and fitted again. It replaces the old one
+where the latest rest, which did not make it, contradicts it clearly less: nothing is replaced for the noise of a single view.
 
-The fit of several views takes as long as several frames. It is done in parts, a few of them in a frame (`step`), so that poses wait for
-none of it; what it gives is taken up in the first frame after its last part.
+What all views have in common stays: an object that a matcher makes wider by a pixel on its far side is wider in each view. For sides in
+pairs that is, in any heading, the same object grown by half a pixel, and only a push can tell.
+
+A fit takes as long as several frames. It is done in parts (`step`), so that poses wait for none of it.
 """
 
 from __future__ import annotations
@@ -21,14 +25,23 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from push_ident.errors import InputError, PerceptionError, PushIdentError
-from push_ident.geometry.outline import cells_in_outline, signed_distance
+from push_ident.geometry.outline import cells_in_outline, edge_normals, signed_distance
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.frame.view import FrameView, median_frame
 from push_ident.perception.known_object import ON_OBJECT, PoseFit, Refined, Segment, SegmentedView, Template, TracedObject, TrackStatus
-from push_ident.perception.outline.refinement import DISPLACED, RestView, refine
-from push_ident.perception.outline.tracing import InParts
-from push_ident.perception.tracking.pose_fit import displaced_by_camera, fit_pose, frame_step
+from push_ident.perception.outline.edges import (
+    SAME_CURVE,
+    VARIANCE,
+    EdgeLines,
+    dense,
+    lines_near_edges,
+    scatter_of,
+    with_edges_moved,
+    without_reversed,
+)
+from push_ident.perception.outline.tracing import InParts, straighten, trace_in_parts
+from push_ident.perception.tracking.pose_fit import MATCHER_WINDOW, displaced_by_camera, fit_pose, frame_step
 from push_ident.perception.tracking.tracker import KnownObjects
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
@@ -46,17 +59,35 @@ _KEPT_RESTS: Final = 6
 _BETTER: Final = 0.9
 """An outline is replaced where the latest rest scatters less about the new one, by this factor [-]. Of 59 outlines in the check of
 decision 13 none ended worse; of exact cameras the ratio is mostly nearer to 1."""
-_SAME_CELLS: Final = 0.1
-"""Share of the cells that may lie outside the outline or be missing in it, before the object gets cells anew [-]: its masses and frictions
-belong to the old ones. A part that was hidden and is larger needs cells of its own."""
-_AROUND: Final = 60
-"""Margin of an image around the segment [px]: as far as parts of an object in a shadow are looked for."""
-_BEYOND: Final = 2e-4
-"""Area of a segment outside the known outline from which it must have been hidden before [m^2]."""
-_EMPTY: Final = 0.01
-"""A line of sight that ends so far behind a point has passed it [m]."""
-_FOREIGN: Final = 0.2
-"""Fraction of the points outside the outline that an earlier view may show to be empty [-]; with more it is another thing."""
+_DISPLACED: Final = 1.5
+"""Deviation of the mean position of edges that were measured from several headings, in units of the scatter about it [-]. In models of a
+Kinect and of two RealSense the displacement is 1.2 to 1.4 of them; that of the models is an estimate itself."""
+
+_PRIOR_FROM_MEAN: Final = 0.002
+"""Prior standard deviation of the offset of an edge from the mean offset [m]: a pixel on the table."""
+_PRIOR_POSE: Final = np.array([0.003, 0.003, 0.03])
+"""Prior standard deviations of the pose in a view about the tracked one [m, m, rad]: tracked with an outline of that error."""
+_SMOOTH: Final = 0.0005
+"""Standard deviation of the difference of the offsets of neighbouring edges of one curve [m]."""
+_LEAST_SCATTER: Final = 0.00015
+"""Least scatter of edges [m]: of an exact camera, from folds and corners that the model of lines of sight does not have."""
+
+
+@dataclass(frozen=True, slots=True)
+class RestView:
+    """A known object at rest in the image of one camera."""
+
+    segmented: SegmentedView
+    pose: Float64Array
+    """(x, y, yaw) of the object in `table`, to some millimetres [m, m, rad]."""
+    rest: int
+    """Number of the rest: the object has one pose in all views of a rest."""
+
+    def in_object(self, pose: Float64Array) -> SegmentedView:
+        """The segmented view with the object frame at `pose` as its table frame, without the robot."""
+        motion, back, view = np.eye(4), inverse(pose), self.segmented.view
+        motion[:2, :2], motion[:2, 3] = rotation(back[2]), back[:2]
+        return replace(self.segmented, view=replace(view, camera_in_table=motion @ view.camera_in_table, robot=()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,11 +278,12 @@ class Rests:
 
 
 def cut_to(segmented: SegmentedView) -> SegmentedView:
-    """The part of a view around its segment."""
+    """The part of a view up to 60 pixels around its segment: as far as parts of an object in a shadow are looked for."""
+    around = 60
     frame, segment = segmented.view.frame, segmented.segment
     k = frame.intrinsics
-    rows = slice(max(0, segment.rows.start - _AROUND), min(k.height, segment.rows.stop + _AROUND))
-    columns = slice(max(0, segment.columns.start - _AROUND), min(k.width, segment.columns.stop + _AROUND))
+    rows = slice(max(0, segment.rows.start - around), min(k.height, segment.rows.stop + around))
+    columns = slice(max(0, segment.columns.start - around), min(k.width, segment.columns.stop + around))
     size = (columns.stop - columns.start, rows.stop - rows.start)
     intrinsics = CameraIntrinsics(*size, k.fx, k.fy, k.cx - columns.start, k.cy - rows.start)
     moved = replace(
@@ -279,22 +311,24 @@ def _is_all_of(segment: Segment, points: NDArray[np.float32], resting: RestingOb
 def _has_other_thing(view: RestView, points: NDArray[np.float32], template: Template, earlier: Sequence[RestView]) -> bool:
     """Whether the segment holds more than the known object that an earlier view should have shown: a thing that touches it now.
 
+    From 2 cm^2 outside the outline on, unless they were hidden before: an earlier view shows at most a fifth of them to be empty.
+
     Args:
         points: Of the segment [m], shape (n, 3), table frame.
     """
     in_object = transform_points(inverse(view.pose), points[:, :2])
     beyond = template.nearest_distance(in_object) > ON_OBJECT
-    if np.count_nonzero(beyond) * view.segmented.segment.area < _BEYOND * max(len(points), 1):
+    if np.count_nonzero(beyond) * view.segmented.segment.area < 2e-4 * max(len(points), 1):
         return False
     positions = np.column_stack([in_object[beyond], points[beyond, 2]])
     empty = np.zeros(len(positions), dtype=bool)
     for other in earlier:
         empty |= _passed(other.in_object(other.pose).view, positions)
-    return bool(np.mean(empty) > _FOREIGN)
+    return bool(np.mean(empty) > 0.2)
 
 
 def _passed(view: FrameView, positions: Float64Array) -> NDArray[np.bool_]:
-    """Which positions [m], shape (n, 3), lines of sight of a view have passed."""
+    """Which positions [m], shape (n, 3), lines of sight of a view have passed: they end 10 mm or more behind."""
     camera, k = view.camera_in_table, view.frame.intrinsics
     in_camera = (positions - camera[:3, 3]) @ camera[:3, :3]
     ahead = np.maximum(in_camera[:, 2], 1e-3)
@@ -302,7 +336,7 @@ def _passed(view: FrameView, positions: Float64Array) -> NDArray[np.bool_]:
     v = np.rint(k.fy * in_camera[:, 1] / ahead + k.cy).astype(np.int64)
     inside = (u >= 0) & (u < k.width) & (v >= 0) & (v < k.height)
     passed = np.zeros(len(positions), dtype=bool)
-    passed[inside] = view.frame.depth[v[inside], u[inside]] > ahead[inside] + _EMPTY
+    passed[inside] = view.frame.depth[v[inside], u[inside]] > ahead[inside] + 0.01
     return passed
 
 
@@ -328,7 +362,7 @@ def _held(better: Refined, before: Template, view: RestView) -> InParts[Refined]
         traced,
         camera_positions=tuple(transform_points(step, positions) for positions in rests),
         displaced_frame=(float(x), float(y), float(error[2])),
-        frame_covariance=before.frame_covariance + frame_step(old.residual_covariance, float(old.pose[2]), len(rests)),
+        frame_covariance=before.traced.frame_covariance + frame_step(old.residual_covariance, float(old.pose[2]), len(rests)),
     )
     shape = replace(traced.shape, outline=transform_points(step, traced.shape.outline))
     # Heights are known to a cell, which is more than such a turn moves them.
@@ -339,11 +373,11 @@ def _held(better: Refined, before: Template, view: RestView) -> InParts[Refined]
 def _is_better(better: Refined) -> bool:
     """Whether the latest rest speaks for the new outline, and enough lines of sight pass its edges to know it better than the old one."""
     error = better.traced.shape.outline_error
-    return better.misfit < _BETTER * better.misfit_before and error is not None and error < DISPLACED * better.misfit_before
+    return better.misfit < _BETTER * better.misfit_before and error is not None and error < _DISPLACED * better.misfit_before
 
 
 def with_cells(shape: ObjectShape) -> ObjectShape:
-    """The shape with the same cells, unless some lie clearly outside the outline or a part of it has none; checked.
+    """The shape with the same cells, to which masses and frictions belong, unless a tenth lies clearly outside the outline or is missing.
 
     Their number tells nothing: an edge that moves by a millimetre may hold a row of cells more or less.
 
@@ -354,7 +388,147 @@ def with_cells(shape: ObjectShape) -> ObjectShape:
     anew = cells_in_outline(shape.outline, cells.size)
     outside = signed_distance(cells.centres, shape.outline) > 0.5 * cells.size
     bare = KDTree(cells.centres).query(anew.centres)[0] > 1.5 * cells.size
-    if np.count_nonzero(outside) + np.count_nonzero(bare) <= _SAME_CELLS * len(cells):
+    if np.count_nonzero(outside) + np.count_nonzero(bare) <= 0.1 * len(cells):
         with suppress(InputError):
             return check_shape(shape)
     return check_shape(replace(shape, cells=anew))
+
+
+@dataclass(slots=True)
+class _State:
+    """The unknowns of a fit."""
+
+    outline: Float64Array
+    moved: Float64Array
+    """Offset of each edge so far [m]."""
+    poses: list[Float64Array]
+    """In each view."""
+    std: Float64Array
+    """Standard deviations of the offsets [m]."""
+    scatter: float = np.inf
+    """Of the edges about the outline, before the last step [m]."""
+    misfit: float = np.inf
+    """The same in the latest rest."""
+
+
+def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float) -> InParts[Refined]:
+    """The object as all views show it; its frame is that of the first rest, at the pose of that view.
+
+    Args:
+        min_height: Anything lower is table [m].
+
+    Raises:
+        PerceptionError: No outline can be traced from the views.
+    """
+    state = _begin(np.array(traced.shape.outline), [view.pose for view in views])
+    yield from _fit(state, traced, views, moves_edges=False)
+    before = state.misfit
+    yield from _fit(state, traced, views)
+    again = yield from trace_in_parts(
+        [view.in_object(pose) for view, pose in zip(views, state.poses, strict=True)],
+        min_height=min_height,
+        cell_count=len(traced.shape.cells),
+    )
+    origin = again.pose[:2]
+    again = replace(again, pose=traced.pose, top_origin=again.top_origin + origin)
+    state = _begin(again.shape.outline + origin, state.poses)
+    yield from _fit(state, again, views)
+    straight = straighten(dense(state.outline))
+    state = _begin(straight if len(straight) >= 3 else state.outline, state.poses)
+    # The first turn moves no edge, so that the deviations are those of the edges that remain.
+    yield from _fit(state, again, views, moves_edges=False)
+    std = np.hypot(state.std, _DISPLACED * state.scatter)
+    shape = ObjectShape(traced.shape.cells, state.outline, std)
+    again = replace(again, shape=shape, camera_positions=_camera_positions(views, state.poses), displaced_std=traced.displaced_std)
+    return Refined(again, tuple(state.poses), views[-1].segmented.segment.area, state.misfit, before)
+
+
+def _begin(outline: Float64Array, poses: Sequence[Float64Array]) -> _State:
+    return _State(outline, np.zeros(len(outline)), list(poses), np.zeros(len(outline)))
+
+
+def _fit(state: _State, traced: TracedObject, views: Sequence[RestView], *, moves_edges: bool = True) -> InParts[None]:
+    """Gauss-Newton for the offsets of the edges and the poses of all rests but the first one."""
+    for _ in range(4 if moves_edges else 2):
+        n = len(state.outline)
+        template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, state.outline)))
+        lines = []
+        for view, pose in zip(views, state.poses, strict=True):
+            yield
+            lines.append(lines_near_edges(template, state.outline, view.segmented.view, pose))
+        state.scatter = float(np.hypot(scatter_of(lines), _LEAST_SCATTER))
+        latest = [near for near, view in zip(lines, views, strict=True) if view.rest == views[-1].rest]
+        state.misfit = float(np.hypot(scatter_of(latest), _LEAST_SCATTER))
+        normal, gradient = _sums(state, lines, views)
+        if not moves_edges:
+            free = slice(n, None)
+            step = np.concatenate([np.zeros(n), np.linalg.solve(normal[free, free], gradient[free])])
+        else:
+            step = np.linalg.solve(normal, gradient)
+        state.std = np.sqrt(np.diag(np.linalg.inv(normal))[:n])
+        moves = np.vstack([np.zeros(3), step[n:].reshape(-1, 3)])
+        state.poses = [pose + moves[rest] for rest, pose in zip(_rests(views), state.poses, strict=True)]
+        if moves_edges:
+            offset = np.clip(step[:n], -0.003, 0.003)  # where the model of the lines of sight is linear
+            state.outline, state.moved = without_reversed(state.outline, with_edges_moved(state.outline, offset), state.moved + offset)
+
+
+def _rests(views: Sequence[RestView]) -> list[int]:
+    """Of each view the number of its rest, counted from 0."""
+    numbers = list(dict.fromkeys(view.rest for view in views))
+    return [numbers.index(view.rest) for view in views]
+
+
+def _camera_positions(views: Sequence[RestView], poses: Sequence[Float64Array]) -> tuple[Float64Array, ...]:
+    """Of the cameras in each rest [m], shapes (n, 2), object frame."""
+    positions: dict[int, list[Float64Array]] = {}
+    for view, pose in zip(views, poses, strict=True):
+        camera = view.segmented.view.camera_in_table[None, :2, 3]
+        positions.setdefault(view.rest, []).append(transform_points(inverse(pose), camera)[0])
+    return tuple(np.array(in_rest) for in_rest in positions.values())
+
+
+def _sums(state: _State, lines: Sequence[EdgeLines], views: Sequence[RestView]) -> tuple[Float64Array, Float64Array]:
+    """J'WJ and J'Wr with their priors, of the offsets and then of the poses."""
+    n, rests = len(state.outline), _rests(views)
+    normal, gradient = np.zeros((n + 3 * max(rests),) * 2), np.zeros(n + 3 * max(rests))
+    normals = edge_normals(state.outline)
+    length = np.linalg.norm(np.roll(state.outline, -1, axis=0) - state.outline, axis=1)
+    diagonal = np.arange(n)
+    for rest, near, view, pose in zip(rests, lines, views, state.poses, strict=True):
+        information = np.bincount(near.edge, np.square(near.slope), minlength=n) / VARIANCE
+        shared = np.square(state.scatter) * MATCHER_WINDOW / np.maximum(length, 1e-4)
+        weight = (1.0 / (VARIANCE * (1.0 + information * shared)))[near.edge]
+        normal[diagonal, diagonal] += np.bincount(near.edge, weight * np.square(near.slope), minlength=n)
+        gradient[:n] += np.bincount(near.edge, weight * near.slope * near.residual, minlength=n)
+        if rest == 0:
+            continue
+        outward, points = normals[near.edge], near.points
+        by_turn = outward[:, 1] * points[:, 0] - outward[:, 0] * points[:, 1]
+        by_pose = near.slope[:, None] * np.column_stack([outward @ rotation(pose[2]).T, by_turn])
+        at = slice(n + 3 * (rest - 1), n + 3 * rest)
+        normal[at, at] += by_pose.T @ (weight[:, None] * by_pose) + np.diag(1.0 / _PRIOR_POSE**2)
+        gradient[at] += by_pose.T @ (weight * near.residual) + (view.pose - pose) / _PRIOR_POSE**2
+        cross = np.stack([np.bincount(near.edge, weight * near.slope * column, minlength=n) for column in by_pose.T])
+        normal[at, :n] += cross
+        normal[:n, at] += cross.T
+    _add_prior_of_offsets(normal, gradient, state)
+    return normal, gradient
+
+
+def _add_prior_of_offsets(normal: Float64Array, gradient: Float64Array, state: _State) -> None:
+    """No edge is far from where it was, unless all are; edges of one curve move together."""
+    n = len(state.outline)
+    normal[:n, :n] += (np.eye(n) - 1.0 / n) / _PRIOR_FROM_MEAN**2
+    gradient[:n] -= (state.moved - state.moved.mean()) / _PRIOR_FROM_MEAN**2
+    edge = np.roll(state.outline, -1, axis=0) - state.outline
+    heading = np.arctan2(edge[:, 1], edge[:, 0])
+    turned = np.abs((np.roll(heading, -1) - heading + np.pi) % (2 * np.pi) - np.pi)
+    one = np.flatnonzero(turned < SAME_CURVE)
+    other = (one + 1) % n
+    difference = (state.moved[other] - state.moved[one]) / _SMOOTH**2
+    for i, j, pull in zip(one, other, difference, strict=True):
+        normal[[i, j], [i, j]] += 1.0 / _SMOOTH**2
+        normal[[i, j], [j, i]] -= 1.0 / _SMOOTH**2
+        gradient[i] += pull
+        gradient[j] -= pull

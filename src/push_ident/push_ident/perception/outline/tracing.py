@@ -31,43 +31,14 @@ _SPREAD: Final = 0.0015
 """Standard deviation of the Gaussian that spreads one sample [m]: about the distance between pixels on the table."""
 _MARGIN: Final = 0.015
 """Width of the fine grid around the object [m]."""
-_FINER: Final = 4
-"""The fine grid is interpolated by this factor before it is cut at the half level."""
-_SHORTEST_OUTLINE: Final = 40
-"""Least number of points of a traced outline: a square of 2.5 mm."""
-_TRACE_PASSES: Final = 3
-"""Passes of tracing: the first decides for each line of sight which of its ends matters."""
 _PIXEL_REACH: Final = 10
 """Lines of sight up to this distance from the upper side are used [px]."""
-_BEFORE_WALL: Final = 0.004
-"""Distance in front of a wall at which a lower level of the object is looked for [m]."""
-_SHADOW: Final = 13
-"""Window around a passing line of sight in which a lower level may begin behind a higher one [px]."""
-_LEVEL_WINDOW: Final = 7
-"""Window in which the levels of the upper side beside a pixel are looked for [px]."""
-_MEASURED: Final = 0.004
-"""A view that measures anything in a square of that edge measures there [m]: two pixels on the table."""
-_EDGE_OF_VIEW: Final = 0.003
-"""Nearer to the edge, what one of several views takes for the upper side may be the wall that another one sees [m]: two pixels."""
 _COARSE: Final = 0.0016
 """Distance within which a stretch of contour may be straight [m]."""
 _NEAR_CONTOUR: Final = 0.0007
 """Largest distance of the result from the contour where it is not straight [m]."""
-_ROUNDED: Final = 0.0025
-"""Length beside a corner that tracing rounds off [m]."""
-_SHORTEST: Final = 0.008
-"""Shorter stretches give no line [m]."""
-_BOW: Final = 0.0006
-"""Largest height of the arc of a stretch that counts as straight [m]; up to `_COARSE` where it bends inwards. An edge traced in two parts
-at an angle has a dent there, in which a simulated pusher gets caught; a shallow hollow that becomes an edge hardly changes a contact."""
 _RESTORED: Final = 0.004
 """Largest distance of a restored corner from the contour [m]."""
-_PARALLEL: Final = 0.25
-"""Two lines whose angle has a smaller sine have no corner."""
-_SAME_POINT: Final = 1e-6
-"""Points closer than this are one [m]: far above rounding, far below what a camera sees."""
-_PAD: Final = 16
-"""Margin around a segment in which pixels are used [px]."""
 
 
 Result = TypeVar("Result")
@@ -107,7 +78,7 @@ def trace_in_parts(views: Sequence[SegmentedView], *, min_height: float, cell_co
         yield
     centres = [segmented.view.camera_in_table[:2, 3] for segmented in views]
     outline, inner = None, None
-    for _ in range(_TRACE_PASSES):
+    for _ in range(3):  # The first pass decides for each line of sight which of its ends matters.
         full, empty = _points_of_views(lines, outline)
         yield
         inner = inner or [_inner_walls(walls, points, centre) for (_, _, walls), points, centre in zip(lines, full, centres, strict=True)]
@@ -118,7 +89,8 @@ def trace_in_parts(views: Sequence[SegmentedView], *, min_height: float, cell_co
     shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y))
     positions, levels = np.vstack(full), np.concatenate([stopped.level for stopped, _, _ in lines])
     if len(views) > 1:
-        inside = outline_distances(positions, np.ascontiguousarray(outline)) < -_EDGE_OF_VIEW
+        # Nearer to the edge than two pixels, what one view takes for the upper side may be the wall that another one sees.
+        inside = outline_distances(positions, np.ascontiguousarray(outline)) < -0.003
         positions, levels = (positions[inside], levels[inside]) if inside.any() else (positions, levels)
     grid, grid_origin = _height_grid(positions, levels, origin)
     return TracedObject(shape, np.array([x, y, 0.0]), grid, grid_origin - (x, y), 2 * _FINE)
@@ -141,8 +113,8 @@ def _points_of_views(
 
 
 def _cells_of(points: Float64Array) -> NDArray[np.int64]:
-    """Numbers of the cells that hold the points, shape (n,)."""
-    cell = np.floor(points / _MEASURED).astype(np.int64)
+    """Numbers of the cells of 4 mm, two pixels on the table, that hold the points, shape (n,)."""
+    cell = np.floor(points / 0.004).astype(np.int64)
     return np.asarray(cell[:, 0] * 2**20 + cell[:, 1])
 
 
@@ -171,8 +143,9 @@ class _Lines:
 def _lines_of_sight(segmented: SegmentedView, *, min_height: float) -> tuple[_Lines, _Lines, Float64Array]:
     """Lines of sight stopped by the upper side of the object, those that pass it, and points on walls [m], shape (n, 2)."""
     view, segment = segmented.view, segmented.segment
-    rows = slice(max(0, segment.rows.start - _PAD), segment.rows.stop + _PAD)
-    columns = slice(max(0, segment.columns.start - _PAD), segment.columns.stop + _PAD)
+    pad, level_window = 16, 7  # around the segment; in which levels of the upper side beside a pixel are looked for [px]
+    rows = slice(max(0, segment.rows.start - pad), segment.rows.stop + pad)
+    columns = slice(max(0, segment.columns.start - pad), segment.columns.stop + pad)
     centre, rays = view.rays
     rays, depth, points = rays[rows, columns], view.frame.depth[rows, columns], view.points[rows, columns]
     body = np.zeros(depth.shape, dtype=bool)
@@ -190,11 +163,11 @@ def _lines_of_sight(segmented: SegmentedView, *, min_height: float) -> tuple[_Li
     if np.count_nonzero(flat) < 20:
         raise PerceptionError(f"{np.count_nonzero(flat)} of {np.count_nonzero(body)} pixels show an upper side, expected at least 20.")
     smooth = _mean_of(filled, flat, 3)
-    window = np.ones((_LEVEL_WINDOW, _LEVEL_WINDOW), np.uint8)
+    window = np.ones((level_window, level_window), np.uint8)
     # Means over the highest and the lowest level nearby: the extremes themselves would be biased by noise.
     at_highest = flat & (smooth > cv2.dilate(np.where(flat, smooth, np.float32(-1.0)), window) - step)
     at_lowest = flat & (smooth < cv2.erode(np.where(flat, smooth, np.float32(1.0)), window) + step)
-    highest, lowest = _mean_of(smooth, at_highest, _LEVEL_WINDOW), _mean_of(smooth, at_lowest, _LEVEL_WINDOW, absent=1.0)
+    highest, lowest = _mean_of(smooth, at_highest, level_window), _mean_of(smooth, at_lowest, level_window, absent=1.0)
     near_highest, near_lowest = np.abs(z - highest) < step, np.abs(z - lowest) < step
     stopped = body & (flat | near_highest | near_lowest)
     # Level of the top beside the other pixels: the highest within the window, else that of the nearest flat pixel.
@@ -205,7 +178,7 @@ def _lines_of_sight(segmented: SegmentedView, *, min_height: float) -> tuple[_Li
     # A wall between two levels of the upper side lies inside the outline and does not constrain it.
     foot = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((2 * _PIXEL_REACH + 1, 2 * _PIXEL_REACH + 1), np.uint8))
     # Beside two levels a line of sight proves only its crossing of the lower one empty: the upper one may end earlier.
-    lower = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((_SHADOW, _SHADOW), np.uint8))
+    lower = cv2.erode(np.where(at_lowest, smooth, np.float32(1.0)), np.ones((13, 13), np.uint8))
     passing = valid & ~stopped & (z < np.minimum(foot, beside) - step) & (distance < _PIXEL_REACH)
     # The object ends where its shadow begins, since all of its upper side up to the edge is lit.
     passing |= (unmeasured_areas(valid) > 0) & (distance < _PIXEL_REACH)
@@ -224,9 +197,9 @@ def _lines_of_sight(segmented: SegmentedView, *, min_height: float) -> tuple[_Li
 
 
 def _inner_walls(walls: Float64Array, full: Float64Array, camera: Float64Array) -> Float64Array:
-    """Points on walls in front of which, towards the camera, the object continues at a lower level: they lie inside the outline."""
+    """Points on walls 4 mm in front of which, towards the camera, the object continues at a lower level: they lie inside the outline."""
     to_camera = camera - walls
-    before = walls + _BEFORE_WALL * to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True)
+    before = walls + 0.004 * to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True)
     origin = np.vstack([full, before]).min(axis=0) - _FINE
     columns, rows = (int(n) for n in np.ceil((np.vstack([full, before]).max(axis=0) + _FINE - origin) / _FINE))
     # The object ends beside a wall along the line of sight, so only points well inside count.
@@ -257,14 +230,15 @@ def _balance(full: Float64Array, empty: Float64Array) -> tuple[Float64Array, Flo
         a, b = (cv2.GaussianBlur(counted, (0, 0), spread / _FINE) for counted in (counted_full, counted_empty))
         known = a + b > 0.02
         share[known] = a[known] / (a + b)[known]
-    fine = cv2.resize(share, None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_LINEAR)
+    finer = 4
+    fine = cv2.resize(share, None, fx=finer, fy=finer, interpolation=cv2.INTER_LINEAR)
     contours, _ = cv2.findContours((fine > 0.5).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours:
         raise PerceptionError("The outline of the object cannot be traced: no point of it is full.")
     contour = max(contours, key=cv2.contourArea)
-    if len(contour) < _SHORTEST_OUTLINE:
+    if len(contour) < 40:  # a square of 2.5 mm
         raise PerceptionError(f"The outline of the object is {len(contour)} points long; it is too small for this camera.")
-    pixel = _FINE / _FINER
+    pixel = _FINE / finer
     # findContours walks through the centres of the outermost pixels, half a pixel inside the edge.
     outline = _grown(straighten(contour[:, 0].astype(np.float64) * pixel), 0.5 * pixel)
     return origin + outline + 0.5 * pixel, origin
@@ -358,7 +332,7 @@ def straighten(contour: Float64Array) -> Float64Array:
         vertices.extend(_joint(here, following))
     outline = np.array(vertices)
     # Two stretches may end in the same point, or, by rounding, next to it; an edge without a length has no normal.
-    outline = outline[np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) > _SAME_POINT]
+    outline = outline[np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) > 1e-6]
     return outline if len(outline) >= 3 else contour[_simplified(contour, _NEAR_CONTOUR)]
 
 
@@ -378,10 +352,14 @@ def _open_simplified(points: Float64Array) -> list[int]:
 
 
 def _stretch(points: Float64Array, inwards: float) -> _Stretch:
-    """Fit a line to a run of points if it is straight. `inwards` is 1 where the inside lies to the left of the contour, else -1."""
+    """Fit a line to a run of points of 8 mm or more that is straight. `inwards` is 1 where the inside lies to the left, else -1.
+
+    Its 2.5 mm beside the corners, which tracing rounds off, do not count. Its arc is at most 0.6 mm high, `_COARSE` where it bends inwards:
+    an edge traced in two parts at an angle has a dent there, in which a simulated pusher gets caught.
+    """
     arc_length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    inner = points[(arc_length >= _ROUNDED) & (arc_length <= arc_length[-1] - _ROUNDED)]
-    if arc_length[-1] < _SHORTEST or len(inner) < 5:
+    inner = points[(arc_length >= 0.0025) & (arc_length <= arc_length[-1] - 0.0025)]
+    if arc_length[-1] < 0.008 or len(inner) < 5:
         return _Stretch(points, None)
     middle = inner.mean(axis=0)
     direction = np.linalg.svd(inner - middle, full_matrices=False)[2][0]
@@ -390,7 +368,7 @@ def _stretch(points: Float64Array, inwards: float) -> _Stretch:
     across = (inner - middle) @ np.array([-direction[1], direction[0]])
     half = 0.5 * float(np.ptp(along))
     bow = inwards * float(np.polyfit(along / half, across, 2)[0])
-    return _Stretch(points, _Straight(middle, direction) if -_COARSE <= bow <= _BOW else None)
+    return _Stretch(points, _Straight(middle, direction) if -_COARSE <= bow <= 0.0006 else None)
 
 
 def _merged(stretches: list[_Stretch], inwards: float) -> list[_Stretch]:
@@ -440,7 +418,7 @@ def _crossing(a: _Straight | None, b: _Straight | None) -> Float64Array | None:
     if a is None or b is None:
         return None
     sine = a.direction[0] * b.direction[1] - a.direction[1] * b.direction[0]
-    if abs(sine) < _PARALLEL:
+    if abs(sine) < 0.25:
         return None
     between = b.point - a.point
     return np.asarray(a.point + (between[0] * b.direction[1] - between[1] * b.direction[0]) / sine * a.direction)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,9 +28,6 @@ from push_ident.types import DepthFrame, Float64Array
 
 __all__ = ["FurtherCamera"]
 
-_KEPT_FRAMES: Final = 20
-"""Number of latest frames that are kept."""
-
 
 @dataclass(frozen=True, slots=True)
 class _Shot:
@@ -45,7 +41,7 @@ class FurtherCamera:
     """The latest frames of one camera that does not move."""
 
     def __init__(self) -> None:
-        self._shots: deque[_Shot] = deque(maxlen=_KEPT_FRAMES)
+        self._shots: deque[_Shot] = deque(maxlen=20)
         self._extrinsics = np.eye(4)
 
     def add(self, frame: DepthFrame, camera_in_table: ArrayLike, robot: Sequence[RobotPart] = ()) -> None:

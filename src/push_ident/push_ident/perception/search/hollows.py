@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.perception.frame.view import OBJECT, ROBOT, FrameView
-from push_ident.perception.kernels import highest_in_cells
-from push_ident.perception.known_object import TracedObject
+from push_ident.perception.known_object import NOISE_STEP, TOP_QUANTILE, TracedObject
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray, Float64Array
 
@@ -29,17 +28,9 @@ _BESIDE_OPENING: Final = np.ones((7, 7), np.uint8)
 """Window in which the cells beside an opening give the height of its rim [cells]."""
 _TORN: Final = np.ones((7, 7), np.uint8)
 """Pieces of a patch so near to each other belong together [px]."""
-_LEVEL: Final = 0.01
-"""Between two heights at which a rim is looked for [m]."""
-_BELOW_RIM: Final = 0.005
-"""Points so far below the rim are in the hollow [m]: three times the noise of a height."""
 _INSIDE_RIM: Final = 1.5
 """Lines of sight that enter or end so far inside the outer edge of the rim have passed it [cells]: points of the outer wall scatter about
 the edge."""
-_SMALLEST_RIM: Final = 100
-"""Patches with fewer pixels are not looked at: a rim has more."""
-_MOST: Final = 0.5
-"""Least fraction of the lines of sight through an opening that end below the rim [-]: an unmeasured spot is no hollow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +80,8 @@ def cover_hollows(view: FrameView) -> Covered:
     n, patches, boxes, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
     for index in range(1, n):
         left, top, columns, rows, size = (int(value) for value in boxes[index])
-        if size < _SMALLEST_RIM:
-            continue
+        if size < 100:
+            continue  # a rim has more pixels
         box, part = (slice(v + top, v + top + rows), slice(u + left, u + left + columns)), np.s_[top : top + rows, left : left + columns]
         with np.errstate(invalid="ignore"):
             raised = (points[box][..., 2] > settings.min_object_height) & (patches[part] == index) & (labels[box] != ROBOT)
@@ -102,12 +93,12 @@ def cover_hollows(view: FrameView) -> Covered:
             measured = points[box].reshape(-1, 3)
             entry, end = opening.depth_within(crossing.reshape(-1, 2)), opening.depth_within(measured[:, :2])
             # A line of sight that enters inside the rim ends in the hollow; just at the rim, only where its end shows that.
-            below = measured[:, 2] < opening.rim - _BELOW_RIM
+            below = measured[:, 2] < opening.rim - NOISE_STEP
             ends_inside = below & ((entry > _INSIDE_RIM) | ((entry > 0) & (end > _INSIDE_RIM)))
             unmeasured = ~np.isfinite(measured[:, 2]) & (entry > _INSIDE_RIM)
             robot = labels[box].ravel() == ROBOT
-            if np.count_nonzero(ends_inside) < _MOST * np.count_nonzero(ends_inside | unmeasured):
-                continue
+            if np.count_nonzero(ends_inside) < 0.5 * np.count_nonzero(ends_inside | unmeasured):
+                continue  # an unmeasured spot is no hollow
             covered = ((ends_inside | unmeasured) & ~robot).reshape(rows, columns)
             if not lid.any():
                 depth, closed, labels = frame.depth.copy(), points.copy(), labels.copy()
@@ -123,7 +114,7 @@ def _openings(points: NDArray[np.float32], pixel: float, settings: PerceptionSet
 
     A rim may have gaps of two pixels; wider ones, as between the handles of pliers, are no part of a rim.
     """
-    highest = float(np.quantile(points[:, 2], 0.98)) if len(points) else 0.0
+    highest = float(np.quantile(points[:, 2], TOP_QUANTILE)) if len(points) else 0.0
     if highest < settings.min_step:
         return
     reach = round(pixel / _CELL_FROM_ABOVE)
@@ -131,9 +122,11 @@ def _openings(points: NDArray[np.float32], pixel: float, settings: PerceptionSet
     origin, far_corner = (np.array([end(points[:, 0]), end(points[:, 1])], dtype=np.float64) for end in (np.min, np.max))
     origin -= len(gap) * _CELL_FROM_ABOVE
     columns, rows = (int(n) for n in np.floor((far_corner - origin) / _CELL_FROM_ABOVE) + len(gap) + 1)
-    heights = highest_in_cells(points, origin, _CELL_FROM_ABOVE, rows, columns)
+    column, row = ((points[:, :2] - origin) / _CELL_FROM_ABOVE).astype(np.int64).T
+    heights = np.full((rows, columns), np.float32(-np.inf))
+    np.maximum.at(heights, (row, column), points[:, 2])
     known = np.zeros((rows, columns), dtype=bool)
-    for level in np.arange(highest - _BELOW_RIM, settings.min_step, -_LEVEL):
+    for level in np.arange(highest - NOISE_STEP, settings.min_step, -0.01):
         high = cv2.morphologyEx((heights > level).astype(np.uint8), cv2.MORPH_CLOSE, gap)
         contours, tree = cv2.findContours(high, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         for i, contour in enumerate(contours):
@@ -144,7 +137,7 @@ def _openings(points: NDArray[np.float32], pixel: float, settings: PerceptionSet
             hole = (hole > 0) & (high == 0)
             # Where nothing raised is measured, the table or a shadow is.
             floor = float(np.median(np.maximum(heights[hole], 0.0)))
-            if (known & hole).any() or level - floor < settings.min_step - _BELOW_RIM:
+            if (known & hole).any() or level - floor < settings.min_step - NOISE_STEP:
                 continue
             beside = (cv2.dilate(hole.astype(np.uint8), _BESIDE_OPENING) > 0) & (heights > level)
             known |= hole

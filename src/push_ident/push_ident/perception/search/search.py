@@ -49,18 +49,8 @@ N_PARTS: Final = 3
 """Parts of a search: labels and hollows, segments, and what they are."""
 _EXPLAINED: Final = 0.1
 """A segment of which less lies on known objects is a thing of its own: things that stand close may overlap at their walls [-]."""
-_COVERED_BESIDE: Final = 0.01
-"""Points up to this distance outside the outline count as covered [m]: a wall's points scatter to both sides of it."""
-_CHECKED: Final = 2000
-"""About so many of the points are compared with the outline; more do not change the fraction."""
-_LONGEST_WAIT: Final = 16
-"""A segment without a shape is traced anew after twice as many frames each time, up to so many times `rest_frames`."""
-_EDGE_STEP: Final = 0.002
-"""Distance of the points of the edge that are looked at [m]: a cell of the heights."""
 _INSIDE_EDGE: Final = 0.003
 """So far inside the outline the height of an edge is looked up [m]: nearer to it, heights are those of a wall or of the table."""
-_SIDE: Final = 0.008
-"""A point so near to the outline in the view from above is on the side below the edge [m]."""
 _LOW_EDGE: Final = 0.05
 """Fraction of the edge from which it is reported that the tool passes over it [-]: less may be noise of the heights."""
 _VISIBLE_SIDE: Final = 0.1
@@ -262,7 +252,7 @@ class Registration:
                     continue
                 except (FrameError, InputError, PerceptionError) as error:
                     candidate.failure = str(error)
-                    candidate.waited, candidate.wait = 0, min(2 * candidate.wait, _LONGEST_WAIT)
+                    candidate.waited, candidate.wait = 0, min(2 * candidate.wait, 16)  # traced anew less and less often
             left.append(candidate)
             reason, why = Reason.NOT_AT_REST, Reason.NOT_AT_REST.value
             if candidate.failure:
@@ -330,10 +320,9 @@ def _lid_of(segment: Segment, covered: Covered) -> Float64Array:
 
 
 def _check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> None:
-    """Raises PerceptionError unless the outline covers the points of its segment."""
-    points = segment.measured_in(view.points)[:, :2].astype(np.float64)
-    points = points[:: 1 + len(points) // _CHECKED]
-    covered = float(np.mean(signed_distance(points, transform_points(traced.pose, traced.shape.outline)) < _COVERED_BESIDE))
+    """Raises PerceptionError unless the outline covers the points of its segment, with 10 mm around it: those of walls scatter."""
+    points = _thinned(segment.measured_in(view.points)[:, :2].astype(np.float64))
+    covered = float(np.mean(signed_distance(points, transform_points(traced.pose, traced.shape.outline)) < 0.01))
     least = view.settings.segments.min_covered
     if covered < least:
         raise PerceptionError(
@@ -354,7 +343,7 @@ def _contact_doubt(traced: TracedObject, points: Float64Array, tool_reach: tuple
         tool_reach: Heights of the tip and of the upper end of the tool above the table while it pushes [m].
     """
     low, high = tool_reach
-    edge = dense(traced.shape.outline, _EDGE_STEP)
+    edge = dense(traced.shape.outline, traced.top_resolution)
     height = _height_of_edge(traced, edge)
     if float(traced.top.max()) < low:
         return (
@@ -396,8 +385,13 @@ def _height_of_edge(traced: TracedObject, edge: Float64Array) -> Float64Array:
 
 
 def _is_near(positions: Float64Array, points: Float64Array) -> BoolArray:
-    """Which positions (n, 2) have one of the points nearby, shape (n,)."""
+    """Which positions (n, 2) have one of the points within 8 mm, shape (n,): that point is on the side below an edge there."""
     if len(points) == 0:
         return np.zeros(len(positions), dtype=bool)
-    some = points[:: 1 + len(points) // 2000]
-    return np.array([np.min(np.sum(np.square(some - position), axis=1)) < _SIDE**2 for position in positions])
+    some = _thinned(points)
+    return np.array([np.min(np.sum(np.square(some - position), axis=1)) < 0.008**2 for position in positions])
+
+
+def _thinned(points: Float64Array) -> Float64Array:
+    """About 2000 of the points: more do not change a fraction."""
+    return points[:: 1 + len(points) // 2000]

@@ -29,18 +29,10 @@ _NEAR: Final = 4
 _OWN_SHADOW: Final = 1.0 / 3.0
 """Width of the shadow that a step of an object leaves on the object itself over the height of the step [-]: a baseline of a third of the
 distance, that of a structured-light scanner near its object; other depth cameras have a tenth or less."""
-_SKIRT: Final = 0.004
-"""Distance from the border of the workspace at which a segment counts as cut by it [m]."""
 _SMALLEST_PATCH: Final = 12
 """Patches with fewer pixels are noise."""
 _ACROSS: Final = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Directions (rows, columns) in which chords are drawn."""
-_LEG: Final = 0.8
-"""Half of a chord, across the line of sight, in steps: 0.8 of each side of a fold of a right angle."""
-_SAG: Final = 0.5
-"""Depth of a fold behind its chord, in steps."""
-_CORE: Final = 60
-"""Pixels that a surface needs inside its borders; smaller patches are merged into their neighbours."""
 
 
 def find_segments(view: FrameView) -> tuple[list[Segment], dict[str, int]]:
@@ -77,7 +69,7 @@ def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[
     height, width = labels.shape
     if min(rows.start, columns.start) < _NEAR or rows.stop > height - _NEAR or columns.stop > width - _NEAR:
         return Reason.AT_IMAGE_BORDER
-    low, high = np.array(settings.workspace_low) + _SKIRT, np.array(settings.workspace_high) - _SKIRT
+    low, high = np.array(settings.workspace_low) + 0.004, np.array(settings.workspace_high) - 0.004  # nearer is cut by it
     if any(points[:, k].min() <= low[k] or points[:, k].max() >= high[k] for k in (0, 1)):
         return Reason.AT_WORKSPACE_BORDER
     wide = (slice(max(0, rows.start - _NEAR), rows.stop + _NEAR), slice(max(0, columns.start - _NEAR), columns.stop + _NEAR))
@@ -200,8 +192,9 @@ def split_surfaces(depth: NDArray[np.float32], mask: BoolArray, focal: float, st
         return np.zeros(mask.shape, dtype=np.int32)
     cut = mark_jumps(smooth, mask, step)
     patches = _cores(mask & ~cut)
-    leg = _LEG * step * focal / float(np.median(smooth[mask]))
-    folded = _folds(smooth, patches, leg, _SAG * step)
+    # Half of a chord is 0.8 of each side of a fold of a right angle, across the line of sight; the fold lies half a step behind it.
+    leg = 0.8 * step * focal / float(np.median(smooth[mask]))
+    folded = _folds(smooth, patches, leg, 0.5 * step)
     surfaces = _cores((patches > 0) & ~(cv2.dilate(folded.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0))
     return np.asarray(grow_surfaces(surfaces, smooth, mask, step))
 
@@ -224,9 +217,9 @@ def _averaged(values: NDArray[np.float32], mask: BoolArray) -> NDArray[np.float3
 
 
 def _cores(mask: BoolArray) -> NDArray[np.int32]:
-    """Connected patches of the mask that are large enough, numbered 1, 2, ..."""
+    """Connected patches of at least 60 pixels of the mask, numbered 1, 2, ...: smaller ones are merged into their neighbours."""
     n, components, boxes, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
-    large = np.flatnonzero(boxes[:, cv2.CC_STAT_AREA] >= _CORE)
+    large = np.flatnonzero(boxes[:, cv2.CC_STAT_AREA] >= 60)
     number = np.zeros(n, dtype=np.int32)
     kept = large[large > 0]
     number[kept] = np.arange(1, len(kept) + 1)

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
-from push_ident.perception.frame.view import FrameView, unmeasured_areas
+from push_ident.perception.frame.view import DEVIATIONS, FrameView, unmeasured_areas
 from push_ident.perception.kernels import (
     compare_lines,
     displaced_scores,
@@ -47,10 +47,12 @@ from push_ident.perception.kernels import (
     nearest_values,
     scores_of_squares,
 )
-from push_ident.perception.known_object import FIELD_MARGIN, Placed, PoseFit, Template, TrackStatus
+from push_ident.perception.known_object import FIELD_MARGIN, NOISE_STEP, Placed, PoseFit, Template, TrackStatus
 from push_ident.types import BoolArray, Float64Array
 
 __all__ = [
+    "EDGE_WIDTH",
+    "MATCHER_WINDOW",
     "MISSING",
     "LinesOfSight",
     "UpperSide",
@@ -63,43 +65,23 @@ __all__ = [
     "relocate",
 ]
 
-_LEVELS: Final = ((0.006, 0.02, 3, 8, 3e-4), (0.0015, 0.006, 1, 8, 2e-5))
+EDGE_WIDTH: Final = 0.0015
+"""Width s of the expected step from stopped to passing, near the pose [m]."""
+_LEVELS: Final = ((0.006, 0.02, 3, 8, 3e-4), (EDGE_WIDTH, 0.006, 1, 8, 2e-5))
 """Width s [m], half width of the band of pixels used [m], stride over pixels, most iterations, and the step that ends them [m]: wide, then
 narrow. The wide one ends at a fifth of the narrow width, far inside the reach of the narrow one."""
-_TURN: Final = 10.0
-"""Turn that ends the iterations, per metre of the step that does [rad/m]: that of an edge 10 cm from the middle."""
 _OVERSHOOT: Final = 1.5
 """Second derivative of half the sum of squares over J'J near the best pose [-]. The measured changes at the edge at once, the expected over
 the width s: across an edge, with e = sigmoid(-d / s), the integral of e'^2 is 1 / (6 s), and that of the residual times -e'' 1 / (12 s).
 A full step of Gauss-Newton thus ends half as far beyond the best pose as it began before it."""
-_STEP: Final = 0.005
-"""A line of sight counts as stopped this far below the top, if that is above half height [m]: three times the noise of a height."""
 _ABOVE: Final = 0.01
 """Points this far above the top belong to something in front [m]."""
+MATCHER_WINDOW: Final = 0.02
+"""Within this distance of each other residuals may be correlated [m]: the window of a matcher is 7 to 9 px, 10 to 20 mm."""
 _CLEAR: Final = 0.003
 """Pixels further than this from the edge can contradict a pose [m]."""
-_EQUAL_FIT: Final = 0.02
-"""Headings whose fractions of contradicting pixels differ by less fit equally well."""
-_SQUARE: Final = 0.02
-"""Edge of the squares of the object within which residuals may be correlated [m]: the window of a matcher is 7 to 9 px, 10 to 20 mm."""
-_SHADOW_MARGIN: Final = 0.005
-"""Lines of sight nearer to an unmeasured area are left out [m]: as far as the narrow width of the fit reaches."""
-_INSIDE_OUTLINE: Final = 0.005
-"""Only lines of sight that pass the top so far inside the outline count [m]: pixels at an edge may show either side of it."""
-_BORDER_STRIP: Final = (0.0045, 0.0015)
-"""Middle and half width of the strips on both sides of the outline [m]: pixels nearer to the edge cannot contradict a pose."""
-_BELOW_UPPER_SIDE: Final = 0.005
-"""What is so far below the upper side is not the upper side [m], as in pose fits, and ..."""
-_DEVIATIONS: Final = 4.0
-"""... so many deviations of a height, as the least height of an object is [-]."""
 _VOTE_CELL: Final = 0.004
 """Edge of the cells in which missing area is counted [m]."""
-_VOTE_WINDOW: Final = (3, 3)
-"""Cells around each in which lines of sight vote: 12 mm, more than the distance of the lines of a camera of 360 px at 1.5 m."""
-_TIE: Final = 1e-6
-"""Where as many lines pass as are stopped nothing is missing; the mean of votes is exact to this."""
-_UPPER_SIDE_STRIDE: Final = 3
-"""Of the pixels that are looked at."""
 MISSING: Final = 4e-4
 """Least area that shows that a part is missing [m^2]: below `min_object_area`. Whole objects lack at most 2e-4 along the edges of their
 steps (decision 15)."""
@@ -181,7 +163,7 @@ def relocate(
     fits = [fit_pose(template, view, starts[index], others) for index in minima[np.argsort(mean_square[minima])][:3]]
     best = min(fits, key=lambda fit: (fit.status is not TrackStatus.TRACKED, fit.share_contradicting))
     if last_yaw is not None:
-        equal = [fit for fit in fits if fit.status is best.status and fit.share_contradicting < best.share_contradicting + _EQUAL_FIT]
+        equal = [fit for fit in fits if fit.status is best.status and fit.share_contradicting < best.share_contradicting + 0.02]
         best = min(equal, key=lambda fit: abs(float(wrap_angle(fit.pose[2] - last_yaw))))
     # Without a previous pose, one half of an object can be taken for the other half.
     accepted = view.settings.tracking
@@ -209,7 +191,7 @@ def lines_of_sight(
         centre,
         pose,
         (rows.start, rows.stop, columns.start, columns.stop, stride),
-        (level, band + slack, _STEP, _ABOVE),
+        (level, band + slack, NOISE_STEP, _ABOVE),
     )
     if template.hollow is not None:
         # What is measured through an opening depends on the walls inside, which nobody knows.
@@ -225,14 +207,15 @@ def lines_of_sight(
 def _beside_areas(view: FrameView, box: tuple[slice, slice]) -> NDArray[np.uint8]:
     """Which pixels of the box lie beside an unmeasured area, such as the shadow of the object: 1.
 
-    Where nothing is measured on one side of an edge, the lines of sight of the other side alone would push it into the shadow.
+    Where nothing is measured on one side of an edge, the lines of sight of the other side alone would push it into the shadow: those within
+    5 mm, as far as the narrow width of the fit reaches.
     """
     depth = view.frame.depth[box]
     measured = np.isfinite(depth)
     areas = unmeasured_areas(measured)
     if not areas.any():
         return areas
-    reach = _SHADOW_MARGIN * view.frame.intrinsics.fx / float(np.median(depth[measured])) if measured.any() else 0.0
+    reach = 0.005 * view.frame.intrinsics.fx / float(np.median(depth[measured])) if measured.any() else 0.0
     reach = int(np.ceil(min(reach, max(areas.shape))))  # further than the box there is nothing to mark
     return np.asarray(cv2.dilate(areas, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)))
 
@@ -287,25 +270,27 @@ class UpperSide:
 def compare_upper_side(template: Template, view: FrameView, pose: Float64Array, others: Sequence[Placed] = ()) -> UpperSide:
     """Compare the upper side of an object with the lines of sight at a pose (x, y, yaw) [m, m, rad], table frame.
 
-    Hidden spots, and those where something higher is measured, count neither as there nor as missing.
+    Hidden spots, and those where something higher is measured, count neither as there nor as missing. Pixels at an edge may show either
+    side: missing counts from 5 mm inside the outline, the border in strips of 3 mm, 4.5 mm to both sides. In each cell the lines of sight
+    within 12 mm vote, more than their distance in a camera of 360 px at 1.5 m.
 
     Args:
         others: Other known objects; their pixels are left out.
     """
-    lines = lines_of_sight(template, view, pose, template.radius, _UPPER_SIDE_STRIDE, others)
+    lines = lines_of_sight(template, view, pose, template.radius, 3, others)
     if lines is None:
         return UpperSide(0.0, np.nan, 0.0, 0.0)
     positions, passed = lines.innermost_points(template, pose), lines.stopped < 0.5
     distance = template.nearest_distance(positions)
-    at_border = np.abs(np.abs(distance) - _BORDER_STRIP[0]) < _BORDER_STRIP[1]
+    at_border = np.abs(np.abs(distance) - 0.0045) < 0.0015
     is_open, is_crowded = _share(passed[at_border & (distance < 0)]), _share(~passed[at_border & (distance > 0)])
-    inside = distance < -_INSIDE_OUTLINE
+    inside = distance < -0.005
     positions, height = positions[inside], lines.height[inside]
-    passed = height < template.least_top(positions) - max(_BELOW_UPPER_SIDE, _DEVIATIONS * view.noise)
+    passed = height < template.least_top(positions) - max(NOISE_STEP, DEVIATIONS * view.noise)
     n = int(np.ceil(2.0 * template.radius / _VOTE_CELL)) + 1
     cell = np.floor((positions + template.radius) / _VOTE_CELL).astype(np.int64) @ np.array([1, n])
     votes = np.bincount(cell, weights=np.where(passed, 1.0, -1.0), minlength=n * n).reshape(n, n)
-    missing = cv2.blur(votes, _VOTE_WINDOW, borderType=cv2.BORDER_CONSTANT) > _TIE
+    missing = cv2.blur(votes, (3, 3), borderType=cv2.BORDER_CONSTANT) > 1e-6  # as many passing as stopped: not missing
     below = height[missing.ravel()[cell] & passed]
     return UpperSide(
         float(np.count_nonzero(missing)) * _VOTE_CELL**2, float(np.median(below)) if len(below) else np.nan, is_open, is_crowded
@@ -350,8 +335,8 @@ def _gauss_newton(
         # The linearisation does not hold beyond the width.
         step *= 1.0 / _OVERSHOOT if length < width else min(1.0, 2.0 * width / length)
         pose = pose + step
-        if np.hypot(step[0], step[1]) < enough and abs(step[2]) < _TURN * enough:
-            break
+        if np.hypot(step[0], step[1]) < enough and abs(step[2]) < 10.0 * enough:
+            break  # the turn moves an edge 10 cm from the middle by as much
     return pose
 
 
@@ -361,7 +346,7 @@ def _jackknife(template: Template, lines: LinesOfSight, pose: Float64Array, norm
     Residuals within a square may be correlated in any way: those of an edge that a sensor displaces over a whole window, and of errors of
     the outline, are. Delete-a-group jackknife, linear in the residuals (Efron & Stein, "The jackknife estimate of variance", 1981).
     """
-    squares, gradient = scores_of_squares(template.field, lines.upper, lines.lower, lines.stopped, pose, _LEVELS[-1][0], _SQUARE)
+    squares, gradient = scores_of_squares(template.field, lines.upper, lines.lower, lines.stopped, pose, EDGE_WIDTH, MATCHER_WINDOW)
     used = np.trace(squares, axis1=1, axis2=2) > 0
     n = int(np.count_nonzero(used))
     moved = np.linalg.solve(normal - squares[used], gradient[used][..., None])[..., 0]
@@ -372,18 +357,18 @@ def _covariance_shared_by_frames(
     template: Template, view: FrameView, lines: LinesOfSight, pose: Float64Array, normal: Float64Array
 ) -> Float64Array:
     """Covariance of the errors that every frame at this pose has, shape (3, 3)."""
-    covariance = in_table(template.frame_covariance, pose)
-    if template.camera_positions is None or template.displaced_std == 0.0:
+    covariance = in_table(template.traced.frame_covariance, pose)
+    if template.camera_positions is None or template.traced.displaced_std == 0.0:
         return covariance
-    moved = template.displaced_std * _displaced_pose(template, view, lines, pose, normal)
+    moved = template.traced.displaced_std * _displaced_pose(template, view, lines, pose, normal)
     return covariance + np.outer(moved, moved)
 
 
 def _displaced_pose(template: Template, view: FrameView, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
     """As `displaced_by_camera`, of a template whose `camera_positions` are known; `normal` is J'J."""
     camera = np.array(view.camera_in_table[:2, 3], dtype=np.float64)
-    scores = displaced_scores(template.field, lines.upper, lines.lower, pose, _LEVELS[-1][0], camera, template.camera_positions)
-    of_frame = template.displaced_frame
+    scores = displaced_scores(template.field, lines.upper, lines.lower, pose, EDGE_WIDTH, camera, template.camera_positions)
+    of_frame = template.traced.displaced_frame
     return np.asarray(np.linalg.solve(normal, scores) + np.append(rotation(float(pose[2])) @ of_frame[:2], of_frame[2]))
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from push_ident.geometry.se2 import rotation
 from push_ident.perception.frame.view import FrameView
 from push_ident.perception.known_object import (
+    NOISE_STEP,
     ON_OBJECT,
     THIN,
     TOP_QUANTILE,
@@ -46,18 +47,12 @@ _OPEN: Final = (0.1, 0.6)
 above, the object is gone."""
 _CROWDED: Final = (0.1, 0.7)
 """A fraction of crowded border between these, with none of it open, shows a thing that touches the object [-]."""
-_PARTS_REACH: Final = 2.0
-"""The parts of an object are looked for within so many times its radius from where it was lost [-]."""
 _TOGETHER: Final = (0.75, 1.4)
 """Area of parts that still touch, relative to that of the object [-]: one may stand on the other in part."""
 _APART: Final = (0.8, 1.25)
 """Area of the separate parts together, relative to that of the object [-]."""
 _SAME_HEIGHT: Final = 0.01
 """Largest difference of the heights of an object and of its parts [m]: a tipped object differs by more."""
-_SAME_POSITION: Final = 0.01
-"""A position so near to a point of a segment lies on it [m]."""
-_RAISED: Final = 0.005
-"""Points so far above the upper side of an object are not on it [m]: three times the noise of a height."""
 
 
 @dataclass(slots=True)
@@ -69,7 +64,6 @@ class TrackedObject:
     template: Template
     area: float
     """Area of its segment [m^2]."""
-    first_pose: Float64Array
     pose: Float64Array
     stamp: float
     velocity: Float64Array = field(default_factory=lambda: np.zeros(3))
@@ -120,15 +114,14 @@ class KnownObjects(dict[str, TrackedObject]):
         """Know a new object from now on; its id."""
         self._n_ids += 1
         name = f"o{self._n_ids}"
-        self[name] = TrackedObject(new.traced, Template(new.traced), new.area, new.traced.pose, new.traced.pose, stamp)
+        self[name] = TrackedObject(new.traced, Template(new.traced), new.area, new.traced.pose, stamp)
         return name
 
     def remember(self, name: str, known: KnownObject) -> None:
         """Know an object of an earlier run, which is to be found again."""
         pose = np.array(known.pose, dtype=np.float64)
-        tracked = TrackedObject(known.traced, Template(known.traced), known.area, known.traced.pose, pose, -np.inf)
-        tracked.status, tracked.announced = TrackStatus.OUT_OF_VIEW, False
-        self[name] = tracked
+        self[name] = TrackedObject(known.traced, Template(known.traced), known.area, pose, -np.inf, status=TrackStatus.OUT_OF_VIEW)
+        self[name].announced = False
         self._n_ids = max(self._n_ids, int(name[1:]))
 
     def tracked(self) -> dict[str, TrackedObject]:
@@ -171,8 +164,9 @@ class _Suspect:
     given_up: bool = False
 
     def is_near(self, position: Float64Array) -> bool:
+        """Whether a part of it may be there: within twice its radius."""
         template, pose = self.placed
-        return bool(np.linalg.norm(position[:2] - pose[:2]) < _PARTS_REACH * template.radius)
+        return bool(np.linalg.norm(position[:2] - pose[:2]) < 2.0 * template.radius)
 
     def is_apart(self, n_more: int = 0, more: float = 0.0) -> bool:
         """Whether the parts taken in, and as many more with that area [m^2], are separate and all of it."""
@@ -383,7 +377,7 @@ def _area_beyond(segment: Segment, points: NDArray[np.float32], placed: Placed) 
     box_points = points[segment.rows, segment.columns]
     in_object = ((box_points[..., :2].reshape(-1, 2) - pose[:2]) @ rotation(pose[2])).astype(np.float64)
     outside = template.nearest_distance(in_object) > ON_OBJECT
-    raised = box_points[..., 2].ravel() > template.nearest_top(in_object) + _RAISED
+    raised = box_points[..., 2].ravel() > template.nearest_top(in_object) + NOISE_STEP
     beyond = (outside | raised).reshape(segment.mask.shape) & segment.mask
     beyond = cv2.morphologyEx(beyond.astype(np.uint8), cv2.MORPH_OPEN, THIN) > 0
     return area_from_above(box_points[beyond].astype(np.float64))
@@ -396,6 +390,6 @@ def _is_part(suspect: _Suspect, thing: NewObject) -> bool:
 
 
 def _covers(segment: Segment, points: NDArray[np.float32], position: Float64Array) -> bool:
-    """Whether a position (x, y) [m] lies on a segment."""
+    """Whether a position (x, y) [m] lies on a segment, within 10 mm."""
     on_segment = segment.points_in(points)[:, :2]
-    return bool(np.min(np.hypot(*(on_segment - position[:2]).T)) < _SAME_POSITION)
+    return bool(np.min(np.hypot(*(on_segment - position[:2]).T)) < 0.01)
