@@ -14,18 +14,16 @@ from push_ident_sim.workers import describe_machine
 
 HEAD = """# Faults
 
-`make faults` injects each fault from outside into live nodes in processes of their own: by signals, by a proxy between the nodes, by the
-file system. `pytest test/system/faults -k NAME` tries one. The arm is simulated; its time to stop is read from its joint states. {summary}
+`make faults` injects each fault into live nodes: by signals, by a proxy between them, by the file system; `pytest test/system/faults -k
+NAME` tries one. The arm is simulated. {summary}
 
-**Time to hold**: from the fault to the standing arm, by the arm's own clock; of several trials the longest. Allowed are the time to
-notice the fault, 100 ms, the braking from the joint speed at the fault at {braking:g} rad/s², two joint states (20 ms), and what this
-machine made the suite wait meanwhile.
-
-Faults that one node or command meets alone are in its own tests below `test/push_ident`. At most the push under way may be lost.
+**Time to hold**: from the fault to the standing arm, by the arm's clock; of several trials the longest. Allowed are the time to notice the
+fault, 100 ms, the braking from the joint speed at the fault at {braking:g} rad/s², two joint states (20 ms), and what this machine made the
+suite wait meanwhile.
 
 After every fault: no motion is commanded after the hold; no command breaks a limit of velocity or acceleration of a joint; no
-acknowledged push is lost and none learned that was not whole; masses are not negative and covariances positive semi-definite; no log
-holds a traceback; every process that should run does.
+acknowledged push is lost, at most the one under way, and none learned that was not whole; masses are not negative and covariances positive
+semi-definite; no log holds a traceback; every process that should run does. Faults of one node alone are in its tests.
 
 """
 
@@ -96,9 +94,9 @@ def _page(content: dict[str, Any]) -> str:
         f"{content['passed']} held, {content['failed']} did not, {content['skipped']} could not be injected; "
         f"{content['time_s'] / 60:.0f} minutes on {machine['processor']}, {machine['cores']} cores."
     )
-    lines = ["| # | fault | expected | time to hold | result |", "|---|---|---|---|---|"]
+    lines = ["| # | fault | expected | time to hold [ms] |", "|---|---|---|---|"]
     for row in rows:
-        cells = (str(row["number"]), row["fault"], row["expected"], _time(row), row["result"])
+        cells = (str(row["number"]), row["fault"], row["expected"], _time(row))
         lines.append("| " + " | ".join(_escaped(cell) for cell in cells) + " |")
     if failed := [row for row in rows if row["result"] != "passed"]:
         lines += ["", "## What did not hold, or was not injected", ""]
@@ -107,7 +105,7 @@ def _page(content: dict[str, Any]) -> str:
 
 
 def _time(row: dict[str, Any]) -> str:
-    return "–" if row["time_to_hold_s"] is None else f"{1e3 * row['time_to_hold_s']:.0f} ms of {1e3 * row['allowed_s']:.0f} ms"
+    return "–" if row["time_to_hold_s"] is None else f"{1e3 * row['time_to_hold_s']:.0f} of {1e3 * row['allowed_s']:.0f}"
 
 
 def _escaped(text: str) -> str:

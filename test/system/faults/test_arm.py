@@ -30,9 +30,7 @@ BY_HAND = 0.3
 """How far the arm is moved while it is not heard [rad]: fifteen times the start tolerance."""
 
 
-@fault(
-    15, "joint states stop in the middle of a push (arm_timeout 0.1 s)", "aborted; held within 100 ms of the last joint state", within=0.1
-)
+@fault(15, "joint states stop during a push (arm_timeout 0.1 s)", "aborted; held within 100 ms of the last joint state", within=0.1)
 def test_arm_silent(trial: Trial) -> None:
     cell = trial.cell
     with cell.with_parameter(EXECUTOR, "arm_timeout", 0.1, usual=0.5):
@@ -82,7 +80,7 @@ def test_two_executors(trial: Trial) -> None:
         trial.expect_code(cell.end(sent), PushCode.NONE)
 
 
-@fault(20, "500 N on pusher/wrench in the middle of a push", "FORCE; held at once")
+@fault(20, "500 N on pusher/wrench during a push", "FORCE; held at once")
 def test_force(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin()
@@ -92,7 +90,7 @@ def test_force(trial: Trial) -> None:
     trial.expect_code(result, PushCode.FORCE)
 
 
-@fault(24, "Ctrl-C to the executor in the middle of a push", "held; exit 0 within 2 s, no traceback")
+@fault(24, "Ctrl-C to the executor during a push", "held; exit 0 within 2 s, no traceback")
 def test_interrupt(trial: Trial) -> None:
     cell = trial.cell
     cell.begin()
@@ -139,7 +137,7 @@ def summarise(trial: Trial) -> None:
     trial.note = f"{len(trial.holds)} of {KILLS}: at most {1e3 * latest:.0f} ms and {1e3 * furthest:.0f} mm of the tool"
 
 
-@fault(28, "another robot_description in the middle of a push, then a cancel", "held at once, in the arm's own joint names")
+@fault(28, "another robot_description during a push, then a cancel", "held at once, in the arm's own joint names")
 def test_description_changed(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin(after=0.05)
@@ -152,7 +150,7 @@ def test_description_changed(trial: Trial) -> None:
     cell.whole_push()
 
 
-@fault(35, "the client cancels in the middle of a push", "CANCELED; held at once")
+@fault(35, "the client cancels during a push", "CANCELED; held at once")
 def test_cancel(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin()
@@ -164,7 +162,7 @@ def test_cancel(trial: Trial) -> None:
 
 @fault(
     37,
-    "another node commands the arm in the middle of a push",
+    "another node commands the arm during a push",
     "back on the path within the tolerance, or aborted and held",
     within=0.3,
     only_executor=False,

@@ -37,7 +37,7 @@ def shifted(change: Callable[[float], float]) -> Callable[[Any], None]:
 # its commands are stamped by the wrong clock
 @fault(
     8,
-    f"all stamps and /clock go back by {BACK:.0f} s in the middle of a push, as a bag in a loop",
+    f"all stamps and /clock go back by {BACK:.0f} s during a push, as a bag in a loop",
     "held; buffers cleared, a new run, models kept",
     only_executor=False,
 )
@@ -52,9 +52,7 @@ def test_time_goes_back(trial: Trial) -> None:
     assert int(cell.monitor.reports_of(IDENTIFICATION)[-1].values["time jumps"]) > 0, "identification reports no new run"
 
 
-@fault(
-    40, "/clock runs at half speed during a push; it jumps by 1000 s during the next", "the push is made, or aborted and held", within=1.0
-)
+@fault(40, "/clock runs at half speed during a push; it jumps by 1000 s during the next", "made, or aborted and held", within=1.0)
 def test_clock_wrong(trial: Trial) -> None:
     cell = trial.cell
     for number in range(2):
@@ -71,7 +69,7 @@ def test_clock_wrong(trial: Trial) -> None:
 @fault(
     44,
     "every message of the sensors comes twice; up to 50 ms late and out of order; 30 % are lost: a push under each",
-    "the push is made, or aborted and held",
+    "made, or aborted and held",
 )
 def test_messages_in_disorder(trial: Trial) -> None:
     cell = trial.cell
@@ -90,7 +88,7 @@ def test_messages_in_disorder(trial: Trial) -> None:
 
 @fault(
     27,
-    "poses with NaN, zero, negative or infinite values, wrong frames and markup, in the middle of a push",
+    "poses with NaN, zero, negative or infinite values, wrong frames and markup, during a push",
     "refused, counted and named; the push goes on",
     fast=True,
 )

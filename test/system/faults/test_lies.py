@@ -53,7 +53,7 @@ def first(n: int, change: Callable[[Any], None]) -> Callable[[Any], None]:
 
 @fault(
     62,
-    "joint 1 is reported 0.3 rad off in four joint states in the middle of a push",
+    "joint 1 is reported 0.3 rad off in four joint states during a push",
     "TRACKING; held, no joint beyond its limit",
     within=0.05,
 )
@@ -61,7 +61,7 @@ def test_states_offset(trial: Trial) -> None:
     push_under_false_states(trial, first(4, turn))
 
 
-@fault(63, "the names of two joints are swapped in the middle of a push", "TRACKING; held, no joint beyond its limit", within=0.05)
+@fault(63, "the names of two joints are swapped during a push", "TRACKING; held, no joint beyond its limit", within=0.05)
 def test_states_swapped(trial: Trial) -> None:
     def swap(msg: Any) -> None:
         names = list(msg.name)
@@ -73,7 +73,7 @@ def test_states_swapped(trial: Trial) -> None:
 
 @fault(
     64,
-    "joint states repeat one posture with new stamps in the middle of a push",
+    "joint states repeat one posture with new stamps during a push",
     "TRACKING; it stands on its path soon, and is not pulled back",
     within=0.3,
 )
@@ -81,7 +81,7 @@ def test_states_frozen(trial: Trial) -> None:
     push_under_false_states(trial, repeating("position"))
 
 
-@fault(65, "pusher/wrench saturates at 1e6 N in the middle of a push, and stays so", "FORCE; held at once; the next push is refused")
+@fault(65, "pusher/wrench saturates at 1e6 N during a push, and stays so", "FORCE; held at once; the next push is refused")
 def test_force_saturated(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin()
@@ -175,7 +175,7 @@ def test_pose_aside(trial: Trial) -> None:
     assert not worse
 
 
-@fault(73, "the object's pose is 8 cm aside for 0.4 s in the middle of a push", "the push is made and learned without them")
+@fault(73, "the object's pose is 8 cm aside for 0.4 s during a push", "the push is made and learned without them")
 def test_pose_excursion(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin(cell.goal(distance=0.08, speed=0.1))

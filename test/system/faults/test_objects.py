@@ -62,7 +62,7 @@ def test_push_misses(trial: Trial) -> None:
     assert learned_pushes(cell) == trial.learned, "the model has changed"
 
 
-@fault(19, "poses stop in the middle of a push", "OBJECT_LOST; stop, retreat on a checked path; the record says so")
+@fault(19, "poses stop during a push", "OBJECT_LOST; stop, retreat on a checked path; the record says so")
 def test_object_lost(trial: Trial) -> None:
     cell = trial.cell
     sent = cell.begin(cell.goal(distance=0.12, speed=0.02))

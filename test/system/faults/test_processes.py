@@ -47,9 +47,7 @@ SPARE = 2
 """What a node may allocate beyond what it has [MiB]."""
 
 
-@fault(
-    21, "SIGKILL to identification in the middle of a push, then started again", "resumes with an equal map; the executor does not notice"
-)
+@fault(21, "SIGKILL to identification during a push, then started again", "resumes with an equal map; the executor does not notice")
 def test_identification_killed(trial: Trial) -> None:
     cell = trial.cell
     cell.whole_push()
@@ -135,9 +133,7 @@ def waits(pid: int) -> dict[str, float]:
     return found
 
 
-@fault(
-    30, "SIGKILL to `push-ident up arm` in the middle of a push", "the arm stands; all children end within 3 s", cell=BARE_CELL, within=0.5
-)
+@fault(30, "SIGKILL to `push-ident up arm` during a push", "the arm stands; all children end within 3 s", cell=BARE_CELL, within=0.5)
 def test_supervisor_killed(trial: Trial) -> None:
     cell = trial.cell
     up = cell.add(NodeCommand("up", (*CLI, "up", "arm")))
@@ -205,7 +201,7 @@ def spin_forever() -> None:
         pass
 
 
-@fault(50, "two busy processes for each core during a push", "the push is made, or aborted and held")
+@fault(50, "two busy processes for each core during a push", "made, or aborted and held")
 def test_processor_taken(trial: Trial) -> None:
     cell = trial.cell
     # `fork`: these processes import nothing.
@@ -224,8 +220,8 @@ def test_processor_taken(trial: Trial) -> None:
 
 @fault(
     51,
-    "identification may not allocate memory in the middle of a push; the kernel ends it",
-    "the push is made, or aborted and held; nothing that was acknowledged is lost",
+    "identification may not allocate memory during a push; the kernel ends it",
+    "made, or aborted and held; nothing that was acknowledged is lost",
 )
 def test_memory_taken(trial: Trial) -> None:
     cell = trial.cell

@@ -169,12 +169,12 @@ STUDY = Experiment(
     name="edge",
     title="Are objects pushed out over the edge of the table and held?",
     question=(
-        "Each object starts near an edge of the table, in any heading, and is pushed or pulled until it overhangs by "
+        "Each object starts near an edge, in any heading, and is pushed or pulled until it overhangs by "
         f"{1e3 * _GOAL.overhang:.0f} mm in a pose in which it can be grasped, its centre of mass at least {1e3 * _GOAL.held:.0f} "
         f"mm inside the border of its support. Success: the planner says so, the true pose is within {1e3 * _GOAL.position:.0f} mm "
-        f"and {np.degrees(_GOAL.turn):.0f}° of the pre-grasp pose, and it did not fall. The world is a rigid body in Bullet that "
-        "tilts and falls; its contacts share the load in another way than the model, so that even the true map is not exact. "
-        "Knowledge as in `goals`; time with 0.4 s of rest before and after each push; the first plan by the processor."
+        f"and {np.degrees(_GOAL.turn):.0f}° of the pre-grasp pose, and it did not fall. In Bullet it tilts and falls, and "
+        "shares the load among its contacts in another way than the model: even the true map is not exact. Knowledge as in `goals`; "
+        "time with 0.4 s of rest before and after each push; the first plan by the processor."
     ),
     variants=KINDS,
     run=_run,

@@ -118,11 +118,10 @@ STUDY = Experiment(
     name="goals",
     title="Are objects pushed to a pose?",
     question=(
-        "Objects of random shape and uneven maps are pushed in Bullet to one random pose after another, in a square of 30 cm and "
-        f"any heading, each goal to three tolerances in turn, in at most {_MOST_PUSHES} pushes. The planner knows the outline, "
-        "poses with the errors of perception, and of the mechanics nothing (uniform), what three random pushes and up to seven "
-        "more have shown (identified), or everything (truth). A goal counts as reached where the planner says so and the true "
-        "pose agrees."
+        "Objects of random shape and uneven maps are pushed in Bullet to random poses in a square of 30 cm, each to three tolerances "
+        f"in turn, in at most {_MOST_PUSHES} pushes. The planner knows the outline, poses with the errors of perception, and of the "
+        "mechanics nothing (uniform), what three random pushes and up to seven more have shown (identified), or everything (truth). "
+        "Reached: the planner says so and the true pose agrees."
     ),
     objects=("uneven",),
     variants=KINDS,

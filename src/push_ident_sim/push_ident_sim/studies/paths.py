@@ -343,8 +343,8 @@ STUDY = Experiment(
     name="paths",
     title="How closely are objects pushed along paths?",
     question=(
-        "Objects of random shape and uneven maps are pushed in Bullet along a line of 25 cm with a heading of 0.5 rad to it, the "
-        "same line with the heading along it (ahead), a circle of 8 cm radius and an eight of two such circles, at "
+        "Objects as in `goals` are pushed along a line of 25 cm with a heading of 0.5 rad to it, the same line with the heading "
+        "along it (ahead), a circle of 8 cm radius and an eight of two such circles, at "
         f"{1e3 * SPEED:.0f} mm/s. Where a contact can hold the object on the path, the tool is steered at each of 30 frames a "
         "second; else a straight push is made. Frames have the noise of the camera and an error that lasts as long as the "
         "contact. RMS: of the true pose from the nearest point of the path. Knowledge as in `goals`; straight: as identified, by "

@@ -447,8 +447,8 @@ STUDY = Experiment(
     title="Does it play Push-T?",
     question=(
         f"The game Push-T of gym-pusht, unchanged. A start is won when the block covers 95 % of the goal within {TICKS} actions of "
-        "0.1 s; a diffusion policy that learned from people and sees images wins 63.8 % of 500 (model card of "
-        "lerobot/diffusion_pusht; another input, so a reference and no win). Outline and pose are known; maps, friction of the "
+        "0.1 s; a diffusion policy that sees images wins 63.8 % of 500 (model card of lerobot/diffusion_pusht; another input, so a "
+        "reference and no win). Outline and pose are known; maps, friction of the "
         "disc and law of the table's friction are identified from twelve random pushes of other starts. The law is that which "
         "predicts held-out pushes better. uniform: nothing is known, dry friction. The game: `pip install --no-deps -r "
         "requirements/pusht.txt`."

@@ -306,8 +306,8 @@ STUDY = Experiment(
     name="sensors",
     title="How exact are perception and predictions through depth sensors?",
     question=(
-        "The camera stands where the sensor sees the workspace; each case has another unit, and perception gets the pose, the "
-        f"intrinsics and the accuracy that the unit publishes. The object is pushed {N_PUSHES} times by a rod that hides a part of "
+        "Each case has another unit, and perception gets the pose, the intrinsics and the accuracy that it publishes. "
+        f"The object is pushed {N_PUSHES} times by a rod that hides a part of "
         f"it, with {_REST} frames at rest before and after each push, in which the outline gets better. placed: after the best "
         f"rigid motion. Errors of outlines and poses are root mean squares. The poses of the {N_TEST} held-out pushes have the "
         "error of the extrinsics and no other."

@@ -180,10 +180,9 @@ STUDY = Benchmark(
     name="batches",
     title="Rollouts in batches",
     question=(
-        f"{_N_PUSHES} pushes of 1 s of a square plate under {_N_MODELS} maps: each by a call of its own with the default step of "
-        f"1/240 s, and all in one compiled call with the planner's step of 1/{1 / BATCH_STEP:.0f} s. Rates are per second of the "
-        "processor. Ends: cell error against the single calls, also for random objects and for the step of the models in the "
-        "planner's library."
+        f"{_N_PUSHES} pushes of 1 s of a square plate under {_N_MODELS} maps: each by a call with the default step of 1/240 s, and all "
+        f"in one call with the planner's step of 1/{1 / BATCH_STEP:.0f} s. Ends: cell error against the single calls, also for the step "
+        "of the models in the planner's library."
     ),
     pieces=_pieces,
     summarise=_summarise,

@@ -192,9 +192,9 @@ STUDY = Benchmark(
     name="frames",
     title="Perception of a frame",
     question=(
-        f"Models of a RealSense D435 before one and three objects, each pushed twice and at rest in between for {_REST} frames, so "
-        "that its outline gets better. A frame has all that perception does for it. Image to poses: with a camera of 30 Hz, where "
-        "the newest image waits while a frame is worked on. Taking in: the frame in which all objects become known."
+        f"Models of a RealSense D435 before one and three objects, each pushed twice and at rest in between for {_REST} frames. Image "
+        "to poses: with a camera of 30 Hz, where the newest image waits while a frame is worked on. Taking in: the frame in which all "
+        "objects become known."
     ),
     pieces=_pieces,
     summarise=lambda results: {"rows": list(results)},

@@ -113,13 +113,12 @@ STUDY = Experiment(
     name="blind",
     title="Does a diagnosis name the right cause?",
     question=(
-        "Pushes come from Bullet with injected effects and a planar integrator, which the diagnosis does not use. Each case has no effect, "
-        "one effect at sizes from undetectable to three times typical, two effects, or one outside the catalogue. Seeds from 1000 on are "
-        "scored once, after the hashes of truth, policy and code were written down. An effect is detectable where its true size brings 5 "
-        "nat of log evidence on average (odds of 150 to 1), clearly detectable where it does so nine times out of ten; one outside the "
-        "catalogue is visible where the same pushes without it differ by a noncentrality of 25. Exact twins count as right. S is the share "
-        "of the gap on held-out pushes that the effect explains. Where a verdict leaves more than one effect, up to two requested pushes "
-        "are made. `6-chosen`: three random pushes and three that the diagnosis proposes. `camera`: 8 pushes through rendered depth images "
+        "Each case has no effect, one at sizes from undetectable to three times typical, two, or one outside the catalogue. Seeds from "
+        "1000 on are scored once, after the hashes were written down. An effect is detectable where its true size brings 5 nat of log "
+        "evidence on average (odds of 150 to 1), clearly detectable where it does so nine times out of ten; one outside the catalogue "
+        "is visible where the same pushes without it differ by a noncentrality of 25. Exact twins count as right. S is the share of the"
+        " gap on held-out pushes that the effect explains. Where a verdict leaves more than one effect, up to two requested pushes are "
+        "made. `6-chosen`: three random pushes and three that the diagnosis proposes. `camera`: 8 pushes through rendered depth images "
         "and perception; effects that cannot be filmed are left out."
     ),
     variants=(MOST_PUSHES, CHOSEN, CAMERA, ENGINES),

@@ -15,7 +15,7 @@ _S = TypeVar("_S", bound=Study)
 
 _INDEX: Final = """# Results
 
-Every page is made from the JSON file of the same name, which the command at its end writes. `{command}` makes the pages and this list.
+`{command}` makes the pages and this list from the JSON that the command at the end of each writes.
 
 {answers}
 
@@ -134,5 +134,5 @@ def _origin_of_benchmark(run: Json) -> str:
     quick = " With --quick: cases too few and too small to measure anything." if run["quick"] else ""
     return (
         f"`push-ident bench {run['benchmark']} --seed {run['seed']}`, {run['date']}; {machine['processor']}, {machine['cores']} cores, "
-        f"load {machine['load']} before and {machine['load_after']} after.{quick}" + (f" {run['remark']}" if run.get("remark") else "")
+        f"load {machine['load']} to {machine['load_after']}.{quick}" + (f" {run['remark']}" if run.get("remark") else "")
     )
