@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.paths import SOURCE
-from helpers.sources import nodes, tree
+from helpers.paths import SOURCE, nodes, tree
 
 CORE = SOURCE / "push_ident" / "push_ident"
 SIM = SOURCE / "push_ident_sim" / "push_ident_sim"

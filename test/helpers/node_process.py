@@ -25,9 +25,6 @@ from helpers.bags import write_push
 from push_ident.bags.writer import BagWriter
 from push_ident_msgs.srv import SaveModel
 
-__all__ = ["NodeProcess", "Talker", "node_commands"]
-
-
 REPEATABLE = (GetState.Request, ListParameters.Request, SetParameters.Request, SaveModel.Request)
 """Requests that may be made twice."""
 AGAIN = 2.5
@@ -183,3 +180,19 @@ class Talker:
                 again = time.monotonic() + AGAIN
             self.spin(0.05)
         return answered[0].result()
+
+
+def wait_until(condition: Callable[[], object], timeout: Callable[[], float] = lambda: 60.0) -> None:
+    """`timeout` [s] may grow while it waits, with what the machine lets threads wait."""
+    began = time.monotonic()
+    while not condition():
+        assert time.monotonic() - began < timeout(), "waited too long"
+        time.sleep(0.02)
+
+
+def is_alive(process: int) -> bool:
+    """Whether a process runs, one that has ended and waits for its parent excepted."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
+import gc
 import os
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -22,3 +25,26 @@ def recording(*parts: str) -> Path:
     if not path.exists():
         pytest.skip(f"no recording at {path}; set PUSH_IDENT_DATA to the folder of recordings")
     return path
+
+
+# Syntax trees, each parsed once in a process: rules for all sources look at every node of thousands of functions.
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    """The tree of a file."""
+    gc.disable()  # it would look at all trees again and again
+    try:
+        return ast.parse(path.read_text(encoding="utf-8"))
+    finally:
+        gc.enable()
+
+
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """All nodes of a file."""
+    gc.disable()
+    try:
+        return tuple(ast.walk(tree(path)))
+    finally:
+        gc.enable()

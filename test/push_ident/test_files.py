@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.paths import SOURCE
-from helpers.sources import nodes
+from helpers.paths import SOURCE, nodes
 from push_ident.errors import InputError, PushIdentError
 from push_ident.files import make_folder, open_log, open_new, read_regular, replaced, write_whole
 

@@ -7,7 +7,6 @@ numbers are our own.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -155,41 +154,35 @@ def _variation(cells: Float64Array, rng: np.random.Generator | None) -> Float64A
     return level * (1.0 + rng.uniform(0.0, 0.15) * along / np.abs(along).max())
 
 
-def _hammer() -> tuple[list[str], dict[str, Part], float]:
-    picture = ["." * 18 + "H" * 4] * 4 + ["w" * 18 + "H" * 4] * 2 + ["." * 18 + "H" * 4] * 4
-    return picture, {"H": Part(mass=0.60, friction=0.25, height=0.035), "w": Part(mass=0.14, friction=0.40, height=0.025)}, 0.012
-
-
-def _wrench() -> tuple[list[str], dict[str, Part], float]:
-    picture = ["JJJJJ" + "." * 15 + "JJJJJ"] * 2
-    picture += ["..JJJ" + "h" * 15 + "JJJ.."] * 2
-    picture += ["JJJJJ" + "." * 15 + "JJJJJ"] * 2
+_DRAWINGS: dict[str, tuple[list[str], dict[str, Part], float]] = {
+    "hammer": (
+        ["." * 18 + "H" * 4] * 4 + ["w" * 18 + "H" * 4] * 2 + ["." * 18 + "H" * 4] * 4,
+        {"H": Part(mass=0.60, friction=0.25, height=0.035), "w": Part(mass=0.14, friction=0.40, height=0.025)},
+        0.012,
+    ),
     # The jaws are thicker than the handle, so the handle hangs above the table and bears no friction.
-    return picture, {"J": Part(mass=0.40, friction=0.30, height=0.030), "h": Part(mass=0.18, friction=0.0, height=0.025)}, 0.011
-
-
-def _crimp() -> tuple[list[str], dict[str, Part], float]:
-    picture = ["." * 12 + "I" * 5] + ["g" * 12 + "I" * 5] * 2 + ["." * 12 + "I" * 5] * 2 + ["g" * 12 + "I" * 5] * 2 + ["." * 12 + "I" * 5]
-    return picture, {"I": Part(mass=0.55, friction=0.50, height=0.035), "g": Part(mass=0.20, friction=0.45, height=0.028)}, 0.012
-
-
-def _toolbox() -> tuple[list[str], dict[str, Part], float]:
-    picture = ["IIIIIppppp"] * 8
-    return picture, {"I": Part(mass=0.80, friction=0.35, height=0.050), "p": Part(mass=0.25, friction=0.35, height=0.050)}, 0.014
-
-
-def _book() -> tuple[list[str], dict[str, Part], float]:
-    picture = ["LLLLLLRRRRRR"] * 8
-    return picture, {"L": Part(mass=0.55, friction=0.30, height=0.035), "R": Part(mass=0.20, friction=0.30, height=0.025)}, 0.013
-
-
-_DRAWINGS: dict[str, Callable[[], tuple[list[str], dict[str, Part], float]]] = {
-    "hammer": _hammer,
-    "wrench": _wrench,
-    "crimp": _crimp,
-    "toolbox": _toolbox,
-    "book": _book,
+    "wrench": (
+        ["JJJJJ" + "." * 15 + "JJJJJ"] * 2 + ["..JJJ" + "h" * 15 + "JJJ.."] * 2 + ["JJJJJ" + "." * 15 + "JJJJJ"] * 2,
+        {"J": Part(mass=0.40, friction=0.30, height=0.030), "h": Part(mass=0.18, friction=0.0, height=0.025)},
+        0.011,
+    ),
+    "crimp": (
+        ["." * 12 + "I" * 5] + ["g" * 12 + "I" * 5] * 2 + ["." * 12 + "I" * 5] * 2 + ["g" * 12 + "I" * 5] * 2 + ["." * 12 + "I" * 5],
+        {"I": Part(mass=0.55, friction=0.50, height=0.035), "g": Part(mass=0.20, friction=0.45, height=0.028)},
+        0.012,
+    ),
+    "toolbox": (
+        ["IIIIIppppp"] * 8,
+        {"I": Part(mass=0.80, friction=0.35, height=0.050), "p": Part(mass=0.25, friction=0.35, height=0.050)},
+        0.014,
+    ),
+    "book": (
+        ["LLLLLLRRRRRR"] * 8,
+        {"L": Part(mass=0.55, friction=0.30, height=0.035), "R": Part(mass=0.20, friction=0.30, height=0.025)},
+        0.013,
+    ),
 }
+"""Picture, parts and edge of a cell [m] of each object."""
 OBJECT_NAMES = tuple(_DRAWINGS)
 
 
@@ -199,4 +192,4 @@ def make_object(name: str = "hammer", seed: int = 0, pusher_friction: float = 0.
         raise InputError(f"Object {name!r} is not known, expected one of {', '.join(OBJECT_NAMES)}.")
     if not (np.isfinite(pusher_friction) and pusher_friction >= 0):
         raise InputError(f"pusher_friction is {pusher_friction}, expected a number >= 0.")
-    return object_from_picture(name, *_DRAWINGS[name](), pusher_friction, np.random.default_rng([seed, OBJECT_NAMES.index(name)]))
+    return object_from_picture(name, *_DRAWINGS[name], pusher_friction, np.random.default_rng([seed, OBJECT_NAMES.index(name)]))

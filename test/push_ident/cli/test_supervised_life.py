@@ -15,7 +15,7 @@ import pytest
 from rich.console import Console
 
 from helpers.executor_cell import Stalls
-from helpers.processes import is_alive, wait_until
+from helpers.node_process import is_alive, wait_until
 from push_ident.cli.processes import Backoff, RestartPolicy
 from push_ident.cli.supervisor import NodeCommand, Supervisor, node_commands
 from push_ident.nodes.base.lifetime import stop_signals_blocked

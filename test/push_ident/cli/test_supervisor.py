@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from helpers.executor_cell import Stalls
-from helpers.processes import is_alive, wait_until
+from helpers.node_process import is_alive, wait_until
 from push_ident.cli.supervisor import NodeCommand, Supervisor, SupervisorError, config_file, node_commands
 from push_ident.errors import InputError
 
