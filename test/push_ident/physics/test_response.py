@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from helpers.objects import hammer, random_records
+from push_ident.geometry.se2 import rotation
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, body_of_cells, simulate_body, simulate_body_with_response
 from push_ident.physics.tape import N_BODY_PARAMETERS
@@ -34,9 +35,7 @@ def test_response_equals_the_derivative_by_effects_with_the_same_law() -> None:
             np.testing.assert_allclose(changes[0][kind], expected[:, :, :2], atol=1e-10)
             np.testing.assert_allclose(changes[1][kind], expected[:, :, 2:], atol=1e-8 if kind else 1e-10)
         # Steps are where the motion is.
-        centre = motion.pose[-1, :2] / 1.1 + [
-            [np.cos(motion.pose[-1, 2]), -np.sin(motion.pose[-1, 2])] @ body.centre,
-            [np.sin(motion.pose[-1, 2]), np.cos(motion.pose[-1, 2])] @ body.centre,
-        ]
+        turn = rotation(motion.pose[-1, 2])
+        centre = motion.pose[-1, :2] / 1.1 + turn @ body.centre
         np.testing.assert_allclose(response.pose[-1, :2], centre, atol=1e-6)
         np.testing.assert_allclose(response.limit.sum(), GRAVITY * model.mass @ model.friction)
