@@ -170,13 +170,7 @@ class Account:
 
 
 def account_of(gap: Gap, problem: FitProblem, policy: AccountPolicy) -> Account:
-    """Split a gap into its parts.
-
-    Args:
-        gap: with its fits.
-        problem: with all pushes.
-        policy: number of draws, and what counts.
-    """
+    """Split a gap, which has its fits, into its parts; `problem`: with all pushes."""
     account = Account(gap, expected_errors(gap.fits, gap.folds, problem, policy), 0, policy)
     return replace(account, more_pushes=_more_pushes(account, problem)) if account.maps_are_open else account
 

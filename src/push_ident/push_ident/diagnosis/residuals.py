@@ -118,31 +118,23 @@ def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:
     mechanics = fit.mechanics
     drawn = _refitted_noise(fit, policy.draws, np.random.default_rng(0))
 
-    def of_push(push: int) -> tuple[Float64Array, Float64Array]:
+    def of_push(push: int) -> tuple[dict[str, Float64Array], Float64Array]:
         record, observation = problem.records[push], problem.observations[push]
         scenario = PushScenario(record.pusher, problem.first_pose(fit.x, push), observation.time, record.order)
         motion = mechanics.simulate(scenario, settings=problem.settings_of(push))
-        columns, to_motion_frame = _push_residuals(motion, observation, push, policy)
-        return columns[1:], np.einsum("fij,dfj->dfi", to_motion_frame, drawn[push])[:, 1:]
+        fields, to_motion_frame = _push_residuals(motion, observation, push, policy)
+        return fields, np.einsum("fij,dfj->dfi", to_motion_frame, drawn[push])[:, 1:]
 
     parts, draws = zip(*map_in_threads(of_push, range(len(problem.records))), strict=True)
-    frames = np.vstack(parts)
-    return FrameResiduals(
-        standardized=frames[:, :3],
-        difference=frames[:, 3:6],
-        push=frames[:, 6],
-        phase=frames[:, 7],
-        speed=frames[:, 8],
-        heading_in_table=frames[:, 9],
-        heading_in_object=frames[:, 10],
-        position=frames[:, 11:13],
-        null_draws=np.concatenate(draws, axis=1),
-    )
+    fields = {name: np.concatenate([part[name][1:] for part in parts]) for name in parts[0]}
+    return FrameResiduals(**fields, null_draws=np.concatenate(draws, axis=1))
 
 
-def _push_residuals(motion: Motion, observation: Observation, push: int, policy: ResidualPolicy) -> tuple[Float64Array, Float64Array]:
-    """Columns of `FrameResiduals` for one push, shape (n_frames, 13), and the matrices that turn whitened residuals into standardized
-    ones along and across the motion, shape (n_frames, 3, 3)."""
+def _push_residuals(
+    motion: Motion, observation: Observation, push: int, policy: ResidualPolicy
+) -> tuple[dict[str, Float64Array], Float64Array]:
+    """Fields of `FrameResiduals` for all frames of one push, and the matrices that turn whitened residuals into standardized ones along
+    and across the motion, shape (n_frames, 3, 3)."""
     time, whitening = observation.time, observation.whitening
     difference = observation.pose - motion.pose
     velocity = np.gradient(motion.pose[:, :2], np.maximum.accumulate(time + 1e-9 * np.arange(len(time))), axis=0)
@@ -157,17 +149,17 @@ def _push_residuals(motion: Motion, observation: Observation, push: int, policy:
     turn = np.zeros((len(difference), 3, 3))
     turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = cos, sin, -sin, cos, 1.0
     deviation = np.sqrt(np.einsum("fij,fjk,fik->fi", turn, covariance, turn))
-    columns = [
-        turned / deviation,
-        turned,
-        np.full((len(difference), 1), push),
-        _phases(motion, speed, policy)[:, None],
-        speed[:, None],
-        heading[:, None],
-        wrap_angle(heading - motion.pose[:, 2])[:, None],
-        motion.pose[:, :2],
-    ]
-    return np.hstack(columns), np.einsum("fij,fjk->fik", turn, np.linalg.inv(whitening)) / deviation[:, :, None]
+    fields = {
+        "standardized": turned / deviation,
+        "difference": turned,
+        "push": np.full(len(difference), float(push)),
+        "phase": _phases(motion, speed, policy),
+        "speed": speed,
+        "heading_in_table": heading,
+        "heading_in_object": wrap_angle(heading - motion.pose[:, 2]),
+        "position": motion.pose[:, :2],
+    }
+    return fields, np.einsum("fij,fjk->fik", turn, np.linalg.inv(whitening)) / deviation[:, :, None]
 
 
 def _phases(motion: Motion, speed: Float64Array, policy: ResidualPolicy) -> Float64Array:

@@ -39,24 +39,17 @@ def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
 def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Gate]:
     """Gates of a traced outline, after all effects were added: the errors of a working camera are smaller.
 
-    Args:
-        fit: with the effects that were found.
-        names: of the effects of the base model that displace the outline, see `camera.OUTLINE_ERRORS`.
-        policy: limits.
+    `names`: of the effects of the base model that displace the outline, see `camera.OUTLINE_ERRORS`.
     """
     columns = [fit.effects.slice_of(name) for name in names if name in fit.names]
-    pairs = [
-        (float(offset), float(std))
-        for of_effect in columns
-        for offset, std in zip(fit.effects.values[of_effect], fit.unknowns.effect_std[of_effect], strict=True)
-    ]
     return [
         Gate(
             abs(offset) < policy.max_outline_deviations * std,
             f"the surface that the pusher met lies {1e3 * offset:+.2f} mm outside the outline",
             "Measure the radius of the pusher; calibrate the camera; compare the outline with the object.",
         )
-        for offset, std in pairs
+        for of_effect in columns
+        for offset, std in zip(fit.effects.values[of_effect].tolist(), fit.unknowns.effect_std[of_effect].tolist(), strict=True)
     ]
 
 
@@ -93,13 +86,9 @@ def required_log_bayes_factor(selection: Selection, policy: SelectionPolicy) -> 
 
 
 def choose_refits(scores: Sequence[EffectScore], policy: SelectionPolicy, *, required: float, is_first: bool) -> list[EffectScore]:
-    """Effects whose scores justify a refit, in the order of the scores.
+    """Effects whose scores justify a refit, in the order of the scores, of which the most promising comes first.
 
-    Args:
-        scores: the most promising first.
-        policy: margins.
-        required: log Bayes factor that one more effect needs [nat].
-        is_first: whether no effect was found yet.
+    `required`: log Bayes factor that one more effect needs [nat]; `is_first`: whether no effect was found yet.
     """
     if not scores or scores[0].expected_log_bayes_factor < policy.min_promised_share * required:
         return []

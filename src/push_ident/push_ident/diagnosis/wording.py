@@ -28,10 +28,7 @@ _SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°"), "s": (1e3, "ms")}
 def sentence_of_nothing(account: Account, sources: Sequence[str], first: PlannedPush | None = None) -> str:
     """Of a diagnosis that names nothing: no gap beyond noise, too few pushes to know, or an error that nothing explains.
 
-    Args:
-        account: of the error on held-out pushes.
-        sources: of the pushes, in their order.
-        first: the push that would teach most of the maps, where these are not known well enough.
+    `sources`: of the pushes, in their order; `first`: the push that would teach most of the maps, where these are not known well enough.
     """
     error = f"the mean error of {in_mm(account.before)} on held-out pushes"
     if account.is_unexplained:

@@ -168,15 +168,9 @@ class _Layout:
 
 
 def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequence[int]]) -> SomethingElse | None:
-    """Look for structure in the residuals of a fit.
+    """Look for structure in the residuals of a converged fit, which projects out what it has fitted; None where a push cannot be simulated.
 
-    Args:
-        fit: converged; what it has fitted is projected out.
-        policy: number of draws.
-        folds: numbers of the pushes that are left out together.
-
-    Returns:
-        None where a push cannot be simulated.
+    `folds`: numbers of the pushes that are left out together.
     """
     all_families, linear = pattern_families(fit), _linear(fit)
     if all_families is None or linear is None:
@@ -213,12 +207,7 @@ def error_with_patterns(fit: Fit, something_else: SomethingElse, folds: Sequence
     """Cell error of held-out pushes with the patterns that were found less that without [m], shape (n_pushes,): below 0 where they help.
 
     Both are predicted in the linear range of the fit, from all pushes outside a fold and the first poses of those within; with the patterns
-    as a mean over those that are probable, by their shares.
-
-    Args:
-        fit: to all pushes.
-        something_else: in its residuals.
-        folds: numbers of the pushes that are held out together.
+    as a mean over those that are probable, by their shares. `folds`: numbers of the pushes that are held out together.
     """
     linear = _linear(fit)
     assert linear is not None, "patterns were found in the residuals of this fit"
