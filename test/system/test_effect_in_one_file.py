@@ -54,24 +54,21 @@ EFFECT = Effect(
     check="Look for what turns the object.",
 )
 """
-PLANAR = """
+FOUND = """
+import json
 import numpy as np
+from push_ident.physics.effects import CAUSES
 from push_ident.types import PusherPath
 from push_ident_sim.engines.planar import PlanarWorld
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import make_object
 
 away = PusherPath(np.array([0.0, 0.01]), np.full((2, 2), 5.0), 0.008)
-print([
+turned = [
     PlanarWorld(make_object("toolbox"), 0.008, effects=InjectedEffects.of({"swirl": torque})).push((0.0, 0.0, 0.0), away).pose[-1, 2].item()
     for torque in (0.0, 0.1)
-])
-"""
-CAUSES = """
-import json
-from push_ident.physics.effects import CAUSES
-
-print(json.dumps(CAUSES))
+]
+print(json.dumps([turned, CAUSES]))
 """
 
 
@@ -81,8 +78,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("effect")
     (folder / "effects").mkdir()
     (folder / "effects" / "swirl.py").write_text(EFFECT)
-    (folder / "planar.py").write_text(PLANAR)
-    (folder / "causes.py").write_text(CAUSES)
+    (folder / "found.py").write_text(FOUND)
     return folder
 
 
@@ -96,30 +92,15 @@ def run(folder: Path, programs: dict[str, tuple[object, ...]]) -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.fixture(scope="module")
-def made(folder: Path) -> Path:
-    """With what needs no kernels."""
-    programs: dict[str, tuple[object, ...]] = {
-        "page": (ROOT / "tools" / "document_effects.py",),
-        "listed": ("push-ident", "simulate", "--effects"),
-        "planar": (folder / "planar.py",),
-        "causes": (folder / "causes.py",),
-    }
-    run(folder, programs)
-    return folder
-
-
-def test_effect_of_a_new_file_is_documented_and_offered_for_injection_and_as_a_cause(made: Path) -> None:
-    assert "A turn to one side in every push." in (made / "page.txt").read_text()
-    listed = (made / "listed.txt").read_text()
-    assert "swirl: A constant torque turns the object about the vertical." in listed and "torque [N m]" in listed
-    assert "swirl" in json.loads((made / "causes.txt").read_text())
-
-
-def test_effect_of_a_new_file_acts_in_the_planar_engine(made: Path) -> None:
-    still, turned = json.loads((made / "planar.txt").read_text())
+def test_effect_of_a_new_file_is_documented_offered_for_injection_and_as_a_cause_and_acts_in_the_planar_engine(folder: Path) -> None:
+    page, listed = (ROOT / "tools" / "document_effects.py",), ("push-ident", "simulate", "--effects")
+    run(folder, {"page": page, "listed": listed, "found": (folder / "found.py",)})
+    assert "A turn to one side in every push." in (folder / "page.txt").read_text()
+    text = (folder / "listed.txt").read_text()
+    assert "swirl: A constant torque turns the object about the vertical." in text and "torque [N m]" in text
+    (still, turned), causes = json.loads((folder / "found.txt").read_text())
     # Held by friction, a small torque turns it by as much as the bristles under its cells give way.
-    assert still == 0.0 and 1e-5 < turned < 1e-2
+    assert "swirl" in causes and still == 0.0 and 1e-5 < turned < 1e-2
 
 
 @pytest.mark.long

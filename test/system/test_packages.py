@@ -39,21 +39,15 @@ def in_plain_shell(*arguments: str, **extra: str) -> subprocess.CompletedProcess
     return subprocess.run([python, *arguments], env=PLAIN_SHELL | extra, capture_output=True, text=True, timeout=60, check=False)
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_manifest_is_format_3_with_all_that_a_release_needs(package: str) -> None:
-    manifest = ET.parse(ROOT / "src" / package / "package.xml").getroot()
-    assert manifest.get("format") == "3"
-    assert manifest.findtext("name") == package
-    assert re.fullmatch(r"\d+\.\d+\.\d+", manifest.findtext("version", ""))
-    assert manifest.findtext("license") == "Apache-2.0"
-    maintainer = manifest.find("maintainer")
-    assert maintainer is not None and re.fullmatch(r"[\w.-]+@[\w-]+\.\w{2,}", maintainer.get("email", ""))
-    assert manifest.findtext("export/build_type") == PACKAGES[package]
-
-
-def test_all_packages_have_one_version() -> None:
-    versions = {ET.parse(ROOT / "src" / package / "package.xml").findtext("version") for package in PACKAGES}
-    versions |= set(re.findall(r'version="([^"]+)"', (ROOT / "src" / "push_ident_sim" / "setup.py").read_text()))
+def test_manifests_are_of_format_3_with_all_that_a_release_needs_and_one_version() -> None:
+    versions = set(re.findall(r'version="([^"]+)"', (ROOT / "src" / "push_ident_sim" / "setup.py").read_text()))
+    for package, kind in PACKAGES.items():
+        manifest = ET.parse(ROOT / "src" / package / "package.xml").getroot()
+        assert (manifest.get("format"), manifest.findtext("name"), manifest.findtext("license")) == ("3", package, "Apache-2.0")
+        maintainer = manifest.find("maintainer")
+        assert maintainer is not None and re.fullmatch(r"[\w.-]+@[\w-]+\.\w{2,}", maintainer.get("email", ""))
+        assert manifest.findtext("export/build_type") == kind
+        versions.add(manifest.findtext("version", ""))
     assert versions == {push_ident.__version__}  # which setup.py of push_ident reads
 
 
@@ -89,40 +83,32 @@ def test_executables_go_where_ros2_run_looks(package: str) -> None:
         assert first.startswith(f"#!{ROOT}/.venv/bin/python"), "the executable must run on the interpreter that has the dependencies"
 
 
-@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
-def test_launch_file_starts_executables_that_exist(path: Path) -> None:
-    tree = ast.parse(path.read_text())
-    assert "generate_launch_description" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
-    text = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+def test_launch_files_start_executables_that_exist() -> None:
     executables = {name for package in PYTHON_PACKAGES for name in console_scripts(package)}
-    nodes = {word for word in text if re.fullmatch(r"\w+_node", word)}
-    assert nodes and nodes <= executables
-    for file in (word for word in text if word.endswith(".yaml")):
-        assert list(ROOT.glob(f"src/*/config/{file}")), f"{file} is missing"
-
-
-def test_launch_files_of_every_kind_of_cell_are_there() -> None:
     assert {path.name for path in LAUNCH_FILES} == {"replay.launch.py", "arm.launch.py", "simulation.launch.py"}
+    for path in LAUNCH_FILES:
+        tree = ast.parse(path.read_text())
+        assert "generate_launch_description" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        text = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+        nodes = {word for word in text if re.fullmatch(r"\w+_node", word)}
+        assert nodes and nodes <= executables, path
+        assert all(list(ROOT.glob(f"src/*/config/{word}")) for word in text if word.endswith(".yaml")), path
 
 
-def test_packages_import_in_a_plain_shell() -> None:
-    done = in_plain_shell("-c", "import rclpy, push_ident_msgs.msg, push_ident, push_ident_sim; print(push_ident.__file__)")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == str(ROOT / "src" / "push_ident" / "push_ident" / "__init__.py")
-
-
-def test_interface_package_talks_in_a_plain_shell(tmp_path: Path) -> None:
+def test_packages_are_imported_and_talk_in_a_plain_shell(tmp_path: Path) -> None:
     # Publishing loads the type support libraries of the interface package and of the middleware.
     program = """
-import rclpy
+import rclpy, push_ident, push_ident_sim
 from push_ident_msgs.msg import MassFrictionMap
 rclpy.init()
 node = rclpy.create_node("probe")
 node.create_publisher(MassFrictionMap, "map", 1).publish(MassFrictionMap())
 rclpy.shutdown()
+print(push_ident.__file__)
 """
     done = in_plain_shell("-c", program, HOME=str(tmp_path), ROS_DOMAIN_ID=os.environ["ROS_DOMAIN_ID"])
     assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(ROOT / "src" / "push_ident" / "push_ident" / "__init__.py")
 
 
 def test_spawned_processes_know_ros_too(tmp_path: Path) -> None:
@@ -140,17 +126,11 @@ def test_spawned_processes_know_ros_too(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_arguments_survive_the_restart_of_the_interpreter(tmp_path: Path) -> None:
-    program = tmp_path / "program.py"
-    program.write_text("import sys; print(sys.argv[1:], sys.flags.optimize)")
-    done = in_plain_shell("-O", str(program), "a b", "", "--c=*")
-    assert done.stdout.strip() == "['a b', '', '--c=*'] 1"
-
-
-def test_values_of_the_user_are_kept() -> None:
-    program = "import os; print(os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'], os.environ['LD_LIBRARY_PATH'].split(':')[-1])"
-    done = in_plain_shell("-c", program, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET", LD_LIBRARY_PATH="/some/folder")
-    assert done.stdout.split() == ["SUBNET", "/some/folder"]
+def test_arguments_and_values_of_the_user_survive_the_restart_of_the_interpreter() -> None:
+    names = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LD_LIBRARY_PATH")
+    program = "import os, sys; print(sys.argv[1:4], sys.flags.optimize, *map(os.environ.get, sys.argv[4:]))"
+    done = in_plain_shell("-O", "-c", program, "a b", "", "--c=*", *names, **dict(zip(names, ("SUBNET", "/some/folder"), strict=True)))
+    assert done.stdout.startswith("['a b', '', '--c=*'] 1 SUBNET ") and done.stdout.strip().split(":")[-1] == "/some/folder"
 
 
 def test_no_requirement_is_left_unpinned() -> None:

@@ -24,12 +24,13 @@ from helpers.fuzzing import fuzzed
 from helpers.fuzzing.messages import messages_like
 from helpers.fuzzing.right import OBJECT, right_messages
 from push_ident.nodes.base.guard import is_guarded
-from push_ident.nodes.base.network import process_domain
+from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.client.cell_client import CellClient, CellTimeout
 from push_ident_msgs.action import ExecutePush
 
 pytestmark = pytest.mark.live
 
+DOMAIN = own_domain()
 SILENCE = 0.6
 """[s]"""
 SERVER = """
@@ -97,7 +98,7 @@ def serving() -> Iterator[Executor]:
 
 @pytest.fixture(autouse=True)
 def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(process_domain()))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
 
 
 @pytest.fixture

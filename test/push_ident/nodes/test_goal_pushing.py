@@ -272,7 +272,7 @@ WRONG = (  # which messages are no goal at all: `test_convert_goal.py`; what els
 )
 
 
-def test_invalid_goals_are_named_and_the_running_one_goes_on(cell: GoalCell) -> None:
+def test_invalid_goals_are_named_the_running_one_goes_on_and_the_edge_of_a_right_one_is_published(cell: GoalCell) -> None:
     # More exact than one push brings it: the wait for the unknown object, and a slow machine, take as long as a push.
     running = begin(cell, FAR, position_tolerance=0.003, yaw_tolerance=0.02)
     for fields, code, word in WRONG:
@@ -283,10 +283,8 @@ def test_invalid_goals_are_named_and_the_running_one_goes_on(cell: GoalCell) -> 
     assert cell.records[0].error_code == 0, cell.records[0].error_text
     running.handle.cancel_goal_async()
     assert running.end().error_code == GoalCode.CANCELED
-
-
-def test_the_edge_of_a_goal_is_published_for_who_learns_from_its_pushes(cell: GoalCell) -> None:
-    assert not cell.edges, "goals that were refused gave theirs to nobody"
+    # An edge is published for who learns from the pushes of its goal; those that were refused gave theirs to nobody.
+    assert not cell.edges
     sent = send(cell, kind=1, edge=EDGE, overhang=0.01, held=0.005, explore=1)
     wait_for(lambda: cell.edges or sent.result.done(), 20.0)
     sent.handle.cancel_goal_async()
@@ -332,7 +330,6 @@ def test_cancellation_in_the_middle_of_a_push_holds_the_arm_at_once(cell: GoalCe
             wait_for(lambda: len(cell.holds) > n_holds and cell.canceling)
             held, passed_on = cell.holds[n_holds][0], cell.canceling[0]
             result = sent.end()
-        print(f"passed on after {passed_on - asked:.3f} s, held after {held - asked:.3f} s; stalls {stalls.worst:.3f} s")
         assert result.error_code == GoalCode.CANCELED and result.pushes == 1
         time.sleep(0.3)
         assert not [received for received, _ in cell.commands if received > held + 0.1 + 2 * stalls.worst], "the arm holds"
@@ -374,7 +371,6 @@ def test_node_that_is_stopped_in_the_middle_of_a_push_holds_the_arm(cell: GoalCe
         assert node.stop() == 0, node.output
         wait_for(lambda: len(cell.holds) > n_holds, 2.0)
     held = cell.holds[n_holds][0] - asked
-    print(f"hold command {1e3 * held:.0f} ms after Ctrl-C; stalls up to {1e3 * stalls.worst:.0f} ms")
     # The node looks at the signal every 50 ms, and then has as long as for a cancellation.
     assert held < 3 * REACTION + 3 * stalls.worst
 

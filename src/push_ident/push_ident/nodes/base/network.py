@@ -10,13 +10,12 @@ from __future__ import annotations
 import random
 import socket
 from collections.abc import MutableMapping
-from functools import cache
 from pathlib import Path
 from typing import Final
 
 from push_ident.errors import InputError
 
-__all__ = ["COMMAND_LINE", "PROFILE", "RANGE", "choose_network", "listens_on", "own_domain", "process_domain"]
+__all__ = ["COMMAND_LINE", "PROFILE", "RANGE", "choose_network", "listens_on", "own_domain"]
 
 RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILE: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -76,9 +75,3 @@ def own_domain() -> int:
         _HELD[domain] = _HELD.pop(domain)
         return domain
     raise InputError(f"other cells of this machine hold all ROS domains from 1 to {_LAST_DOMAIN}; stop one, or set ROS_DOMAIN_ID")
-
-
-@cache
-def process_domain() -> int:
-    """One for all cells that this process starts one after another."""
-    return own_domain()

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.node import Node
+from rclpy.time import Time
 
 from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.se3 import pose_of_quaternion
@@ -16,28 +17,16 @@ from push_ident.perception.calibration import Calibration, Mark, calibrate
 from push_ident.survey.parameter_file import POSITION, QUATERNION
 from push_ident.types import DepthFrame, Float64Array
 
-__all__ = ["Extrinsics", "FromMark", "FromParameters", "FromTf", "TfBuffer", "mark_of", "pose_rows"]
+__all__ = ["Extrinsics", "FromMark", "FromParameters", "FromTf", "mark_of", "pose_rows"]
 
 
 def pose_rows(name: str) -> tuple[Parameter, Parameter]:
     """Parameters for the pose of the further camera `name`; their defaults are no pose."""
+    position = "optical frame of this further camera in the table frame, x y z [m]"
+    orientation = "its orientation, x y z w; zeros: not known, needed with extrinsics parameters"
     return (
-        Parameter(
-            f"{name}.{POSITION}",
-            [0.0, 0.0, 0.0],
-            "optical frame of this further camera in the table frame, x y z [m]",
-            -10.0,
-            10.0,
-            read_only=True,
-        ),
-        Parameter(
-            f"{name}.{QUATERNION}",
-            [0.0, 0.0, 0.0, 0.0],
-            "its orientation, x y z w; zeros: not known, needed with extrinsics parameters",
-            -1.0,
-            1.0,
-            read_only=True,
-        ),
+        Parameter(f"{name}.{POSITION}", [0.0] * 3, position, -10.0, 10.0, read_only=True),
+        Parameter(f"{name}.{QUATERNION}", [0.0] * 4, orientation, -1.0, 1.0, read_only=True),
     )
 
 
@@ -108,8 +97,8 @@ class FromMark(Extrinsics):
         return self.calibration.camera_in_table
 
 
-class TfBuffer:
-    """Transforms of tf2, where it is installed; one for all cameras."""
+class FromTf(Extrinsics):
+    """The pose of the frame that the images are in, as soon as tf2 has it, where that is installed; one for all cameras."""
 
     def __init__(self, node: Node) -> None:
         """Listen. Raises InputError: tf2_ros is not installed."""
@@ -123,24 +112,11 @@ class TfBuffer:
         self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer, node)
 
-    def camera_in_table(self, camera_frame: str) -> Float64Array:
-        """Homogeneous transform, shape (4, 4). Raises PerceptionError: there is none yet."""
-        from rclpy.time import Time
-
+    def find(self, frame: DepthFrame) -> Float64Array | None:
+        """As `Extrinsics`."""
         try:
-            transform = self._buffer.lookup_transform(TABLE_FRAME, camera_frame, Time()).transform
+            transform = self._buffer.lookup_transform(TABLE_FRAME, frame.frame_id, Time()).transform
         except self._error as error:
-            raise PerceptionError(f"no transform from {camera_frame} to {TABLE_FRAME}: {error}") from None
+            raise PerceptionError(f"no transform from {frame.frame_id} to {TABLE_FRAME}: {error}") from None
         at, turn = transform.translation, transform.rotation
         return pose_of_quaternion([at.x, at.y, at.z], [turn.x, turn.y, turn.z, turn.w])
-
-
-class FromTf(Extrinsics):
-    """The pose of the frame that the images are in."""
-
-    def __init__(self, buffer: TfBuffer) -> None:
-        self._buffer = buffer
-
-    def find(self, frame: DepthFrame) -> Float64Array | None:
-        """As soon as tf2 has it."""
-        return self._buffer.camera_in_table(frame.frame_id)

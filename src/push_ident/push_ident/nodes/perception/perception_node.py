@@ -49,7 +49,7 @@ from push_ident.nodes.convert.messages import (
     transform_to_msg,
 )
 from push_ident.nodes.input.depth_pairs import EVERY_POSE, DepthInput
-from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, TfBuffer, mark_of, pose_rows
+from push_ident.nodes.perception.extrinsics import Extrinsics, FromMark, FromParameters, FromTf, mark_of, pose_rows
 from push_ident.nodes.perception.object_memory import ObjectMemory
 from push_ident.nodes.perception.parameters import IMAGE_TIMES, PARAMETERS, names_of_further_cameras, perception_settings
 from push_ident.perception.frame.robot import RobotHistory, RobotPart
@@ -214,12 +214,12 @@ class _Perception(Component):
     def _add_cameras(self) -> None:
         values = self._configured.as_dict()
         mark = mark_of(values) if values["extrinsics"] == "calibrate" else None
-        tf = TfBuffer(self._node) if values["extrinsics"] == "tf" else None
+        tf = FromTf(self._node) if values["extrinsics"] == "tf" else None
 
         def extrinsics_of(name: str) -> Extrinsics:
             if mark is not None:
                 return FromMark(mark, values["calibration_frames"])
-            return FromTf(tf) if tf is not None else FromParameters(values, f"{name}." if name else "")
+            return tf if tf is not None else FromParameters(values, f"{name}." if name else "")
 
         def input_of(name: str, on_frame: Callable[[DepthFrame, Time], None], refuse: Callable[[str, str], None]) -> DepthInput:
             return DepthInput(

@@ -26,10 +26,6 @@ from push_ident.nodes.viewer.settings import VIEWER
 
 __all__ = ["PageServer", "RerunServer"]
 
-_PR_SET_PDEATHSIG: Final = 1
-"""From linux/prctl.h: the signal that a process gets when its parent dies."""
-
-
 _HOST: Final = re.compile(r"(?P<host>[A-Za-z0-9.\-]{1,253}|\[[0-9A-Fa-f:.]{2,45}\])(?::\d{1,5})?")
 """Host and port as a browser asks for them; of anything else nothing is repeated in the answer."""
 _PASSED_ON: Final = ("Content-Type", "Content-Length", "Content-Encoding", "Last-Modified", "ETag", "Cache-Control")
@@ -121,8 +117,8 @@ def _start(command: list[str]) -> subprocess.Popen[bytes]:
     prctl, parent = ctypes.CDLL(None, use_errno=True).prctl, os.getpid()
 
     def end_with_parent() -> None:
-        # Sent when the thread ends that starts the process: the main thread of a node, which ends last.
-        prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        # PR_SET_PDEATHSIG of linux/prctl.h: sent when the thread ends that starts the process, the main thread of a node, which ends last.
+        prctl(1, signal.SIGKILL)
         if os.getppid() != parent:
             os._exit(0)
 
