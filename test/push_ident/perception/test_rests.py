@@ -232,7 +232,7 @@ def test_a_rest_is_wanted_in_a_new_pose_only_and_from_an_object_at_rest():
         for i in range(5):
             pose = known.pose + np.array(by) + i * np.asarray(step)
             rests.note(frame, {name: PoseFit(TrackStatus.TRACKED, pose, 1e-8 * np.eye(3), 1000, 1.0, 0.0)}, 5)
-        objects[name].traced = traced
+        objects[name].template = Template(traced)
         return bool(rests.resting(objects))
 
     moved = (0.03, 0.0, 0.0)

@@ -27,8 +27,6 @@ from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking.pose_fit import relocate
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["Calibration", "Mark", "calibrate", "camera_over_table", "table_extent"]
-
 _MIN_SHARE: Final = 0.15
 """Least fraction of all points that must lie on the plane of the table."""
 _DIFFERENT: Final = 0.004
@@ -168,8 +166,9 @@ def calibrate(frames: Sequence[DepthFrame], mark: Mark) -> Calibration:
             f"None of {counts['segments']} segments on the table is whole and of the area of the mark, {area * 1e4:.0f} cm^2 "
             f"(they have {', '.join(f'{s.area * 1e4:.0f}' for s in segments[:5]) or 'none'}); show all of the mark."
         )
-    centroid = transform_points(inverse([*mark.outline.mean(axis=0), 0.0]), mark.outline)
-    template = Template(_as_object(centroid, mark.height))
+    outline = transform_points(inverse([*mark.outline.mean(axis=0), 0.0]), mark.outline)
+    shape = ObjectShape(cells_in_outline(outline, float(np.sqrt(polygon_area(outline) / 50))), outline)
+    template = Template(TracedObject(shape, np.zeros(3), np.full((1, 1), mark.height, dtype=np.float32), np.zeros(2), 1.0))
     fitted = [_fit(template, view, segment) for segment in similar]
     fit, residual, height = min(fitted, key=lambda result: (result[0].status is not TrackStatus.TRACKED, result[1]))
     if fit.status is not TrackStatus.TRACKED or residual > _MAX_RESIDUAL or abs(height - mark.height) > _MAX_HEIGHT_ERROR:
@@ -202,12 +201,6 @@ def _largest_plane(points: Float64Array) -> tuple[Float64Array, float]:
         if count > best_count:
             best, best_count = (normal, offset), count
     return best
-
-
-def _as_object(outline: Float64Array, height: float) -> TracedObject:
-    """The mark as a traced object of constant height, for the tracker."""
-    shape = ObjectShape(cells_in_outline(outline, float(np.sqrt(polygon_area(outline) / 50))), outline)
-    return TracedObject(shape, np.zeros(3), np.full((1, 1), height, dtype=np.float32), np.zeros(2), 1.0)
 
 
 def _fit(template: Template, view: FrameView, segment: Segment) -> tuple[PoseFit, float, float]:

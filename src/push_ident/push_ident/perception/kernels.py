@@ -17,27 +17,6 @@ from numba import njit, types
 
 from push_ident.types import Float64Array
 
-__all__ = [
-    "Grid",
-    "compare_lines",
-    "displaced_scores",
-    "edges_nearest",
-    "grow_surfaces",
-    "innermost_points",
-    "interpolate",
-    "intersect_object",
-    "label_heights",
-    "mark_folds",
-    "mark_jumps",
-    "nearest_values",
-    "outline_distances",
-    "place_points",
-    "points_in_rods",
-    "project_down",
-    "scores_of_squares",
-    "sort_columns",
-]
-
 
 class Grid(NamedTuple):
     """Values at the nodes of a square grid. The kernels expect arrays that are writable and in C order."""

@@ -16,25 +16,6 @@ from push_ident.perception.kernels import Grid, interpolate, nearest_values, out
 from push_ident.perception.refusals import Reason, Refusal
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
-__all__ = [
-    "FIELD_MARGIN",
-    "NOISE_STEP",
-    "ON_OBJECT",
-    "THIN",
-    "TOP_QUANTILE",
-    "KnownObject",
-    "NewObject",
-    "Placed",
-    "PoseFit",
-    "Refined",
-    "Segment",
-    "SegmentedView",
-    "Template",
-    "TrackStatus",
-    "TracedObject",
-    "area_from_above",
-]
-
 TOP_QUANTILE: Final = 0.98
 """Quantile of the heights of points that is the height of a thing [-]: single pixels are outliers."""
 ON_OBJECT: Final = 0.008

@@ -9,8 +9,6 @@ from push_ident.perception.known_object import TrackStatus
 from push_ident.perception.refusals import Refusal, Removal, summary_of
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["Observation", "ObservedObject"]
-
 
 @dataclass(frozen=True, slots=True)
 class ObservedObject:

@@ -24,8 +24,6 @@ from push_ident.perception.tracking.pose_fit import fit_pose
 from push_ident.perception.tracking.tracker import KnownObjects, Tracker
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["BackgroundWork", "Perception"]
-
 _TURNS: Final = 30.0
 """Turns of the background work for each second between two frames [1/s]: one for each frame of a usual camera. A turn is a part of a search
 or of a better outline, an occupancy grid or a check of the plane, each 3 to 15 ms."""
@@ -181,11 +179,11 @@ class Perception:
     def known(self, object_id: str) -> KnownObject:
         """A known object, for `remember`."""
         known = self._objects[object_id]
-        return KnownObject(known.traced, known.area, known.pose)
+        return KnownObject(known.template.traced, known.area, known.pose)
 
     def first_pose(self, object_id: str) -> Float64Array:
         """Pose (x, y, yaw) of a known object when it was registered, table frame: it defines the object frame."""
-        return self._objects[object_id].traced.pose
+        return self._objects[object_id].template.traced.pose
 
     def add_further_view(self, name: str, frame: DepthFrame, camera_in_table: ArrayLike, robot: Sequence[RobotPart] = ()) -> None:
         """Keep a frame of a further camera for tracing objects at rest; poses come from the main camera only.
@@ -253,7 +251,7 @@ class Perception:
         self._rests.finish()
         ready, _ = self._rests.take_refined()
         for name, (better, template) in ready.items():
-            self._objects[name].adopt(better, template)
+            self._objects[name].template, self._objects[name].area = template, better.area
         return {name: better.traced.shape for name, (better, _) in ready.items()}
 
     def _accepted(self, frame: DepthFrame) -> tuple[DepthFrame, float, bool, int]:

@@ -15,8 +15,6 @@ from push_ident.perception.pipeline import Perception
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import CameraAccuracy, DepthFrame, Float64Array, ObjectShape, PoseTrack
 
-__all__ = ["observe_offline"]
-
 
 def observe_offline(
     frames: Iterable[DepthFrame],

@@ -9,8 +9,6 @@ from enum import Enum
 
 from push_ident.types import Float64Array
 
-__all__ = ["Reason", "Refusal", "Removal", "summary_of"]
-
 
 class Reason(Enum):
     """Kind of a refusal; the value says what the image shows and what to do about it."""

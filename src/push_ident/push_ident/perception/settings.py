@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from push_ident.errors import InputError
 from push_ident.types import CameraAccuracy
 
-__all__ = ["FurtherCameraSettings", "PerceptionSettings", "SegmentSettings", "TableSettings", "TrackingSettings"]
-
 
 @dataclass(frozen=True, slots=True)
 class TableSettings:

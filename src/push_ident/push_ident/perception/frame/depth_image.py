@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from push_ident.errors import FrameError
 from push_ident.types import CameraIntrinsics, DepthFrame
 
-__all__ = ["ACCEPTED_ENCODINGS", "check_intrinsics", "check_size", "depth_from_buffer", "usable_frame"]
-
 ACCEPTED_ENCODINGS: Final[dict[str, tuple[np.dtype[Any], float]]] = {
     "16UC1": (np.dtype(np.uint16), 1e-3),
     "32FC1": (np.dtype(np.float32), 1.0),

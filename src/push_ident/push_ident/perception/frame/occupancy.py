@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from push_ident.perception.frame.view import OBJECT, TABLE, FrameView
 from push_ident.perception.kernels import project_down
 
-__all__ = ["FREE", "OCCUPIED", "UNOBSERVED", "OccupancyMap", "TopDownGrid", "top_down"]
-
 UNOBSERVED, FREE, OCCUPIED = -1, 0, 100  # as in nav_msgs/OccupancyGrid
 
 

@@ -16,8 +16,6 @@ from push_ident.types import Float64Array
 if TYPE_CHECKING:  # it needs pinocchio, which a wheel without ROS has not
     from push_ident.geometry.arm_shape import ArmShape
 
-__all__ = ["Cylinder", "RobotHistory", "RobotPart"]
-
 
 @dataclass(frozen=True, slots=True)
 class Cylinder:

@@ -15,8 +15,6 @@ from push_ident.perception.frame.view import DEVIATIONS, FrameView, points_in_ta
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import DepthFrame, Float64Array
 
-__all__ = ["STRIDE", "TableCamera", "TablePlane", "fit_table"]
-
 STRIDE: Final = 4
 """Every fourth pixel of every fourth row is used: enough for three unknowns."""
 _MIN_POINTS: Final = 125

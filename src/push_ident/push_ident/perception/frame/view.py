@@ -24,20 +24,6 @@ from push_ident.perception.kernels import label_heights, place_points, points_in
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame, Float64Array
 
-__all__ = [
-    "DEVIATIONS",
-    "OBJECT",
-    "ROBOT",
-    "TABLE",
-    "UNKNOWN",
-    "FrameView",
-    "height_inside",
-    "in_robot",
-    "median_frame",
-    "points_in_table",
-    "unmeasured_areas",
-]
-
 UNKNOWN, TABLE, OBJECT, ROBOT = -1, 0, 1, 2
 """Labels of pixels."""
 DEVIATIONS: Final = 4.0

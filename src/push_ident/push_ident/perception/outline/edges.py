@@ -35,25 +35,6 @@ from push_ident.perception.outline.tracing import straighten
 from push_ident.perception.tracking.pose_fit import EDGE_WIDTH, fit_pose, lines_of_sight
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
-__all__ = [
-    "SAME_CURVE",
-    "VARIANCE",
-    "EdgeLines",
-    "PosedView",
-    "dense",
-    "displaced_std",
-    "edge_std",
-    "fuse_views",
-    "hidden_walls",
-    "lines_near_edges",
-    "relative_size",
-    "same_curve",
-    "scatter_of",
-    "with_edges_moved",
-    "without_reversed",
-    "without_teeth",
-]
-
 _BAND: Final = 0.005
 """Lines of sight within this distance of an edge are used [m]."""
 _PRIOR: Final = 0.001
@@ -149,9 +130,8 @@ def displaced_std(outline: Float64Array, camera_positions: Float64Array, lines: 
     """Standard deviation of how far the camera displaces edges where depth jumps, all of them alike [m].
 
     Args:
-        outline: Without teeth.
+        outline, lines: Outline without teeth, and lines near its edges.
         camera_positions: As of `hidden_walls`.
-        lines: Lines near its edges.
     """
     return _DISPLACED * scatter_of([view.of_edges(hidden_walls(outline, camera_positions)) for view in lines])
 
@@ -166,10 +146,8 @@ def edge_std(
     """Standard deviation of the position of each edge along its normal [m], shape (n_edges,); that of the prior where no line passes it.
 
     Args:
-        outline: The traced outline.
-        views: Lines near its edges.
-        simple: The outline without teeth.
-        simple_views: Lines near its edges.
+        outline, views: The traced outline, and lines near its edges.
+        simple, simple_views: The outline without teeth, and lines near its edges.
         camera_positions: As of `hidden_walls`.
     """
     n = len(outline)
@@ -237,7 +215,9 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject
     outline = straight if len(straight) >= 3 else outline
     cameras = np.array([transform_points(inverse(pose), view.camera_in_table[None, :2, 3])[0] for view, pose in fitted])
     used = [view for view, _ in fitted]
-    simple = without_teeth(outline, min(_pixel_width(view, pose) for view, pose in views if view in used))
+    to_camera = [(view, view.camera_in_table[:3, 3] - (*pose[:2], 0.0)) for view, pose in views if view in used]
+    pixel = min(float(np.linalg.norm(distance)) / view.frame.intrinsics.fx for view, distance in to_camera)
+    simple = without_teeth(outline, pixel)
     lines, simple_lines = (_lines_of(traced, edges, fitted) for edges in (outline, simple))
     std = edge_std(outline, lines, simple, simple_lines, cameras)
     x, y = polygon_centroid(outline)
@@ -255,12 +235,6 @@ def _fitted(template: Template, views: Sequence[PosedView]) -> list[PosedView]:
         if fit.status is TrackStatus.TRACKED:
             fitted.append((view, fit.pose))
     return fitted
-
-
-def _pixel_width(view: FrameView, pose: Float64Array) -> float:
-    """Width of a pixel on the object [m]."""
-    to_camera = view.camera_in_table[:3, 3] - (*pose[:2], 0.0)
-    return float(np.linalg.norm(to_camera)) / view.frame.intrinsics.fx
 
 
 def _lines_of(traced: TracedObject, outline: Float64Array, fitted: Sequence[PosedView]) -> list[EdgeLines]:

@@ -45,8 +45,6 @@ from push_ident.perception.tracking.pose_fit import MATCHER_WINDOW, displaced_by
 from push_ident.perception.tracking.tracker import KnownObjects
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["RestingObject", "Rests", "cut_to", "with_cells"]
-
 _STILL: Final = (0.003, 0.03)
 """Largest distance and turn of a pose of a rest from their mean [m, rad]: three times the noise of one frame of a RealSense D435."""
 _DRIFT: Final = (0.001, 0.01)
@@ -95,7 +93,6 @@ class RestingObject:
     """An object at rest whose outline this rest may show better."""
 
     object_id: str
-    traced: TracedObject
     template: Template
     pose: Float64Array
     """Mean over the rest (x, y, yaw) [m, m, rad], table frame."""
@@ -130,9 +127,6 @@ class _RestHistory:
         moves = half > 0 and _is_apart(poses[:half].mean(axis=0), poses[half:].mean(axis=0), _DRIFT)
         return None if moves or any(_is_apart(pose, mean, _STILL) for pose in poses) else mean
 
-    def shows_something_new(self, pose: Float64Array) -> bool:
-        return all(_is_apart(pose, view.pose, _NEW) for view in self.views)
-
     def with_latest(self, view: RestView) -> list[RestView]:
         """The views with one more; beyond `_KEPT_RESTS` rests without the one whose heading is nearest to that of another one."""
         views = [*self.views, view]
@@ -165,8 +159,10 @@ class _RestHistory:
         self.views = self.with_latest(view)
         if self.views[0].rest == view.rest:
             return None
-        better = yield from refine(resting.traced, self.views, min_height=min_height)
-        if not _is_better(better):
+        better = yield from refine(resting.template.traced, self.views, min_height=min_height)
+        error = better.traced.shape.outline_error
+        # The latest rest speaks for the new outline, and enough lines of sight pass its edges to know it better than the old one.
+        if better.misfit >= _BETTER * better.misfit_before or error is None or error >= _DISPLACED * better.misfit_before:
             return None
         yield
         better = yield from _held(better, resting.template, view)
@@ -217,11 +213,13 @@ class Rests:
             return ()
         for name, known in objects.tracked().items():
             # What is visible of a hollow object depends on its lid, which is made anew in each frame.
-            if known.traced.hollow is not None or name in self._work or name in self._refined:
+            if known.template.traced.hollow is not None or name in self._work or name in self._refined:
                 continue
-            pose = self._objects[name].pose_at_rest(needed)
-            if pose is not None and self._objects[name].shows_something_new(pose) and not objects.others_near(name):
-                resting.append(RestingObject(name, known.traced, known.template, pose, frames))
+            history = self._objects[name]
+            pose = history.pose_at_rest(needed)
+            is_new = pose is not None and all(_is_apart(pose, view.pose, _NEW) for view in history.views)
+            if pose is not None and is_new and not objects.others_near(name):
+                resting.append(RestingObject(name, known.template, pose, frames))
         return tuple(resting)
 
     def begin_refinements(self, at_rest: Sequence[RestingObject], segments: Sequence[Segment], view: FrameView, min_height: float) -> None:
@@ -368,12 +366,6 @@ def _held(better: Refined, before: Template, view: RestView) -> InParts[Refined]
     # Heights are known to a cell, which is more than such a turn moves them.
     traced = replace(traced, shape=shape, top_origin=traced.top_origin + step[:2])
     return replace(better, traced=traced, poses=tuple(compose(pose, inverse(step)) for pose in better.poses))
-
-
-def _is_better(better: Refined) -> bool:
-    """Whether the latest rest speaks for the new outline, and enough lines of sight pass its edges to know it better than the old one."""
-    error = better.traced.shape.outline_error
-    return better.misfit < _BETTER * better.misfit_before and error is not None and error < _DISPLACED * better.misfit_before
 
 
 def with_cells(shape: ObjectShape) -> ObjectShape:

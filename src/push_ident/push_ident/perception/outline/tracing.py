@@ -23,8 +23,6 @@ from push_ident.perception.kernels import outline_distances
 from push_ident.perception.known_object import SegmentedView, TracedObject
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
-__all__ = ["InParts", "straighten", "trace_in_parts", "trace_object"]
-
 _FINE: Final = 0.001
 """Edge of a cell of the fine grid [m]."""
 _SPREAD: Final = 0.0015

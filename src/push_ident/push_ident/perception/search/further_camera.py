@@ -26,8 +26,6 @@ from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking.pose_fit import fit_pose
 from push_ident.types import DepthFrame, Float64Array
 
-__all__ = ["FurtherCamera"]
-
 
 @dataclass(frozen=True, slots=True)
 class _Shot:

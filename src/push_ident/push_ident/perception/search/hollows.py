@@ -20,8 +20,6 @@ from push_ident.perception.known_object import NOISE_STEP, TOP_QUANTILE, TracedO
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["Covered", "cover_hollows", "with_hollow"]
-
 _CELL_FROM_ABOVE: Final = 0.002
 """Edge of a cell of the view from above [m]."""
 _BESIDE_OPENING: Final = np.ones((7, 7), np.uint8)

@@ -43,8 +43,6 @@ from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking.tracker import KnownObjects, Tracker
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["N_PARTS", "Search", "SearchResult"]
-
 N_PARTS: Final = 3
 """Parts of a search: labels and hollows, segments, and what they are."""
 _EXPLAINED: Final = 0.1

@@ -22,8 +22,6 @@ from push_ident.perception.known_object import Segment, area_from_above
 from push_ident.perception.refusals import Reason
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["find_segments", "split_surfaces"]
-
 _NEAR: Final = 4
 """Distance at which a robot pixel or the image border counts as touching [px]."""
 _OWN_SHADOW: Final = 1.0 / 3.0

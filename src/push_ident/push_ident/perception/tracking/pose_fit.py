@@ -50,21 +50,6 @@ from push_ident.perception.kernels import (
 from push_ident.perception.known_object import FIELD_MARGIN, NOISE_STEP, Placed, PoseFit, Template, TrackStatus
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = [
-    "EDGE_WIDTH",
-    "MATCHER_WINDOW",
-    "MISSING",
-    "LinesOfSight",
-    "UpperSide",
-    "compare_upper_side",
-    "displaced_by_camera",
-    "fit_pose",
-    "frame_step",
-    "in_table",
-    "lines_of_sight",
-    "relocate",
-]
-
 EDGE_WIDTH: Final = 0.0015
 """Width s of the expected step from stopped to passing, near the pose [m]."""
 _LEVELS: Final = ((0.006, 0.02, 3, 8, 3e-4), (EDGE_WIDTH, 0.006, 1, 8, 2e-5))

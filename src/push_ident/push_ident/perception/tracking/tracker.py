@@ -30,15 +30,12 @@ from push_ident.perception.known_object import (
     Refined,
     Segment,
     Template,
-    TracedObject,
     TrackStatus,
     area_from_above,
 )
 from push_ident.perception.refusals import Reason, Refusal, Removal
 from push_ident.perception.tracking.pose_fit import MISSING, UpperSide, compare_upper_side, fit_pose, relocate
 from push_ident.types import Float64Array, ObjectShape
-
-__all__ = ["KnownObjects", "Separation", "TrackedObject", "Tracker"]
 
 _MAX_AGE: Final = 0.2
 """Poses further apart in time do not estimate a velocity [s]."""
@@ -59,9 +56,8 @@ _SAME_HEIGHT: Final = 0.01
 class TrackedObject:
     """A registered object and its latest pose."""
 
-    traced: TracedObject
-    """How it was traced when it was registered, or later from several rests."""
     template: Template
+    """Of the object as it was traced when it was registered, or later from several rests."""
     area: float
     """Area of its segment [m^2]."""
     pose: Float64Array
@@ -98,10 +94,6 @@ class TrackedObject:
         self.velocity = (fit.pose - self.pose) / age if 0 < age < _MAX_AGE else np.zeros(3)
         self.pose, self.stamp = fit.pose, stamp
 
-    def adopt(self, better: Refined, template: Template) -> None:
-        """Follow the object by a better outline from now on."""
-        self.traced, self.template, self.area = better.traced, template, better.area
-
 
 class KnownObjects(dict[str, TrackedObject]):
     """The known objects by id ("o1", "o2", ...: no part of a ROS topic may begin with a digit). Ids are not used again."""
@@ -114,13 +106,13 @@ class KnownObjects(dict[str, TrackedObject]):
         """Know a new object from now on; its id."""
         self._n_ids += 1
         name = f"o{self._n_ids}"
-        self[name] = TrackedObject(new.traced, Template(new.traced), new.area, new.traced.pose, stamp)
+        self[name] = TrackedObject(Template(new.traced), new.area, new.traced.pose, stamp)
         return name
 
     def remember(self, name: str, known: KnownObject) -> None:
         """Know an object of an earlier run, which is to be found again."""
         pose = np.array(known.pose, dtype=np.float64)
-        self[name] = TrackedObject(known.traced, Template(known.traced), known.area, pose, -np.inf, status=TrackStatus.OUT_OF_VIEW)
+        self[name] = TrackedObject(Template(known.traced), known.area, pose, -np.inf, status=TrackStatus.OUT_OF_VIEW)
         self[name].announced = False
         self._n_ids = max(self._n_ids, int(name[1:]))
 
@@ -142,7 +134,7 @@ class KnownObjects(dict[str, TrackedObject]):
         again = {name: known for name, known in self.tracked().items() if not known.announced}
         for known in again.values():
             known.announced = True
-        return {name: known.traced.shape for name, known in again.items()}
+        return {name: known.template.traced.shape for name, known in again.items()}
 
 
 @dataclass(slots=True)
@@ -323,8 +315,7 @@ class Tracker:
             if known.is_tracked and fit.status is not TrackStatus.TRACKED:
                 failed[name] = f"with it, {fit.status.value}"
                 continue
-            known.adopt(better, template)
-            shapes[name] = better.traced.shape
+            known.template, known.area, shapes[name] = template, better.area, better.traced.shape
             if known.is_tracked:
                 known.pose, fits[name] = fit.pose, fit
         return shapes, failed
