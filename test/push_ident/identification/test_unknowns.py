@@ -1,15 +1,19 @@
-"""The unknowns are named blocks: where they are, what bounds and freezes them, and what another vector takes over."""
+"""The unknowns are named blocks with a prior; that of the maps is set by the pushes."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from helpers.objects import hammer, random_records
+from helpers.objects import hammer, random_records, uniform
 from push_ident.errors import InputError
+from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.fitting.levenberg_marquardt import minimise
+from push_ident.identification.fitting.map_prior import STARTS, LinearEvidence, MapTransforms
 from push_ident.identification.fitting.problem import FitProblem, without_first_push
+from push_ident.identification.identify import identify
 from push_ident.identification.unknowns.mechanics import effects_at, model_at
-from push_ident.identification.unknowns.prior import Prior
+from push_ident.identification.unknowns.prior import MapPrior, Prior
 from push_ident.identification.unknowns.spec import Block, Layout, UnknownsSpec, nuisance_effects
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import CameraAccuracy, ObjectShape
@@ -109,3 +113,53 @@ def test_unknowns_of_the_pushes_are_a_block_of_the_problem() -> None:
     shorter = without_first_push(x, 3, 3)
     assert problem.without([0]).push_unknowns(shorter).tolist() == problem.push_unknowns(x)[1:].tolist()
     assert problem.continued(np.zeros(problem.size), x[:-3])[:-3].tolist() == x[:-3].tolist()
+
+
+# --- the prior of the maps, which the pushes set
+
+
+OTHER = MapPrior(0.4, 1.2, 0.15, 0.4)
+START = STARTS["uneven load"]
+
+
+def test_unknowns_under_another_prior_are_the_same_object_in_other_units() -> None:
+    transforms = MapTransforms(UnknownsSpec.of(SHAPE, Prior(max_modes=12)))
+    other = transforms.spec_under(OTHER)
+    y = np.random.default_rng(0).normal(size=other.size)
+    expected = model_at(transforms.spec, transforms.matrix(OTHER) @ y)
+    assert model_at(other, y).mass == pytest.approx(expected.mass, rel=1e-9)
+    assert model_at(other, y).friction == pytest.approx(expected.friction, rel=1e-9)
+    # Where every cell has a mode, the covariance of a map is that of its prior.
+    n = len(SHAPE.cells)
+    modes = MapTransforms(UnknownsSpec.of(SHAPE, Prior(max_modes=n))).spec_under(OTHER).modes
+    direct = UnknownsSpec.of(SHAPE, Prior(max_modes=n, correlation_length=OTHER.length)).modes
+    assert modes @ modes.T == pytest.approx(direct @ direct.T, abs=1e-6)
+
+
+def test_linear_evidence_is_that_of_a_fit_nearby_and_has_the_slope_that_differences_show() -> None:
+    records = random_records(hammer(1), 3, 1)
+    transforms = MapTransforms(UnknownsSpec.of(SHAPE, Prior(max_modes=15)))
+    problem = FitProblem(records, transforms.spec_under(START))
+    fit = Fit(problem, *minimise(problem, np.zeros(problem.size)))
+    evidence = LinearEvidence(transforms, fit, transforms.matrix(START), START.logs)
+    for slope, step in zip(evidence.cost_and_slope(OTHER.logs)[1], 1e-4 * np.eye(4), strict=True):
+        difference = (evidence.cost_and_slope(OTHER.logs + step)[0] - evidence.cost_and_slope(OTHER.logs - step)[0]) / 2e-4
+        assert slope == pytest.approx(difference, rel=1e-2, abs=1e-3)
+    near, n = MapPrior.of_logs(START.logs + 0.05), transforms.spec.size
+    problem = FitProblem(records, transforms.spec_under(near))
+    x0 = evidence.minimum(near.logs)
+    x0[:n] = np.linalg.solve(transforms.matrix(near), x0[:n])
+    direct = Fit(problem, *minimise(problem, x0)).log_evidence - fit.log_evidence
+    # The prior of the hyperparameters is in the linear evidence only.
+    prior = 0.5 * float(np.sum(((near.logs - START.logs) / [1.0, 1.0, 1.0, 0.5]) ** 2))
+    assert direct == pytest.approx(evidence.cost_and_slope(START.logs)[0] - evidence.cost_and_slope(near.logs)[0] + prior, abs=0.1)
+
+
+@pytest.mark.long
+def test_pushes_tell_an_even_object_from_an_uneven_one() -> None:
+    of_even, of_uneven = (identify(random_records(truth, 6, 3)).candidates for truth in (uniform(SHAPE, 0.6, 0.3, 0.25), hammer(3)))
+    equal = [sum(c.probability for c in found if c.maps is None) for found in (of_even, of_uneven)]
+    assert equal[0] > 0.5 > 0.01 > equal[1]
+    spread = [max(c.maps.mass_std + c.maps.friction_std for c in found if c.maps) for found in (of_even, of_uneven)]
+    assert spread[0] < spread[1]
+    assert sum(c.probability for c in of_even) == pytest.approx(1.0)
