@@ -15,8 +15,7 @@ from push_ident.physics.effect_values import effect_values
 from push_ident.planning.belief import Belief
 from push_ident.planning.curved import N_SEGMENTS, CurvedPushes, Horizon, PushStart, face_of
 from push_ident.planning.curved_planner import CurvedPathPlanner, CurvedPush
-from push_ident.planning.model_weights import ModelWeights
-from push_ident.planning.path_follower import ContactTracker, FollowerOptions, FollowStatus
+from push_ident.planning.path_follower import ContactTracker, FollowerOptions, FollowStatus, ModelWeights
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings

@@ -16,16 +16,7 @@ from push_ident.physics.overhang import TableEdge
 from push_ident.planning.curved_planner import CurvedPush
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import EdgeHold, Goal, GoalCode, GoalRefusedError, Target
-from push_ident.planning.goal_ports import (
-    GoalOutcome,
-    GoalProgress,
-    GoalRequest,
-    GoalState,
-    KnownModel,
-    PushReport,
-    SessionLimits,
-    Wish,
-)
+from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState, KnownModel, PushReport, SessionLimits, Wish
 from push_ident.planning.goal_session import GoalSession
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathPush, PathStatus

@@ -29,8 +29,8 @@ from push_ident.extras import need
 from push_ident.identification.fitting.budget import Budget
 from push_ident.identification.fitting.fit import FitOptions
 from push_ident.identification.identify import identify as _identify
-from push_ident.identification.predicting.comparison import Comparison, compare_pushes
 from push_ident.identification.predicting.next_push import Proposal, propose_push
+from push_ident.identification.predicting.scoring import Comparison, compare_pushes
 from push_ident.identification.results.model_file import load_model
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.results.result import Identification

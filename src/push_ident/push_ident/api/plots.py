@@ -17,8 +17,8 @@ from push_ident.diagnosis.report.figures import ranking_bars
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
-from push_ident.identification.predicting.comparison import Comparison
 from push_ident.identification.predicting.next_push import Proposal
+from push_ident.identification.predicting.scoring import Comparison
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.results.result import Identification
 from push_ident.limits import plain_text

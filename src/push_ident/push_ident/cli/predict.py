@@ -9,7 +9,7 @@ import typer
 
 from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, number_table, say, warn, write_json
-from push_ident.identification.predicting.comparison import PredictedPush, compare_pushes
+from push_ident.identification.predicting.scoring import PredictedPush, compare_pushes
 from push_ident.identification.results.model_file import failure_of_model, load_model
 from push_ident.offline.loading import load_pushes
 

@@ -22,8 +22,7 @@ import numpy as np
 
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.planning.belief import Belief
-from push_ident.planning.feasible import Surroundings, is_possible
-from push_ident.planning.library import Library, placed, strokes
+from push_ident.planning.library import Library, Surroundings, is_possible, placed, strokes
 from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape

@@ -36,9 +36,8 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import held_target
-from push_ident.planning.feasible import Surroundings, is_possible
 from push_ident.planning.goal import CERTAIN, EdgeHold, Goal
-from push_ident.planning.library import Library, Strokes, moved, path_of, placed, simulated, strokes
+from push_ident.planning.library import Library, Strokes, Surroundings, is_possible, moved, path_of, placed, simulated, strokes
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape, SolveStatus
 

@@ -29,8 +29,8 @@ from push_ident.identification.results.posterior import prior_posterior
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.planning.belief import Belief
-from push_ident.planning.feasible import Surroundings
 from push_ident.planning.goal import Goal
+from push_ident.planning.library import Surroundings
 from push_ident.planning.planner import GoalPlanner, PlanStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import recentring_pushes, sample_push

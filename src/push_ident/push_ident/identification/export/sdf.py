@@ -10,10 +10,7 @@ from push_ident.identification.export.description import ObjectDescription, add_
 from push_ident.physics.effect import ExportAs
 
 _VERSION = "1.9"
-_CARRIED = {
-    ExportAs.PUSHER_FRICTION: "the friction of the outline",
-    ExportAs.CELL_ANISOTROPY: "mu, mu2 and fdir1 of the cells",
-}
+_CARRIED = {ExportAs.PUSHER_FRICTION: "the friction of the outline", ExportAs.CELL_ANISOTROPY: "mu, mu2 and fdir1 of the cells"}
 _NOTE = (
     "Gazebo uses the smaller of two coefficients of friction: those of table and pusher must be at least those of the object.",
     "The table can have the default collide_bitmask; with 2 the pusher touches only the outline.",

@@ -34,10 +34,7 @@ _WIDTH: Final = np.array([1.0, 1.0, 1.0, 0.5])
 """Standard deviation of the logarithm of each hyperparameter about its start: a factor of 2.7 either way, 1.6 for the length [-]."""
 _LARGEST_STEP: Final = float(np.log(4.0))
 """Of a logarithm in one round: the linear problem holds near the fit that it comes from [-]."""
-STARTS: Final = {
-    "uneven mass and friction": MapPrior(0.7, 0.3, 0.7, 0.25),
-    "uneven load": MapPrior(0.1, 1.0, 0.1, 0.25),
-}
+STARTS: Final = {"uneven mass and friction": MapPrior(0.7, 0.3, 0.7, 0.25), "uneven load": MapPrior(0.1, 1.0, 0.1, 0.25)}
 """Where the search starts, and the median of the prior of each hyperparameter: an object of uneven material, or one on a base that is
 not even."""
 

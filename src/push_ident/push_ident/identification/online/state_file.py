@@ -18,9 +18,16 @@ from push_ident.identification.fitting.summary import Summary
 from push_ident.identification.online.identifier import OnlineState
 from push_ident.identification.predicting.scoring import PushScore, RunningRecord
 from push_ident.identification.results.known_effects import KnownEffect
-from push_ident.identification.results.model_file import ModelContent, array_of, model_content, posterior_of, prior_of
+from push_ident.identification.results.model_file import (
+    ModelContent,
+    array_of,
+    check_information,
+    check_start,
+    model_content,
+    posterior_of,
+    prior_of,
+)
 from push_ident.identification.results.posterior import ModelPosterior
-from push_ident.identification.results.posterior_check import check_information, check_start
 from push_ident.identification.results.result import WarmStart
 from push_ident.identification.unknowns.prior import MapPrior, Prior
 from push_ident.identification.unknowns.quadratic import Quadratic

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from push_ident.extras import need
-from push_ident.identification.fitting.descent import descend
 from push_ident.identification.fitting.problem import TAILS, FitProblem
-from push_ident.identification.fitting.solver import CellByCellSolver
+from push_ident.identification.fitting.solver import CellByCellSolver, descend
 from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import Float64Array, SolveStatus

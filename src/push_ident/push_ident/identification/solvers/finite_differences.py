@@ -6,9 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from push_ident.identification.fitting.descent import descend
 from push_ident.identification.fitting.problem import FitProblem
-from push_ident.identification.fitting.solver import CellByCellSolver
+from push_ident.identification.fitting.solver import CellByCellSolver, descend
 from push_ident.types import Float64Array, SolveStatus
 
 
