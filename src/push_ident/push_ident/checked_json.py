@@ -17,9 +17,6 @@ from push_ident.errors import ModelFileError, PushIdentError
 from push_ident.files import read_regular
 from push_ident.limits import plain_text
 
-__all__ = ["CheckedContent", "Listed", "Numbers", "Points", "Rows", "parse_checked", "read_checked"]
-
-
 _Item = TypeVar("_Item")
 _Content = TypeVar("_Content", bound=BaseModel)
 

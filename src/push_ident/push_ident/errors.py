@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["BagError", "FrameError", "InputError", "ModelFileError", "PerceptionError", "PlanningError", "PushIdentError"]
-
 
 class PushIdentError(Exception):
     """Base of all exceptions that this package raises deliberately. Its text is one line with a remedy."""

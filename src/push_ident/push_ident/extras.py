@@ -7,8 +7,6 @@ from typing import Final
 
 from push_ident.errors import PushIdentError
 
-__all__ = ["EXTRAS", "MissingPackageError", "how_to_get", "need", "need_ros"]
-
 EXTRAS: Final = {
     "arm": ("pinocchio",),
     "fleet": ("ray", "pyarrow"),

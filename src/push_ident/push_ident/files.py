@@ -21,8 +21,6 @@ from typing import IO, Any, Final
 from push_ident.errors import PushIdentError
 from push_ident.limits import LIMITS, plain_text
 
-__all__ = ["finite", "json_text", "make_folder", "open_log", "open_new", "read_regular", "replaced", "write_whole"]
-
 _NO_LINK: Final = os.O_NOFOLLOW | os.O_CLOEXEC
 
 

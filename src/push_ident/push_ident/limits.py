@@ -12,8 +12,6 @@ from typing import Final
 
 from push_ident.errors import InputError, PushIdentError
 
-__all__ = ["LIMITS", "Limit", "check_coordinates", "check_object_id", "plain_text", "printable"]
-
 _ID: Final = re.compile(r"[A-Za-z0-9_]+")
 _CONTROL: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
 _CONTROL_IN_LINES: Final = re.compile(_CONTROL.pattern.replace("\\x00-\\x1f", "\\x00-\\x08\\x0b-\\x1f"))

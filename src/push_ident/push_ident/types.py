@@ -16,11 +16,6 @@ from numpy.typing import NDArray
 
 from push_ident.errors import InputError
 
-__all__ = [
-    "BoolArray", "CameraAccuracy", "CameraIntrinsics", "CellGrid", "DepthFrame", "Float64Array", "ObjectModel", "ObjectShape",
-    "PoseTrack", "PushRecord", "PusherPath", "SolveStatus", "WrenchTrack", "short_repr",
-]  # fmt: skip
-
 Float64Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 

@@ -42,8 +42,6 @@ from push_ident.types import PushRecord
 if TYPE_CHECKING:
     from push_ident.api.plots import Picture
 
-__all__ = ["diagnose", "identify", "load", "next_push", "plot", "predict"]
-
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _CHOSEN: Final = "OPENBLAS_NUM_THREADS"

@@ -25,8 +25,6 @@ from push_ident.limits import plain_text
 from push_ident.offline.loading import LoadedPushes
 from push_ident.types import Float64Array, ObjectShape, PushRecord
 
-__all__ = ["Picture", "draw", "draw_cells"]
-
 _ACCENT, _LIGHT, _WARM, _GREY = "#1f5fa8", "#9fb8d6", "#c0561d", "#8a95a1"
 
 

@@ -12,8 +12,6 @@ try:
 except ImportError:
     from backports import zstd
 
-__all__ = ["check_expansion", "uncompress_file", "uncompressed_message", "zstd_claim"]
-
 
 def check_expansion(total: int, file_size: int, what: str) -> None:
     """Raise BagError for more uncompressed content than an honest file of this size can have [bytes]: a decompression bomb."""

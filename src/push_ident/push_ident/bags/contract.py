@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from push_ident.geometry.frames import CAMERA_FRAME, TABLE_FRAME, object_frame
 from push_ident.limits import LIMITS, Limit
-
-__all__ = ["CAMERA_FRAME", "OBJECT_ROLES", "TABLE_FRAME", "TopicRole", "Role", "object_frame", "role_of", "size_limit", "topic_of"]
 
 _LARGE: Final = frozenset({"sensor_msgs/msg/Image", "nav_msgs/msg/OccupancyGrid"})
 

@@ -13,11 +13,6 @@ from push_ident.limits import LIMITS, check_coordinates
 from push_ident.perception.frame.depth_image import check_intrinsics, depth_from_buffer
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array
 
-__all__ = [
-    "DEFAULT_COVARIANCE", "camera_accuracy_of", "cells_of", "covariance_of", "cylinder_radius_of", "depth_frame_of", "homogeneous_of",
-    "intrinsics_of", "outline_of", "outline_std_of", "planar_pose_of", "stamp_ns",
-]  # fmt: skip
-
 DEFAULT_COVARIANCE: Final = np.diag([1e-3**2, 1e-3**2, np.radians(0.5) ** 2])
 """Covariance of (x, y, yaw) where a bag has none: 1 mm and 0.5 degrees."""
 

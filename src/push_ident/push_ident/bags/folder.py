@@ -13,8 +13,6 @@ from push_ident.errors import BagError
 from push_ident.files import read_regular
 from push_ident.limits import LIMITS
 
-__all__ = ["BagFolder", "read_folder"]
-
 _SUFFIXES: Final = {"mcap": ".mcap", "sqlite3": ".db3"}
 _VERSIONS: Final = range(1, 10)
 _REMEDY: Final = "remove metadata.yaml, and name the storage file"

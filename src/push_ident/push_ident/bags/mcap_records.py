@@ -18,8 +18,6 @@ from push_ident.bags.compression import check_expansion, zstd_claim
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
 
-__all__ = ["MAGIC", "Channel", "IntactRecords", "Message", "Opcode", "Schema", "chunk_index_of", "chunk_of", "record_heads"]
-
 MAGIC: Final[bytes] = MCAP0_MAGIC
 _HEAD: Final = struct.Struct("<BQ")
 """Operation code and length of the content."""

@@ -16,8 +16,6 @@ from rosbags.typesys.store import Typestore
 from push_ident.bags.typestore import jazzy_typestore
 from push_ident.limits import LIMITS
 
-__all__ = ["Migration", "migration_of"]
-
 _TEXTS: Final = ("string", "wstring")
 
 

@@ -30,8 +30,6 @@ from push_ident.bags.typestore import jazzy_typestore
 from push_ident.errors import BagError, PushIdentError
 from push_ident.limits import LIMITS
 
-__all__ = ["SUFFIXES", "Connection", "OpenBag", "open_bag"]
-
 SUFFIXES: Final = (".mcap", ".db3", ".bag")
 """Of the files of a bag."""
 _CAPITAL_PACKAGE: Final = re.compile(r"\b[A-Z]\w*(?=/\w)")

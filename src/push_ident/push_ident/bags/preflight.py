@@ -21,8 +21,6 @@ from push_ident.bags.mcap_records import MAGIC, Opcode, chunk_index_of, chunk_of
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
 
-__all__ = ["check_claims"]
-
 _TAIL: Final = struct.Struct("<BQQQI8s")
 """Footer and magic at the end of an MCAP file."""
 _ROSBAG1: Final = b"#ROSBAG V2.0\n"

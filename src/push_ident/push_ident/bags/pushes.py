@@ -15,8 +15,6 @@ from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushCutter
 from push_ident.types import CameraAccuracy, PushRecord
 
-__all__ = ["PAUSE", "count_pushes", "pushes_by_object", "split_pushes"]
-
 PAUSE: Final = 0.5
 """A longer pause of the pusher ends a push [s]."""
 

@@ -9,8 +9,6 @@ from pathlib import Path
 from push_ident.bags.opening import open_bag
 from push_ident.errors import BagError
 
-__all__ = ["RawMessage", "bag_topics", "raw_messages"]
-
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:

@@ -11,16 +11,15 @@ from typing import Any, Final
 import numpy as np
 
 from push_ident.bags import decode
-from push_ident.bags.contract import CAMERA_FRAME, OBJECT_ROLES, TABLE_FRAME, Role, TopicRole, role_of
+from push_ident.bags.contract import OBJECT_ROLES, Role, TopicRole, role_of
 from push_ident.bags.opening import Connection, OpenBag, open_bag
 from push_ident.errors import BagError, FrameError, InputError
+from push_ident.geometry.frames import CAMERA_FRAME, TABLE_FRAME
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS, plain_text
 from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
-
-__all__ = ["BagContents", "DepthRecording", "ObjectTrack", "Samples", "read_bag", "read_depth"]
 
 _STAMPED: Final = frozenset({Role.POSE, Role.PUSHER, Role.WRENCH})
 _LAST_COUNTS: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.CAMERA_ACCURACY})

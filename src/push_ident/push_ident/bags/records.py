@@ -12,8 +12,6 @@ from push_ident.bags.writer import BagWriter
 from push_ident.errors import InputError
 from push_ident.types import PushRecord
 
-__all__ = ["FIRST_STAMP", "write_records"]
-
 FIRST_STAMP: Final = 1.0
 """Earliest stamp written [s]; a stamp of zero would mean that there is none."""
 

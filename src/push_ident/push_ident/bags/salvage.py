@@ -13,8 +13,6 @@ from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
 
-__all__ = ["SalvageReport", "count_recoverable", "salvage"]
-
 
 @dataclass(frozen=True, slots=True)
 class SalvageReport:

@@ -12,8 +12,6 @@ from rosbags.typesys.store import Typestore
 
 from push_ident.errors import BagError
 
-__all__ = ["definition_of", "jazzy_typestore"]
-
 _PACKAGE: Final = "push_ident_msgs"
 
 

@@ -17,15 +17,14 @@ import yaml
 from mcap.writer import Writer
 from numpy.typing import ArrayLike, NDArray
 
-from push_ident.bags.contract import CAMERA_FRAME, TABLE_FRAME, Role, object_frame, topic_of
+from push_ident.bags.contract import Role, topic_of
 from push_ident.bags.typestore import definition_of, jazzy_typestore
 from push_ident.errors import BagError
 from push_ident.files import open_new, write_whole
+from push_ident.geometry.frames import CAMERA_FRAME, TABLE_FRAME, object_frame
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.types import BoolArray, CameraIntrinsics, CellGrid, Float64Array, ObjectShape
-
-__all__ = ["BagWriter"]
 
 _PLANAR: Final = (0, 1, 5)
 """Rows of x, y and yaw in a 6 x 6 covariance."""

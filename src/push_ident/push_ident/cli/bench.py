@@ -13,8 +13,6 @@ from push_ident.cli.experiment import sim_module
 from push_ident.cli.output import Description, console, say
 from push_ident.errors import InputError
 
-__all__ = ["bench_command"]
-
 _PAGE = Path("out/benchmarks.md")
 
 

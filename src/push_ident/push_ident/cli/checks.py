@@ -16,8 +16,6 @@ from push_ident.limits import LIMITS, plain_text
 if TYPE_CHECKING:
     from push_ident.types import Float64Array
 
-__all__ = ["above_zero", "at_least_zero", "finite", "new_bag", "parse_floats", "parse_numbers", "writable_file", "writable_folder"]
-
 
 def above_zero(value: float | None) -> float | None:
     """Callback of an option: a finite number above 0, or none."""

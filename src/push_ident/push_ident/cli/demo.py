@@ -38,8 +38,6 @@ from push_ident.pages.page import FigureSection
 from push_ident.planning.goal_page import write_goal_page
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
 
-__all__ = ["demo_command"]
-
 
 def demo_command(
     object_name: Annotated[str, typer.Option("--object", help="hammer, wrench, crimp, toolbox or book.")] = "hammer",

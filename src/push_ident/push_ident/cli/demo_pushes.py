@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from push_ident.nodes.client.cell_client import CellClient
     from push_ident_msgs.action import ExecutePush
 
-__all__ = ["DemoPush", "DemoPushes"]
-
 _OK, _NO_CONTACT = 0, -5
 _PHASES: Final = ("planning", "approach", "pushing, identifying", "rest", "retreat", "re-centring")
 

@@ -30,8 +30,6 @@ from push_ident.identification.results.model_file import save_model
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import load_pushes
 
-__all__ = ["diagnose_command"]
-
 _NOMINAL = Prior()
 
 

@@ -9,8 +9,6 @@ from typing import Final, NoReturn
 
 from push_ident.nodes.base.lifetime import LIFETIME
 
-__all__ = ["main"]
-
 _INTERRUPTED: Final = 130
 """Exit code of a command that Ctrl-C ended, as shells have it: 128 + SIGINT."""
 _ENDED_BY_CTRL_C: Final = ("up",)

@@ -15,8 +15,6 @@ from push_ident.cli.checks import above_zero, writable_folder
 from push_ident.cli.output import Description, JsonOption, console, say, warn
 from push_ident.errors import InputError
 
-__all__ = ["experiment_command", "sim_module"]
-
 _LIST, _REPORT = "list", "report"
 _FOLDER = Path("out/experiments")
 _RESULTS = Path("docs/results")

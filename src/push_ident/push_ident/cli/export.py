@@ -15,8 +15,6 @@ from push_ident.identification.export.description import DEFAULT_HEIGHT, describ
 from push_ident.identification.export.files import SUFFIXES, write_description
 from push_ident.identification.results.model_file import failure_of_model, load_model
 
-__all__ = ["export_command"]
-
 _CELLS = {"sliding": True, "fixed": False}
 
 

@@ -18,8 +18,6 @@ from push_ident.fleet.job import Outcome
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS, solver_of
 from push_ident.identification.unknowns.prior import Prior
 
-__all__ = ["fleet_command"]
-
 _NOMINAL = Prior()
 _OutOption = Annotated[
     Path,

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from push_ident_msgs.action import PushToGoal
 
-__all__ = ["edge_message", "goal_message", "path_message", "planar", "pose_message"]
-
 
 def goal_message(
     pose: Float64Array, *, object_id: str = "", tolerance_mm: float = 20.0, tolerance_deg: float = 5.73, **limits: Any

@@ -15,8 +15,6 @@ from push_ident.types import Float64Array
 if TYPE_CHECKING:
     from push_ident_msgs.action import PushToGoal
 
-__all__ = ["GoalReport", "PathReport", "PushLine", "broken_off", "last_feedback"]
-
 
 class PushLine:
     """One push on the way: predicted and observed.

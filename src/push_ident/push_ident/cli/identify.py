@@ -40,11 +40,6 @@ from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.physics.simulation import compile_kernels
 from push_ident.types import Float64Array
 
-__all__ = [
-    "CameraOption", "FrictionOption", "NominalMassOption", "ObjectOption", "TotalMassOption", "identify_command", "prior_of_options",
-    "read_camera",
-]  # fmt: skip
-
 _NOMINAL = Prior()
 ObjectOption = Annotated[
     str, typer.Option("--object", metavar="ID", help="Object to identify; default: the one with the most pushes.", show_default=False)

@@ -37,8 +37,6 @@ from push_ident.extras import need
 from push_ident.limits import plain_text
 from push_ident.types import Float64Array
 
-__all__ = ["import_app"]
-
 BagOption = Annotated[Path, typer.Option("--out", metavar="BAG", help="New bag.", callback=new_bag, show_default=False)]
 PageOption = Annotated[
     Path | None,

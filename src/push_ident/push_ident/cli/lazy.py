@@ -8,8 +8,6 @@ from typing import Any, ClassVar, NamedTuple
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-__all__ = ["LazyCommand", "LazyGroup"]
-
 
 class LazyCommand(NamedTuple):
     """Where a command stands, and its line in the list of commands."""

@@ -32,8 +32,6 @@ from push_ident.physics.simulation import compile_kernels
 if TYPE_CHECKING:
     from push_ident_msgs.msg import MassFrictionMap
 
-__all__ = ["doctor_command", "replay_command", "up_command"]
-
 
 def up_command(
     kind: Annotated[

@@ -16,8 +16,6 @@ import typer
 from push_ident.cli.output import say, warn
 from push_ident.nodes.viewer.settings import VIEWER
 
-__all__ = ["ADDRESS", "ViewOption", "show_view"]
-
 ViewOption = Annotated[bool, typer.Option("--view", help="Serve a live view for browsers, and open it.")]
 ADDRESS: Final = f"http://localhost:{VIEWER.web_port}"
 

@@ -26,8 +26,6 @@ from push_ident.survey.survey_page import survey_json, table_sentence, write_sur
 from push_ident.survey.survey_picture import is_small, size_text
 from push_ident.types import DepthFrame, Float64Array
 
-__all__ = ["look_command"]
-
 _FILES: Final = ("look.html", "perception.yaml")
 _TOPIC: Final = topic_of(Role.DEPTH)
 """Of the camera that is listened to where no other is given: that of perception_node."""

@@ -14,8 +14,6 @@ from push_ident.cli.output import say, warn
 from push_ident.errors import PushIdentError
 from push_ident.extras import how_to_get
 
-__all__ = ["app", "main"]
-
 LazyGroup.lazy_subcommands = {
     name: LazyCommand(f"push_ident.cli.{place}", summary)
     for name, place, summary in (

@@ -6,8 +6,6 @@ import re
 import resource
 from pathlib import Path
 
-__all__ = ["limit_memory"]
-
 
 def limit_memory() -> None:
     """Let this process take the memory that is free now, and no more; beyond it allocations raise MemoryError.

@@ -19,11 +19,6 @@ from push_ident.cli.checks import writable_file, writable_folder
 from push_ident.files import json_text, write_whole
 from push_ident.limits import printable
 
-__all__ = [
-    "BagsArgument", "Description", "JsonOption", "OutOption", "PlainConsole", "console", "millimetres", "progress", "say", "number_table",
-    "warn", "write_json",
-]  # fmt: skip
-
 _WORD: Final = 1_000
 """Longest word that is shown whole; rich takes minutes to break one of 100,000 characters into the lines of a table."""
 _LONG: Final = re.compile(rf"\S{{{_WORD + 1},}}")

@@ -14,8 +14,6 @@ from push_ident.errors import InputError
 from push_ident.files import read_regular
 from push_ident.limits import plain_text
 
-__all__ = ["Overrides", "overrides_of"]
-
 _NAME: Final = r"~?/?[A-Za-z_][\w]*(?:/[A-Za-z_][\w]*)*"
 _REMAP: Final = re.compile(rf"(?:(?P<node>[A-Za-z_]\w*):)?{_NAME}:=/?{_NAME}")
 """`from:=to`, or `node:from:=to` for one node only, as ROS 2 has it."""

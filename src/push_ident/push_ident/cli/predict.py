@@ -13,8 +13,6 @@ from push_ident.identification.predicting.scoring import PredictedPush, compare_
 from push_ident.identification.results.model_file import failure_of_model, load_model
 from push_ident.offline.loading import load_pushes
 
-__all__ = ["predict_command"]
-
 
 def predict_command(
     model: Annotated[

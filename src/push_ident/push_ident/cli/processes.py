@@ -23,8 +23,6 @@ from push_ident.files import open_log
 from push_ident.limits import printable
 from push_ident.nodes.base.lifetime import LIFELINE, stop_signals_blocked
 
-__all__ = ["LAST_LINES", "Backoff", "NodeCommand", "NodeExit", "NodeProcess", "RestartPolicy"]
-
 LAST_LINES: Final = 0.5
 """Longest wait for the last lines of a process that has ended [s]."""
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from push_ident.nodes.client.cell_client import CellClient
     from push_ident_msgs.action import ExecutePush
 
-__all__ = ["contact_goal", "push_command", "push_one_by_one", "random_goals"]
-
 _GOES_ON: Final = frozenset({PushCode.NONE, PushCode.NO_CONTACT, PushCode.UNREACHABLE, PushCode.LIMIT})
 """After which another random push is made: nothing is wrong with the cell."""
 _PHASES: Final = ("planning", "approach", "pushing", "rest", "retreat", "re-centring")

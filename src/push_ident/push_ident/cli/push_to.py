@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from push_ident.nodes.client.cell_client import CellClient
     from push_ident_msgs.action import PushToGoal
 
-__all__ = ["parse_edge", "parse_goal", "finish", "goals_of", "push_to_command", "push_to_goal"]
-
 PlaceOption = Annotated[
     float | None, typer.Option(callback=finite, help="Goal of the object's origin in the table frame [m].", show_default=False)
 ]

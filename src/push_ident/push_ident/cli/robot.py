@@ -17,8 +17,6 @@ from push_ident.limits import plain_text
 if TYPE_CHECKING:
     from push_ident.pushing.robot.robot_file import Robot
 
-__all__ = ["ChosenRobot", "RobotOption", "check_nodes", "robot_for"]
-
 RobotOption = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Robot file: description, joints, tool, camera and topics of one cell.", show_default=False),

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from push_ident.nodes.base.parameters import Parameter
     from push_ident.nodes.client.listen import CellNames, Heard
 
-__all__ = ["check_parameters", "examine_robot", "find_live"]
-
 _ROLES: Final = ("joint_states", "joint_trajectory", "depth/image_rect")
 _TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
 _LOOKS: Final = {Level.OK: "green", Level.NOT_CHECKED: "cyan", Level.WARNING: "yellow", Level.WRONG: "bold red"}

@@ -11,8 +11,6 @@ from push_ident.bags.salvage import salvage
 from push_ident.cli.checks import new_bag
 from push_ident.cli.output import say
 
-__all__ = ["salvage_command"]
-
 
 def salvage_command(
     bag: Annotated[Path, typer.Argument(help="A damaged MCAP bag.", show_default=False)],

@@ -13,8 +13,6 @@ from push_ident.cli.experiment import sim_module
 from push_ident.cli.output import console, say, write_json
 from push_ident.errors import InputError
 
-__all__ = ["simulate_command"]
-
 _YAW_NOISE = round(math.radians(0.5), 5)
 
 

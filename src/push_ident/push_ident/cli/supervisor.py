@@ -23,8 +23,6 @@ from push_ident.errors import InputError, PushIdentError
 from push_ident.limits import printable
 from push_ident.nodes.base.lifetime import LIFETIME, stopping_in_order
 
-__all__ = ["Kind", "NodeCommand", "NodeExit", "Supervisor", "SupervisorError", "config_file", "node_command", "node_commands", "node_names"]
-
 Kind = Literal["sim", "replay", "arm"]
 
 _COLOURS: Final = ("cyan", "green", "magenta", "yellow", "blue", "bright_red")

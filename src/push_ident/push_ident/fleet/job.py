@@ -25,8 +25,6 @@ from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import load_pushes
 
-__all__ = ["FleetOptions", "Job", "Outcome", "find_jobs", "identify_bag"]
-
 Outcome = dict[str, Any]
 """JSON of one bag: `bag`, `state` ("done" or "failed"), `error`, `host`, `process`, `seconds`, and if identified `result`, `model` and,
 where asked for, `page`."""

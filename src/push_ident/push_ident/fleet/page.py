@@ -14,8 +14,6 @@ from push_ident.fleet.table import row_of
 from push_ident.pages.page import write_page
 from push_ident.pages.scatter import Dot, scatter
 
-__all__ = ["write_index"]
-
 _GOOD: Final = "converged"
 
 

@@ -15,8 +15,6 @@ from push_ident.extras import need
 from push_ident.files import json_text, write_whole
 from push_ident.fleet.job import FleetOptions, Job, Outcome, identify_bag
 
-__all__ = ["run_fleet"]
-
 
 def run_fleet(
     jobs: Sequence[Job],

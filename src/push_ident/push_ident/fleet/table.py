@@ -10,8 +10,6 @@ from push_ident.extras import need
 from push_ident.files import replaced
 from push_ident.fleet.job import Outcome
 
-__all__ = ["row_of", "write_table"]
-
 _MAP: Final = ("x", "y", "mass", "friction", "mass_friction", "mass_friction_std")
 _NUMBERS: Final = (*(f"map.{name}" for name in _MAP), "train.per_push_m", "test.per_push_m")
 """Columns that are lists of numbers."""

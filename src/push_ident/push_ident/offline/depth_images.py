@@ -23,8 +23,6 @@ from push_ident.limits import LIMITS, plain_text
 from push_ident.perception.frame.depth_image import check_intrinsics, check_size
 from push_ident.types import CameraIntrinsics, DepthFrame
 
-__all__ = ["DepthImages"]
-
 _CAMERA_INFO: Final = "camera_info.yaml"
 """File with the intrinsics beside the images, as `camera_calibration` of ROS writes it."""
 _SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".pcd")

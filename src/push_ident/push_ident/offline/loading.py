@@ -25,8 +25,6 @@ from push_ident.types import Float64Array, PushRecord
 if TYPE_CHECKING:
     from push_ident.perception.frame.robot import Cylinder
 
-__all__ = ["LoadedPushes", "load_pushes", "most_pushed", "touching_radius", "track_from_depth"]
-
 _CONTACT: Final = tuple(effect.name for effect in EFFECTS.values() if effect.acts == OnContact("offset"))
 """Effects of the surface that the pusher touches: an error of the outline, or of the pusher's radius."""
 

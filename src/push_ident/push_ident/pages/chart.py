@@ -17,11 +17,6 @@ import numpy as np
 from push_ident.limits import printable
 from push_ident.types import Float64Array
 
-__all__ = [
-    "BLUES", "FOOT", "HEAD", "HEAT", "MARGIN", "SCALE", "VIRIDIS", "WIDTH", "Arrow", "CellPanel", "Mark", "Row", "Series", "bar_of_length",
-    "cell_panel", "clean", "field_panel", "round_below", "row_chart", "shade", "svg_of", "text_on", "titled_polygon",
-]  # fmt: skip
-
 VIRIDIS: Final = ("#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725")
 """Ends and steps of a scale that is as bright as its value, also for colour-blind readers (after matplotlib's viridis)."""
 BLUES: Final = ("#f4f7fb", "#c6d6e8", "#8fb0d4", "#4f83bb", "#1f5fa8", "#123a68")

@@ -10,8 +10,6 @@ import numpy as np
 from push_ident.pages.chart import MARGIN, SCALE, WIDTH, bar_of_length, clean, svg_of, titled_polygon
 from push_ident.types import Float64Array
 
-__all__ = ["Placed", "outline_panel", "outline_panels"]
-
 
 @dataclass(frozen=True, slots=True)
 class Placed:

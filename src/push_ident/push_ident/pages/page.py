@@ -12,8 +12,6 @@ from push_ident.errors import InputError
 from push_ident.files import write_whole
 from push_ident.limits import printable
 
-__all__ = ["FigureSection", "page_text", "write_page"]
-
 _COMMON = ("page.html.j2", "figures.html.j2")
 """Templates of this package."""
 

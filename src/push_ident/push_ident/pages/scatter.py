@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from push_ident.pages.chart import FOOT, HEAD, MARGIN, WIDTH, clean, svg_of
 
-__all__ = ["Dot", "scatter"]
-
 
 @dataclass(frozen=True, slots=True)
 class Dot:

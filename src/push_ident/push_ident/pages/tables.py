@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 from push_ident.pages.chart import clean
 
-__all__ = ["html_table"]
-
 
 def html_table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], *, note: str = "") -> str:
     """A table with a sentence above and one below; all texts are escaped."""

@@ -11,8 +11,6 @@ import numpy as np
 from push_ident.pages.chart import FOOT, HEAD, MARGIN, WIDTH, clean, round_below, svg_of
 from push_ident.types import Float64Array
 
-__all__ = ["Line", "time_chart"]
-
 
 @dataclass(frozen=True, slots=True)
 class Line:

@@ -14,8 +14,6 @@ from push_ident.perception.frame.view import points_in_table
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray, DepthFrame, Float64Array
 
-__all__ = ["NoiseBand", "noise_by_distance"]
-
 _WIDTHS: Final = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Widths of a band [m]; the first one with few enough bands is used."""
 _LEAST_POINTS: Final = 200

@@ -12,8 +12,6 @@ from push_ident.types import Float64Array
 if TYPE_CHECKING:
     from push_ident.survey.survey import Survey
 
-__all__ = ["HEADING_STD", "POSITION", "POSITION_STD", "QUATERNION", "parameter_text", "pose_lines"]
-
 POSITION: Final = "camera_position"
 """Name of the parameter: optical frame in the table frame, x y z [m]."""
 QUATERNION: Final = "camera_quaternion"

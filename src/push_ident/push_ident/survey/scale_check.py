@@ -39,8 +39,6 @@ from push_ident.errors import InputError, PerceptionError
 from push_ident.survey.survey import Survey, SurveyedObject, survey_frames
 from push_ident.types import Float64Array
 
-__all__ = ["KnownSize", "ScaleCheck", "ScaleError", "check_scale"]
-
 _SIMILAR: Final = (0.3, 3.0)
 """Range of the measured area relative to the known one [-]: a focal length that is wrong by 70 %. Beyond, it is something else."""
 _RECTANGLE: Final = (12.0, 12.0, 12.0)

@@ -27,8 +27,6 @@ from push_ident.perception.settings import PerceptionSettings, TableSettings
 from push_ident.survey.noise_bands import NoiseBand, noise_by_distance
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
-__all__ = ["Survey", "SurveyedObject", "frames_at_rest", "hull_area", "survey_frames"]
-
 _MOVED: Final = (0.01, 0.01)
 """A pixel whose depth differs by more than the first [m] plus the second times its depth shows something else: three deviations of a
 Kinect at 2 m, 5 mm each (Nguyen et al., 2012)."""

@@ -13,8 +13,6 @@ from push_ident.survey.scale_check import ScaleCheck
 from push_ident.survey.survey import Survey
 from push_ident.survey.survey_picture import draw_survey, is_small
 
-__all__ = ["survey_json", "table_sentence", "write_survey_page"]
-
 
 def table_sentence(survey: Survey) -> str:
     """Table and camera in words."""

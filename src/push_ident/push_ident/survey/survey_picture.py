@@ -20,8 +20,6 @@ from push_ident.perception.refusals import Reason, Refusal
 from push_ident.survey.survey import Survey, SurveyedObject, hull_area
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["SurveyFigure", "draw_survey", "is_small", "size_text"]
-
 _TABLE_COLOUR: Final = "#0072b2"
 _OBJECT_COLOUR: Final = "#009e73"
 _REFUSED_COLOUR: Final = "#e69f00"

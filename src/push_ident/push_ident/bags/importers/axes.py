@@ -10,8 +10,6 @@ from push_ident.errors import BagError, InputError
 from push_ident.limits import plain_text
 from push_ident.types import Float64Array
 
-__all__ = ["parse_axes", "planar_of"]
-
 _NAMES: Final = "xyz"
 _MOST_TILT: Final = float(np.radians(10.0))
 """Largest angle between the body's z axis and the vertical at which a planar pose is meant [rad]: 10 degrees shorten lengths by 1.5 %."""

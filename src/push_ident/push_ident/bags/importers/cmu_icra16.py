@@ -29,8 +29,6 @@ from push_ident.geometry.se2 import inverse, rotation, transform_points
 from push_ident.limits import LIMITS, check_coordinates
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["import_cmu_icra16"]
-
 _OBJECT_ID: Final = "1"
 _LEG: Final = 0.150
 """Both legs of the triangle [m]; `PushExp/parameters/aluminium_triangle/obj_geo.txt`."""

@@ -24,8 +24,6 @@ from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.limits import check_coordinates
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["MocapObject", "import_cmu_mocap"]
-
 _OBJECT_ID: Final = "1"
 _POSITION_STD, _YAW_STD = 1e-3, float(np.radians(0.5))
 """Standard deviations of an object pose: 1 mm and 0.5 degrees, about the distance between tool and outline at contact."""

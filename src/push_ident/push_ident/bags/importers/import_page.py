@@ -23,8 +23,6 @@ from push_ident.pages.page import write_page
 from push_ident.pages.time_chart import Line, time_chart
 from push_ident.types import Float64Array, PushRecord
 
-__all__ = ["write_import_page", "write_refusal_page"]
-
 _MOST_ROWS: Final = 60
 """Pushes in the table; of more, those that miss most."""
 _CIRCLE: Final = np.linspace(0.0, 2.0 * np.pi, 41)[:-1]

@@ -31,8 +31,6 @@ from push_ident.geometry.outline import polygon_centroid
 from push_ident.limits import LIMITS, check_coordinates, plain_text
 from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 
-__all__ = ["MIT_SHAPES", "MitOptions", "import_mit", "mit_sets"]
-
 _OBJECT_ID: Final = "1"
 _FIELDS: Final = ("object_pose", "tip_pose", "ft_wrench")
 _SUFFIXES: Final = (".json", ".h5")

@@ -16,8 +16,6 @@ import numpy as np
 from push_ident.geometry.outline import outline_distance
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
-__all__ = ["NOISE_FACTOR", "Cause", "Overlap", "Streams", "overlap_of"]
-
 NOISE_FACTOR: Final = 6.0
 """Standard deviations of the noise of a way that count as motion."""
 _TURNS: Final = np.linspace(-0.4, 0.4, 9)

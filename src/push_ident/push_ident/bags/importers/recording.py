@@ -18,8 +18,6 @@ from push_ident.errors import BagError, InputError
 from push_ident.limits import LIMITS, check_object_id
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
-__all__ = ["OverlapError", "Recording", "RecordingOptions", "ascending", "import_recording", "moved_by", "without_gaps"]
-
 _LEAST_POSITION_STD, _LEAST_YAW_STD = 1e-4, float(np.radians(0.05))
 """Least standard deviations that are taken from the scatter at rest: the error that all poses share does not scatter."""
 

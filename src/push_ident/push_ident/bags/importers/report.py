@@ -12,8 +12,6 @@ from push_ident.bags.importers.overlap import Overlap
 from push_ident.geometry.outline import outline_distance
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["Contact", "ImportReport", "contact_of", "contact_tolerance", "contact_warnings", "distance_warnings"]
-
 
 @dataclass(frozen=True, slots=True)
 class ImportReport:

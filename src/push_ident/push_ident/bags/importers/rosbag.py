@@ -20,8 +20,6 @@ from push_ident.errors import BagError, InputError
 from push_ident.limits import LIMITS, plain_text
 from push_ident.types import Float64Array
 
-__all__ = ["ROLES", "RosbagTopics", "import_rosbag", "parse_map"]
-
 ROLES: Final = ("object", "pusher", "wrench")
 """What a topic may hold: poses of the object, poses of the tool tip, forces on the object."""
 _NEEDED: Final = ("object", "pusher")

@@ -12,8 +12,6 @@ from push_ident.geometry.outline import cells_in_outline, points_in_polygon
 from push_ident.limits import LIMITS
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["CELL_SIZE", "check_supports", "pose_covariance", "right_triangle", "shape_of_outline"]
-
 CELL_SIZE: Final = 0.01
 """Edge of the cells of an imported object [m]."""
 

@@ -16,8 +16,6 @@ from push_ident.files import read_regular
 from push_ident.limits import LIMITS, plain_text
 from push_ident.types import Float64Array
 
-__all__ = ["Table", "TableFormat", "parse_columns", "read_table"]
-
 _SEPARATORS: Final = (";", "\t", ",")
 """In the order in which they are looked for in the first line; where none is there, spaces separate."""
 

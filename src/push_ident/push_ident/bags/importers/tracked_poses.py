@@ -17,8 +17,6 @@ from push_ident.errors import BagError
 from push_ident.limits import LIMITS
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["FORCE_ROLES", "POSE_ROLES", "PUSHER_ROLES", "TrackedPoses", "import_tracked_poses", "read_outline"]
-
 POSE_ROLES: Final = ("time", "x", "y", "yaw", "z", "qx", "qy", "qz", "qw")
 PUSHER_ROLES: Final = ("time", "x", "y", "z", "push")
 FORCE_ROLES: Final = ("time", "fx", "fy")
