@@ -1,6 +1,8 @@
-"""Perception against an exact renderer with sensor noise: what comes out is compared with the scene that went in."""
+"""Perception against an exact renderer with sensor noise: poses and shapes of the scene that went in; what a frame does when."""
 
 from __future__ import annotations
+
+from collections import Counter, defaultdict
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from helpers.depth_scene import CAMERA, HAMMER_OUTLINE, INTRINSICS, Prism, circl
 from push_ident.errors import FrameError, InputError, PerceptionError
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from push_ident.perception.frame import occupancy, table
 from push_ident.perception.frame.occupancy import FREE, OCCUPIED, UNOBSERVED, top_down
 from push_ident.perception.frame.robot import Cylinder
 from push_ident.perception.frame.table import fit_table
@@ -18,12 +21,14 @@ from push_ident.perception.outline.edges import dense, fuse_views
 from push_ident.perception.outline.tracing import trace_object
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.recording import observe_offline
+from push_ident.perception.search import search
 from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
+from push_ident.perception.tracking import tracker
 from push_ident.perception.tracking.pose_fit import fit_pose, relocate
 from push_ident.types import DepthFrame
 
-SETTINGS = PerceptionSettings()
+SETTINGS = PerceptionSettings(rest_frames=3)
 FIRST = np.array([0.03, -0.02, 0.4])
 RADIUS = 0.018
 IN_MM_AND_DEGREES = np.array([1e3, 1e3, np.degrees(1.0)])
@@ -256,3 +261,74 @@ def test_reasons_are_given_when_nothing_comes_out():
 def test_settings_that_contradict_each_other_are_refused(wrong, text):
     with pytest.raises(InputError, match=text):
         PerceptionSettings(**wrong)
+
+
+HAMMER_AT = np.array([0.1, 0.1, 0.4])
+BOX = Prism(rectangle(-0.15, -0.15, -0.07, -0.09), 0.05)
+NEW = Prism(rectangle(-0.15, 0.05, -0.07, 0.12), 0.05)
+
+
+class Watched:
+    """Perception of things at rest; which functions each frame calls."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, rate: float) -> None:
+        self.perception, self.rate, self.n = Perception(CAMERA, SETTINGS), rate, 0
+        self.calls: dict[int, Counter[str]] = defaultdict(Counter)
+        self.rng = np.random.default_rng(3)
+        functions = ((search, "cover_hollows"), (search, "find_segments"), (tracker, "compare_upper_side"), (occupancy, "top_down"))
+        for owner, name in (*functions, (table.TableCamera, "check_plane")):
+            monkeypatch.setattr(owner, name, self._counted(name, getattr(owner, name)))
+        while not self.see().new_shapes:
+            assert self.n < 10
+        assert len(self.see().objects) == 2
+        self.calls.clear()
+
+    def _counted(self, name, function):
+        def call(*args):
+            self.calls[self.n][name] += 1
+            return function(*args)
+
+        return call
+
+    def see(self, *more: Prism):
+        self.n += 1
+        return self.perception.observe(render([*hammer(HAMMER_AT), BOX, *more], rng=self.rng, stamp=self.n / self.rate))
+
+
+def test_no_frame_of_a_usual_camera_does_two_slow_things(monkeypatch):
+    watched = Watched(monkeypatch, 30.0)
+    first = watched.n
+    for _ in range(45):
+        watched.see()
+    slow = ("cover_hollows", "find_segments", "top_down", "check_plane")
+    assert max(sum(calls[name] for name in slow) for calls in watched.calls.values()) == 1
+    assert max(calls["compare_upper_side"] for calls in watched.calls.values()) == 1
+    total = sum(watched.calls.values(), Counter())
+    assert all(total[name] >= least for name, least in zip(slow, (4, 4, 1, 1), strict=True))
+    checked = [n - first for n, calls in watched.calls.items() if calls["compare_upper_side"]]
+    assert len(checked) >= 2 * 4 and max(np.diff(checked)) * 1000 / 30 <= 2 * 250  # two objects, each about four times a second
+
+
+@pytest.mark.parametrize(("rate", "latest"), [(30.0, 0.25 + 5 / 30), (2.0, 0.5)])
+def test_a_new_thing_is_seen_within_a_search_period_and_what_a_search_takes(monkeypatch, rate, latest):
+    watched = Watched(monkeypatch, rate)
+    for _ in range(int(rate)):
+        assert not watched.see().refused
+    start = watched.n
+    while not watched.see(NEW).refused:
+        assert (watched.n - start) / rate <= latest
+    while not watched.see(NEW).new_shapes:
+        assert (watched.n - start) / rate <= SETTINGS.rest_frames * latest + 1 / rate
+
+
+def test_without_an_occupancy_grid_poses_and_shapes_are_the_same() -> None:
+    with_grid, without = Perception(CAMERA, SETTINGS), Perception(CAMERA, SETTINGS, occupancy=False)
+    rng, grids = np.random.default_rng(3), 0
+    for n in range(15):
+        frame = render([*hammer(np.add(HAMMER_AT, (2e-3 * max(n - 8, 0), 0.0, 0.0))), BOX], rng=rng, stamp=n / 10)
+        seen, other = with_grid.observe(frame), without.observe(frame)
+        grids += seen.occupancy is not None
+        assert other.occupancy is None and seen.new_shapes.keys() == other.new_shapes.keys()
+        for one, two in zip(seen.objects, other.objects, strict=True):
+            np.testing.assert_array_equal(one.pose, two.pose)
+    assert grids > 1 and len(seen.objects) == 2

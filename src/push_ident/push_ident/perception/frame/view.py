@@ -110,20 +110,13 @@ class FrameView:
 
 
 @lru_cache(maxsize=8)
-def _rays_in_camera(intrinsics: CameraIntrinsics) -> NDArray[np.float32]:
-    """Direction of each line of sight per metre of depth, optical frame, shape (height, width, 3)."""
-    check_intrinsics(intrinsics)
-    u, v = np.meshgrid(np.arange(intrinsics.width, dtype=np.float64), np.arange(intrinsics.height, dtype=np.float64))
-    rays = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones_like(u)], axis=-1).astype(np.float32)
-    rays.setflags(write=False)
-    return rays
-
-
-@lru_cache(maxsize=8)
 def _rays_in_table(intrinsics: CameraIntrinsics, transform: bytes) -> tuple[Float64Array, NDArray[np.float32]]:
     """As `FrameView.rays`, kept for cameras that do not move."""
+    check_intrinsics(intrinsics)
+    u, v = np.meshgrid(np.arange(intrinsics.width, dtype=np.float64), np.arange(intrinsics.height, dtype=np.float64))
+    in_camera = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones_like(u)], axis=-1)
     camera_in_table = np.frombuffer(transform).reshape(4, 4)
-    rays = _rays_in_camera(intrinsics) @ camera_in_table[:3, :3].T.astype(np.float32)
+    rays = in_camera.astype(np.float32) @ camera_in_table[:3, :3].T.astype(np.float32)
     centre = camera_in_table[:3, 3].copy()
     for array in (centre, rays):
         array.setflags(write=False)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,19 +26,12 @@ from push_ident.perception.tracking.pose_fit import fit_pose
 from push_ident.types import DepthFrame, Float64Array
 
 
-@dataclass(frozen=True, slots=True)
-class _Shot:
-    """A frame, and the parts of the robot when it was taken."""
-
-    frame: DepthFrame
-    robot: tuple[RobotPart, ...]
-
-
 class FurtherCamera:
     """The latest frames of one camera that does not move."""
 
     def __init__(self) -> None:
-        self._shots: deque[_Shot] = deque(maxlen=20)
+        self._shots: deque[tuple[DepthFrame, tuple[RobotPart, ...]]] = deque(maxlen=20)
+        """Frames, and the parts of the robot when they were taken."""
         self._extrinsics = np.eye(4)
 
     def add(self, frame: DepthFrame, camera_in_table: ArrayLike, robot: Sequence[RobotPart] = ()) -> None:
@@ -51,12 +43,12 @@ class FurtherCamera:
         """
         extrinsics = np.array(camera_in_table, dtype=np.float64)
         if self._shots:
-            last = self._shots[-1].frame
+            last, _ = self._shots[-1]
             # Frames before a restart of the bag, a change of resolution or a move of the camera are dropped.
             if frame.stamp < last.stamp or frame.intrinsics != last.intrinsics or not np.array_equal(extrinsics, self._extrinsics):
                 self._shots.clear()
         self._extrinsics = extrinsics
-        self._shots.append(_Shot(frame, tuple(robot)))
+        self._shots.append((frame, tuple(robot)))
 
     def view_of(self, traced: TracedObject, began: float, ended: float, settings: PerceptionSettings) -> SegmentedView:
         """This camera's view of an object at rest, with its extrinsics corrected so that table and object agree with the main camera.
@@ -70,8 +62,8 @@ class FurtherCamera:
         """
         accepted = settings.further_camera
         shots = self._during(began, ended, settings)
-        frame = median_frame([shot.frame for shot in shots])
-        robot = [part for shot in shots for part in shot.robot]
+        frame = median_frame([frame for frame, _ in shots])
+        robot = [part for _, parts in shots for part in parts]
         plane = fit_table(points_in_table(frame, self._extrinsics), settings)
         view = FrameView(frame, plane.correct(self._extrinsics), robot, settings, plane.noise)
         template = Template(traced)
@@ -96,13 +88,13 @@ class FurtherCamera:
             )
         return SegmentedView(FrameView(frame, agreed, noise=plane.noise), segment)
 
-    def _during(self, began: float, ended: float, settings: PerceptionSettings) -> list[_Shot]:
-        """Frames taken during a rest, at most `rest_frames`, the latest ones."""
+    def _during(self, began: float, ended: float, settings: PerceptionSettings) -> list[tuple[DepthFrame, tuple[RobotPart, ...]]]:
+        """Frames and robot parts of a rest, at most `rest_frames`, the latest ones."""
         margin = settings.further_camera.time_margin
-        shots = [shot for shot in self._shots if began - margin <= shot.frame.stamp <= ended + margin]
+        shots = [shot for shot in self._shots if began - margin <= shot[0].stamp <= ended + margin]
         needed = int(np.ceil(settings.further_camera.needed * settings.rest_frames))
         if len(shots) < needed:
-            late = f"the latest is from {ended - self._shots[-1].frame.stamp:.2f} s before its end" if self._shots else "there are none"
+            late = f"the latest is from {ended - self._shots[-1][0].stamp:.2f} s before its end" if self._shots else "there are none"
             raise PerceptionError(
                 f"{len(shots)} depth frames show the {ended - began:.2f} s of rest, expected at least {needed}; {late}. "
                 "Check the driver, its clock, and rest_frames."
