@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from helpers.sim_objects import disc
 from push_ident.errors import InputError, PushIdentError
 from push_ident.geometry.cells import cell_error
 from push_ident.physics.effect_values import EffectValues
@@ -17,20 +18,13 @@ from push_ident.types import Float64Array, ObjectModel, PusherPath
 from push_ident_sim.engines.planar import OUTSIDE, PlanarWorld
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.injected import INJECTED, InjectedEffects
-from push_ident_sim.objects import Part, SimObject, make_object, object_from_picture
+from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import TruthSettings, make_pushes, true_model
 from push_ident_sim.studies.blind.scoring import true_values
 
 RADIUS = 0.008
 AWAY = PusherPath(np.array([0.0, 0.01]), np.full((2, 2), 5.0), RADIUS)
 FEW = TruthSettings(n_train=3, n_test=0)
-
-
-def disc(friction: float = 0.3, bears: bool = True) -> SimObject:
-    n = 13
-    steps = np.arange(n) - n // 2
-    picture = ["".join("d" if x * x + y * y <= 40 else "." for x in steps) for y in steps]
-    return object_from_picture("disc", picture, {"d": Part(0.7, friction if bears else 0.0, 0.03)}, 0.01, 0.3)
 
 
 @cache
@@ -124,7 +118,7 @@ def test_what_cannot_be_simulated_is_refused() -> None:
     with pytest.raises(InputError, match="three finite numbers"):
         PlanarWorld(sim_object, RADIUS).push((0.0, np.nan, 0.0), AWAY)
     with pytest.raises(PushIdentError, match="tips over"):
-        PlanarWorld(disc(bears=False), RADIUS).push((0.0, 0.0, 0.0), AWAY)
+        PlanarWorld(disc(0.0), RADIUS).push((0.0, 0.0, 0.0), AWAY)
 
 
 LAWS = {

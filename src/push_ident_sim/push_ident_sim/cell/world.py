@@ -24,10 +24,10 @@ from push_ident_sim.engines.bullet.bullet_object import (
     TABLE_GROUP,
     BulletObject,
     add_table,
-    checked_pose,
     connect,
 )
 from push_ident_sim.engines.bullet.rigid_object import RigidObject
+from push_ident_sim.engines.true_motion import checked_pose
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.shared import ToolErrors, bearing_torque, restitution
 from push_ident_sim.objects import SimObject

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from push_ident.errors import InputError
 from push_ident.types import Float64Array
 
 
@@ -34,3 +36,11 @@ class TrueMotion:
 
     def _at(self, time: float, values: Float64Array) -> Float64Array:
         return np.array([np.interp(time, self.time, column) for column in values.T])
+
+
+def checked_pose(pose: ArrayLike) -> Float64Array:
+    """A pose or velocity (x, y, yaw) as an array; raises InputError unless it is three finite numbers."""
+    array = np.array(pose, dtype=np.float64)
+    if array.shape != (3,) or not np.all(np.isfinite(array)):
+        raise InputError(f"A pose or velocity of an object is three finite numbers (x, y, yaw), got {array}.")
+    return array

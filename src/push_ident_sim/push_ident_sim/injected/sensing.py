@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError
+from push_ident.geometry.se2 import rotation
 from push_ident.types import CameraIntrinsics, Float64Array
 from push_ident_sim.injected.effects import INJECTED, InjectedEffects
 from push_ident_sim.injected.equations import reported_poses, times_of_poses
@@ -31,7 +32,7 @@ def observed_poses(effects: InjectedEffects, pose: Float64Array) -> Float64Array
     (angle,), shift, (kappa,) = effects["camera_rotation"], effects["camera_translation"], effects["camera_scale"]
     observed = pose.copy()
     if angle or any(shift) or kappa:
-        observed[:, :2] = (1.0 + kappa) * pose[:, :2] @ _rotation(angle).T + shift
+        observed[:, :2] = (1.0 + kappa) * pose[:, :2] @ rotation(angle).T + shift
         observed[:, 2] += angle
     return reported_poses(effects, observed)
 
@@ -40,7 +41,7 @@ def true_camera(effects: InjectedEffects, reported: Float64Array, intrinsics: Ca
     """True pose in `table`, shape (4, 4), and true intrinsics of a camera that reports `reported` and `intrinsics`."""
     (angle,), shift, (kappa,) = effects["camera_rotation"], effects["camera_translation"], effects["camera_scale"]
     error = np.eye(4)
-    error[:2, :2] = _rotation(angle)
+    error[:2, :2] = rotation(angle)
     error[:2, 3] = shift
     camera = replace(intrinsics, fx=(1.0 + kappa) * intrinsics.fx, fy=(1.0 + kappa) * intrinsics.fy)
     return np.linalg.inv(error) @ reported, camera
@@ -105,7 +106,3 @@ def check_rendered(effects: InjectedEffects) -> None:
     if on_poses := effects.acting_on("poses"):
         known = ", ".join(name for name, effect in INJECTED.items() if effect.acts_on == "camera")
         raise InputError(f"Effect {on_poses[0]} acts on poses and needs a cell without camera; a rendered camera can have {known}.")
-
-
-def _rotation(angle: float) -> Float64Array:
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -16,7 +16,6 @@ import pybullet as bullet
 from numpy.typing import ArrayLike
 from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-untyped]
 
-from push_ident.errors import InputError
 from push_ident.types import Float64Array
 from push_ident_sim.engines.bullet.support import SupportEffects, cone_friction_correction
 from push_ident_sim.injected import InjectedEffects
@@ -82,14 +81,6 @@ def add_table(client: BulletClient, bounds: Sequence[float] = TABLE) -> int:
     client.changeDynamics(table, -1, lateralFriction=1.0, restitution=0.0)
     client.setCollisionFilterGroupMask(table, -1, TABLE_GROUP, CELL_GROUP | ARM_GROUP)
     return table
-
-
-def checked_pose(pose: ArrayLike) -> Float64Array:
-    """`pose` (x, y, yaw) as an array; raises InputError unless it is three finite numbers."""
-    pose = np.array(pose, dtype=np.float64)
-    if pose.shape != (3,) or not np.all(np.isfinite(pose)):
-        raise InputError(f"An object pose is three finite numbers (x, y, yaw), got {pose}.")
-    return pose
 
 
 def outline_shape(client: BulletClient, sim_object: SimObject, growth: float) -> int:

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from push_ident.physics.support import GRAVITY
 from push_ident.types import Float64Array, PusherPath
-from push_ident_sim.engines.bullet.bullet_object import OUTLINE_GROUP, PUSHER_GROUP, BulletObject, add_table, checked_pose, connect
+from push_ident_sim.engines.bullet.bullet_object import OUTLINE_GROUP, PUSHER_GROUP, BulletObject, add_table, connect
 from push_ident_sim.engines.bullet.rigid_object import RigidObject
-from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.engines.true_motion import TrueMotion, checked_pose
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.shared import ToolErrors, bearing_torque, restitution
 from push_ident_sim.objects import SimObject

@@ -11,6 +11,7 @@ import pybullet as bullet
 from numpy.typing import ArrayLike
 from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-untyped]
 
+from push_ident.geometry.se2 import rotation
 from push_ident.types import Float64Array
 from push_ident_sim.engines.bullet.bullet_object import CELL_GROUP, OUTLINE_GROUP, PUSHER_GROUP, TABLE_GROUP, BulletBody, outline_shape
 from push_ident_sim.engines.bullet.support import cone_friction_correction
@@ -96,8 +97,7 @@ class RigidObject(BulletBody):
 
     def place(self, pose: Float64Array, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Put the object at `pose` (x, y, yaw) with `velocity` (vx, vy, yaw rate)."""
-        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-        arm = np.array([[cosine, -sine], [sine, cosine]]) @ self._centre
+        arm = rotation(pose[2]) @ self._centre
         vx, vy, rate = np.asarray(velocity, dtype=np.float64)
         turn = [0.0, 0.0, float(np.sin(pose[2] / 2)), float(np.cos(pose[2] / 2))]
         self._client.resetBasePositionAndOrientation(self.body, [*(pose[:2] + arm).tolist(), self._height], turn)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from push_ident.geometry.se2 import rotation
 from push_ident.physics.effect import OnTable
 from push_ident.types import Float64Array
 from push_ident_sim.injected import InjectedEffects
@@ -141,7 +142,7 @@ class SupportEffects:
 
     def start(self, pose: Float64Array) -> None:
         """The object was placed at `pose` (x, y, yaw)."""
-        self._anchor = tether_anchor(self._effects, pose[:2] + _rotation(pose[2]) @ self._centre)
+        self._anchor = tether_anchor(self._effects, pose[:2] + rotation(pose[2]) @ self._centre)
         self._equations.start()
         self._contents = np.zeros(2)
         self._push_force = np.zeros(2)
@@ -157,7 +158,7 @@ class SupportEffects:
             time_step: [s].
         """
         sim_object = self._sim_object
-        turn = _rotation(pose[2])
+        turn = rotation(pose[2])
         arms = sim_object.cells @ turn.T
         slip = velocity[:2] + velocity[2] * np.column_stack([-arms[:, 1], arms[:, 0]])
         cells = _CellMotion(pose[:2] + arms, slip, np.hypot(slip[:, 0], slip[:, 1]), self.n_pushes)
@@ -246,8 +247,3 @@ def _sum(arms: Float64Array, force: Float64Array) -> Float64Array:
 
 def _traceless(e1: float, e2: float) -> Float64Array:
     return np.array([[e1, e2], [e2, -e1]])
-
-
-def _rotation(yaw: float) -> Float64Array:
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    return np.array([[cosine, -sine], [sine, cosine]])

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from push_ident.errors import InputError, PushIdentError
+from push_ident.errors import PushIdentError
 from push_ident.physics.support import GRAVITY
 from push_ident.types import Float64Array, PusherPath
 from push_ident_sim.engines.planar.integrator import Body, Clock, Path, State, StepChange, advance, bed_loads, new_state
 from push_ident_sim.engines.planar.laws import Laws, laws_of
-from push_ident_sim.engines.true_motion import TrueMotion
+from push_ident_sim.engines.true_motion import TrueMotion, checked_pose
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.injected.equations import TableEquations
 from push_ident_sim.injected.shared import ToolErrors
@@ -68,7 +68,7 @@ class PlanarWorld:
             InputError: a pose or velocity that is not three finite numbers.
             PushIdentError: the object tips over.
         """
-        pose, speed = _checked_triple(pose_object_in_table, "pose_object_in_table"), _checked_triple(velocity, "velocity")
+        pose, speed = checked_pose(pose_object_in_table), checked_pose(velocity)
         arm = _turned(self._centre, pose[2])
         first = np.array([*(pose[:2] + arm), pose[2]])
         first_velocity = speed + np.array([-speed[2] * arm[1], speed[2] * arm[0], 0.0])
@@ -143,13 +143,6 @@ class PlanarWorld:
 
     def close(self) -> None:
         """Nothing to free; as in `PushWorld`."""
-
-
-def _checked_triple(values: ArrayLike, name: str) -> Float64Array:
-    array = np.array(values, dtype=np.float64)
-    if array.shape != (3,) or not np.all(np.isfinite(array)):
-        raise InputError(f"`{name}` is {array}, expected three finite numbers (x, y, yaw).")
-    return array
 
 
 def _turned(point: Float64Array, yaw: float) -> Float64Array:
