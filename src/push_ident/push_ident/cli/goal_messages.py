@@ -41,14 +41,11 @@ def path_message(poses: Float64Array, speed: float, **fields: Any) -> PushToGoal
 
 
 def edge_message(yaw: float | None, line: Float64Array | None, *, overhang_mm: float, held_mm: float, **fields: Any) -> PushToGoal.Goal:
-    """The goal of the action at an edge.
+    """The goal of the action at an edge; fields as of `goal_message`.
 
-    Args:
-        yaw: heading there [rad]; None: the nearest in which the object is held.
-        line: two points of the edge, shape (2, 2) [m]; None: the nearest that the node knows.
-        overhang_mm: of the object beyond the edge [mm].
-        held_mm: least distance of the centre of mass from the border of its support [mm].
-        fields: as of `goal_message`.
+    `yaw`: heading there [rad], None for the nearest in which the object is held. `line`: two points of the edge, shape (2, 2) [m], None for
+    the nearest that the node knows. `overhang_mm`: of the object beyond the edge [mm]; `held_mm`: least distance of the centre of mass from
+    the border of its support [mm].
     """
     from geometry_msgs.msg import Point
 

@@ -19,15 +19,9 @@ if TYPE_CHECKING:
 class PushLine:
     """One push on the way: predicted and observed.
 
-    Attributes:
-        number: from 1.
-        seen: pose after it, table frame, shape (3,) [m, m, rad].
-        expected: predicted pose, or None for an exploring push.
-        chance: predicted probability of being at the goal after it [1].
-        risk: predicted probability that the object is held by less than it must, at an edge [1].
-        position_error: distance from the goal after it [m].
-        yaw_error: angle to the goal after it [rad].
-        done: share of a path that is behind then [1]; NaN without one.
+    `seen` and `expected` are poses after it, table frame, shape (3,) [m, m, rad], the latter None for an exploring push; `chance` and
+    `risk` the predicted probabilities of being at the goal then and, at an edge, of being held by less than it must [1]; `done` the share
+    of a path that is behind [1], NaN without one.
     """
 
     def __init__(self, feedback: PushToGoal.Feedback, *, follows: bool = False) -> None:
@@ -72,17 +66,11 @@ class PushLine:
 class GoalReport:
     """What came of a goal, so far: it can be written at any time, also where something broke it off.
 
-    Attributes:
-        goal: as it was sent.
-        result: of the action; until it ends, that of a goal that is broken off now.
-        lines: one for each push.
-        start: pose before them, table frame, shape (3,) [m, m, rad]; NaN where none was seen.
-        outline: of the object, object frame, shape (n_vertices, 2) [m]; None where it was not received.
-        target: where the object shall be, table frame, shape (3,) [m, m, rad]; NaN at an edge before the node has chosen it.
-        edge: first and last point of the edge that it shall overhang, shape (2, 2) [m]; None away from edges.
-        overhang: beyond that edge, as last observed [m]; NaN where not known.
-        margin: expected distance of the centre of mass from the border of its support, as last observed [m]; NaN where not known.
-        effects: diagnosed effects in the model of the object, with their values; empty where there are none.
+    `result`: of the action; until it ends, that of a goal that is broken off now. `start`, `target`: poses, table frame, shape (3,) [m, m,
+    rad]; NaN where none was seen, or the node has not chosen it. `outline`: object frame, shape (n_vertices, 2) [m]; None where it was not
+    received. `edge`: first and last point of the edge that it shall overhang, shape (2, 2) [m]; None away from edges. `overhang`, `margin`:
+    beyond it, and expected distance of the centre of mass from the border of its support, as last observed [m]; NaN where not known.
+    `effects`: diagnosed ones in the model of the object, with their values.
     """
 
     def __init__(self, goal: PushToGoal.Goal) -> None:
@@ -186,10 +174,8 @@ class PathReport:
 def last_feedback(result: PushToGoal.Result, latest: PushToGoal.Feedback, pose: Float64Array) -> PushToGoal.Feedback:
     """The feedback that belongs to a result: ROS drops feedback that arrives after the result, as that of the last push may do.
 
-    Args:
-        result: of the goal.
-        latest: feedback that was received last; its prediction is that of the push made last, or then under way.
-        pose: of the object as it was seen last, shape (3,), table frame [m, m, rad].
+    `latest` was received last; its prediction is that of the push made last, or then under way. `pose`: of the object as it was seen last,
+    shape (3,), table frame [m, m, rad].
     """
     from push_ident_msgs.action import PushToGoal
 

@@ -208,18 +208,8 @@ def _write_files(
     *,
     record: bool = False,
 ) -> None:
-    """Write model and report, and name the files, `result.json` included.
-
-    Args:
-        out: folder.
-        result: of the identification.
-        loaded: all pushes.
-        train: errors of the pushes of the fit.
-        test: errors of the others.
-        record: predict each push from those before it, for the report; an identification for each push.
-
-    Raises:
-        PushIdentError: a file cannot be written.
+    """Write model and report, and name the files, `result.json` included; `record`: the report has each push predicted from those before
+    it.
     """
     # Models and pages take a quarter of a second to import.
     from push_ident.identification.report import Provenance, write_report

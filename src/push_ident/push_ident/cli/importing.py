@@ -334,16 +334,9 @@ def rosbag_command(
 
 
 def run_import(importer: Callable[[], ImportReport], out: Path, source: str, page: Path | None, json: Path | None) -> None:
-    """Run an importer, and show what came of it.
+    """Run an importer that writes the bag `out`, and show what came of it; `page`: by default beside the bag.
 
     Where the pusher never comes near the object, there is no bag, and the page shows where the pusher is instead.
-
-    Args:
-        importer: writes the bag.
-        out: the bag.
-        source: the recording, for the page.
-        page: file of the page; by default beside the bag.
-        json: file of the result; by default none.
     """
     need("report")
     from push_ident.bags.importers.import_page import write_import_page, write_refusal_page

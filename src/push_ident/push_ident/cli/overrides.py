@@ -36,12 +36,7 @@ class Overrides:
 
 
 def overrides_of(files: Sequence[Path], remaps: Sequence[str], nodes: Sequence[str]) -> Overrides:
-    """Files and remappings of the command line, checked.
-
-    Args:
-        files: parameter files.
-        remaps: remappings.
-        nodes: names that a file or a remapping may have.
+    """Files and remappings of the command line, checked; they may name these `nodes`.
 
     Raises InputError for a file that is no parameter file, one of a node that does not exist, or text that is no remapping.
     """

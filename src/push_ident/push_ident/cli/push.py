@@ -78,15 +78,10 @@ def push_command(
 def contact_goal(
     point: Float64Array, direction: float, *, object_id: str = "", in_object: bool = False, distance: float = 0.0, speed: float = 0.0
 ) -> ExecutePush.Goal:
-    """Goal of a push at a point of the outline.
+    """Goal of a push at the point of the outline that is nearest to `point` [m], shape (2,), towards `direction` [rad].
 
-    Args:
-        point: the nearest point of the outline is touched [m], shape (2,).
-        direction: heading [rad].
-        object_id: empty: the only object.
-        in_object: point and direction are in the frame of `object_id`, otherwise in `table`.
-        distance: travel after contact [m]; 0: that of the executor.
-        speed: [m/s]; 0: that of the executor.
+    Both are in the frame of `object_id` with `in_object`, else in `table`; without an id the only object is meant. `distance`: travel after
+    contact [m], 0 for that of the executor, as for `speed` [m/s].
 
     Raises InputError for numbers that are not finite, or the frame of no named object.
     """

@@ -42,12 +42,8 @@ _LOOKS: Final = {Level.OK: "green", Level.NOT_CHECKED: "cyan", Level.WARNING: "y
 def examine_robot(file: Path, *, spacing: float, seconds: float, out: Path | None, json: Path | None) -> int:
     """Check a robot file, print the findings and write the reach; exit status 1 where something is wrong.
 
-    Args:
-        file: Robot file.
-        spacing: Largest distance of the places at which pushes are planned [m].
-        seconds: How long to listen to a running cell [s].
-        out: Folder for page, description and parameters; None writes none.
-        json: File for the findings; None writes none.
+    Pushes are planned at places at most `spacing` apart [m]; a running cell is listened to for `seconds` [s]. The folder `out` gets page,
+    description and parameters, the file `json` the findings.
     """
     if out is not None:
         need("report")

@@ -293,19 +293,12 @@ def node_commands(
 ) -> list[NodeCommand]:
     """The processes of one kind of cell, as the launch files start them.
 
-    Args:
-        kind: `sim`: simulated cell and all nodes; `replay`: a bag through perception and identification; `arm`: the nodes beside a
-            real arm.
-        bag: Bag to play; required for `replay`, not allowed otherwise.
-        record: Bag to write; None records nothing.
-        perception: Whether `replay` runs perception; without it the bag must have object poses.
-        view: Whether to start the viewer for browsers.
-        parameters: Parameters by name of the node; they override the installed parameter files.
-        overrides: Parameter files and remappings of the user, for all nodes.
+    `sim`: simulated cell and all nodes; `replay`: a `bag` through perception and identification; `arm`: the nodes beside a real arm.
+    `record` is a bag to write. Without `perception` a replay needs object poses. `view` adds the viewer for browsers. `parameters`, by name
+    of the node, override the installed parameter files; `overrides` are parameter files and remappings of the user, for all nodes.
 
-    Raises:
-        InputError: `bag` and `kind` contradict each other, or `parameters` names a node that is not started.
-        SupervisorError: A parameter file is missing.
+    Raises InputError where `bag` and `kind` contradict each other, or `parameters` names a node that is not started, SupervisorError where
+    a parameter file is missing.
     """
     if kind not in _NODES:
         raise InputError(f"kind is {kind!r}, expected one of {', '.join(_NODES)}")

@@ -155,14 +155,8 @@ def cell_panel(panel: CellPanel) -> str:
 
 
 def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor: float, most: int = 400) -> str:
-    """Small displacements at places of the table, drawn `factor` times as long, in millimetres.
-
-    Args:
-        title: what the figure shows.
-        points: places [m], shape (n, 2).
-        vectors: displacements [m], shape (n, 2).
-        factor: on their length.
-        most: arrows; more would hide one another.
+    """Small displacements [m], shape (n, 2), at points of the table [m], shape (n, 2), drawn `factor` times as long, in millimetres; of
+    more than `most` some are left out, as they would hide one another.
     """
     shown = slice(None, None, 1 + len(points) // most)
     points, ends = points[shown], (points + factor * vectors)[shown]
@@ -188,14 +182,10 @@ def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor:
 def titled_polygon(
     points: Float64Array, place: Callable[[Float64Array], tuple[float, float]], style: str, text: str = "", *, closed: bool = True
 ) -> str:
-    """A line with its name, or without one.
+    """A line through points [m], shape (n, 2), with its name, or without one.
 
-    Args:
-        points: [m], shape (n, 2).
-        place: from metres to units of the drawing.
-        style: class of the page's styles.
-        text: shown under the pointer.
-        closed: whether it ends where it begins.
+    `place`: from metres to units of the drawing; `style`: class of the page's styles; `text`: shown under the pointer; `closed`: whether it
+    ends where it begins.
     """
     where = " ".join(f"{x:.1f},{y:.1f}" for x, y in (place(point) for point in points))
     shape = "polygon" if closed else "polyline"
@@ -239,15 +229,8 @@ def bar_of_length(scale: float, y: float) -> list[str]:
 
 
 def row_chart(title: str, rows: Sequence[Row], series: Sequence[Series], unit: str, *, axis: str, limit: float | None = None) -> str:
-    """Values in rows over one horizontal axis that begins at zero.
-
-    Args:
-        title: what the figure shows, for screen readers.
-        rows: from top to bottom.
-        series: kinds of marks, with their names in the legend.
-        unit: of the values.
-        axis: what the axis is.
-        limit: a value to mark by a dashed line.
+    """Values in rows, from top to bottom, over one horizontal axis that begins at zero; `series` are in the legend, `limit` is a dashed
+    line.
     """
     values = [mark.value for row in rows for mark in row.marks if math.isfinite(mark.value)] + [row.bar for row in rows]
     top = max([*values, *([limit] if limit else []), 1e-9]) * 1.05

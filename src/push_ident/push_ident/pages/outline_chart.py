@@ -37,10 +37,7 @@ def outline_panels(drawings: Sequence[tuple[str, Sequence[Placed]]]) -> list[tup
 def outline_panel(title: str, placed: Sequence[Placed], frame: Float64Array) -> str:
     """Outlines from above, the first one lowest, with a bar of length.
 
-    Args:
-        title: what the figure shows, for screen readers.
-        placed: the outlines.
-        frame: least and largest corner that is shown [m], shape (2, 2); the same for figures that are compared.
+    `frame`: least and largest corner that is shown [m], shape (2, 2); the same for figures that are compared.
     """
     low, high = frame
     scale = (WIDTH - 2 * MARGIN) / float(max(high[0] - low[0], high[1] - low[1], 1e-6))

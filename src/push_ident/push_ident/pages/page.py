@@ -27,16 +27,7 @@ class FigureSection:
 
 
 def page_text(package: str, template: str, context: Mapping[str, Any]) -> str:
-    """Fill a template.
-
-    Args:
-        package: package that contains the template.
-        template: name of the template; it may extend `page.html.j2`, the common layout, and include `figures.html.j2`.
-        context: values of the template's variables.
-
-    Returns:
-        The page, HTML.
-    """
+    """HTML of a template of a package; it may extend `page.html.j2`, the common layout, and include `figures.html.j2`."""
     from jinja2 import Environment, FunctionLoader, StrictUndefined, select_autoescape
     from markupsafe import Markup
 

@@ -23,12 +23,6 @@ def scatter(title: str, dots: Sequence[Dot], *, x_axis: str, y_axis: str) -> str
     """Dots over two logarithmic axes of one range, with a dashed line where both values are equal.
 
     Dots with a value that is not finite and above zero are left out.
-
-    Args:
-        title: what the figure shows, for screen readers.
-        dots: the pairs.
-        x_axis: name of the horizontal axis.
-        y_axis: name of the vertical one.
     """
     shown = [dot for dot in dots if 0 < dot.x < math.inf and 0 < dot.y < math.inf]
     values = [value for dot in shown for value in (dot.x, dot.y)] or [1.0]

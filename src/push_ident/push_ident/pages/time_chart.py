@@ -27,14 +27,9 @@ class Line:
 
 
 def time_chart(title: str, lines: Sequence[Line], *, x_axis: str, y_axis: str, band: float) -> str:
-    """Lines over a horizontal axis that begins at zero, with a band about zero in which they should stay.
+    """Lines, the last one on top, over a horizontal axis that begins at zero, with a band about zero in which they should stay.
 
-    Args:
-        title: what the figure shows, for screen readers.
-        lines: the lines, the last one on top.
-        x_axis: name of the horizontal axis, with its unit.
-        y_axis: name of the vertical one.
-        band: half the height of the band, in the unit of the lines.
+    `band`: half its height, in the unit of the lines.
     """
     most = max([float(line.x.max()) for line in lines if len(line.x)], default=0.0) or 1.0
     values = np.concatenate([[-band, band], *(line.y for line in lines)])

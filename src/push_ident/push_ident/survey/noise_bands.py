@@ -43,15 +43,10 @@ class NoiseBand:
 def noise_by_distance(
     frames: Sequence[DepthFrame], picture: DepthFrame, camera_in_table: Float64Array, settings: PerceptionSettings
 ) -> tuple[tuple[NoiseBand, ...], float]:
-    """Noise of single heights on the table, by distance and of all of it.
+    """Noise of single heights on the table: the bands, nearest first, and the deviation of all heights from the plane in single frames [m].
 
-    Args:
-        frames: At rest.
-        picture: Their median.
-        camera_in_table: Optical frame in the table frame whose z = 0 is the plane, shape (4, 4).
-
-    Returns:
-        The bands, nearest first, and the deviation of all heights of the table from the plane in single frames [m].
+    `frames` are at rest, `picture` is their median; `camera_in_table`: optical frame in the table frame whose z = 0 is the plane, shape (4,
+    4).
     """
     points = points_in_table(picture, camera_in_table)
     on_table = _on_table(points, settings)

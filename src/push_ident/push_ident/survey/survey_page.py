@@ -25,16 +25,10 @@ def table_sentence(survey: Survey) -> str:
 
 
 def write_survey_page(path: Path, survey: Survey, source: str, parameters: str, check: ScaleCheck | str | None) -> None:
-    """Write the page.
+    """Write the page of a survey of `source` with its parameter file.
 
-    Args:
-        path: HTML file.
-        source: What was looked at.
-        parameters: The parameter file.
-        check: Outcome of the check of the scale, why there is none, or None where no size was given.
-
-    Raises:
-        InputError: It cannot be written.
+    `check`: outcome of the check of the scale, why there is none, or None where no size was given. Raises InputError where it cannot be
+    written.
     """
     listed = [refusal for refusal in survey.refused if not is_small(refusal)]
     context = {

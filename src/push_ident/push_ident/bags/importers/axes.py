@@ -34,15 +34,11 @@ def parse_axes(text: str, option: str) -> Float64Array:
 
 
 def planar_of(quaternion: Float64Array, axes: Float64Array, what: str, notes: list[str]) -> Float64Array:
-    """Yaw [rad], shape (n,), of quaternions (x, y, z, w) of a body in a file, shape (n, 4).
+    """Yaw [rad], shape (n,), of quaternions (x, y, z, w) of a body in a file, shape (n, 4), which has the axes of the file while its yaw is
+    zero.
 
-    Args:
-        quaternion: of the body's frame, which has the axes of the file while its yaw is zero.
-        axes: as of `parse_axes`.
-        what: File or topic, for messages.
-        notes: Gets a line where the body tilts.
-
-    Raises BagError for quaternions that are none, or a body whose z axis is not up.
+    `axes`: as of `parse_axes`; `what`: file or topic, for messages; `notes` gets a line where the body tilts. Raises BagError for
+    quaternions that are none, or a body whose z axis is not up.
     """
     from scipy.spatial.transform import Rotation
 

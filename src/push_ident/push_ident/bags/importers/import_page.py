@@ -50,17 +50,10 @@ class _Check:
 
 
 def write_import_page(path: Path, report: ImportReport, source: str) -> None:
-    """Write the page of a bag that was written.
+    """Write the page of a bag that was imported from `source`.
 
-    The bag is read again, as other commands read it: the page shows what is in it, not what was meant to be.
-
-    Args:
-        path: HTML file.
-        report: of the import.
-        source: the recording, for the reader.
-
-    Raises:
-        InputError: the page cannot be written.
+    The bag is read again, as other commands read it: the page shows what is in it, not what was meant to be. Raises InputError where the
+    page cannot be written.
     """
     back, problem = _read_back(report)
     checks = _checks(report, back, problem)

@@ -134,16 +134,10 @@ def ascending(samples: Float64Array) -> Float64Array:
 
 
 def without_gaps(rows: Float64Array, needed: Sequence[bool], places: Sequence[object], what: str, notes: list[str]) -> Float64Array:
-    """Rows with time [s] first, in order of time, without those that lack a number that is needed or repeat a time.
+    """Rows with time [s] first, shape (n, n_columns), in order of time, without those that lack a number that is `needed` or repeat a time.
 
-    Args:
-        rows: shape (n, n_columns).
-        needed: Whether a column must have a number, n_columns of them.
-        places: Where each row stands, for messages, n of them.
-        what: File or topic, for messages.
-        notes: Gets a line for what is left out.
-
-    Raises BagError where fewer than two rows are left, or time goes back.
+    `places`: where each row stands, `what`: file or topic, for messages; `notes` gets a line for what is left out. Raises BagError where
+    fewer than two rows are left, or time goes back.
     """
     whole: BoolArray = np.asarray(np.isfinite(rows[:, np.array(needed)]).all(axis=1))
     if int(whole.sum()) < 2:
