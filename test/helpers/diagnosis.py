@@ -12,6 +12,7 @@ from helpers.objects import hammer, random_records
 from push_ident.diagnosis.account import Account, ExpectedErrors
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.residuals import FrameResiduals
+from push_ident.diagnosis.selection import Candidate, Step
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
@@ -62,6 +63,11 @@ def traced_by_camera(records: list[PushRecord]) -> list[PushRecord]:
 def stub_fit(*names: str, log_evidence: float = 0.0) -> Fit:
     """A fit of which only the effects and the log evidence are known."""
     return cast(Any, SimpleNamespace(names=names, log_evidence=log_evidence))
+
+
+def step_of(before: Fit | None = None, **log_bayes_factors: float) -> Step:
+    """A step with these refitted effects, the best first; their fits have them only."""
+    return Step(before or stub_fit(), None, (), tuple(Candidate(name, stub_fit(name), value) for name, value in log_bayes_factors.items()))
 
 
 def frame_residuals(standardized: Float64Array) -> FrameResiduals:

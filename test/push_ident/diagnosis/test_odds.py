@@ -8,11 +8,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from helpers.diagnosis import stub_fit
+from helpers.diagnosis import step_of, stub_fit
 from push_ident.diagnosis.odds import OutsideEvidence, Probabilities, explanations_of, is_outside, probabilities_of
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.scores import EffectScore
-from push_ident.diagnosis.selection import Candidate, Selection, Step
+from push_ident.diagnosis.selection import Selection, Step
 from push_ident.diagnosis.something_else.evidence import SomethingElse
 
 POLICY = SelectionPolicy()
@@ -23,11 +23,7 @@ def selection_of(*rounds: dict[str, float], n_found: int) -> Selection:
     """Rounds of candidates with their log Bayes factors, the first of each found in `n_found` of them."""
     names = [next(iter(candidates)) for candidates in rounds[:n_found]]
     fits = [stub_fit(*names[:n]) for n in range(n_found + 1)]
-    steps = [
-        Step(fits[min(number, n_found)], None, (), tuple(Candidate(name, stub_fit(name), value) for name, value in own.items()))
-        for number, own in enumerate(rounds)
-    ]
-    return Selection(fits[0], fits[-1], tuple(steps))
+    return Selection(fits[0], fits[-1], tuple(step_of(fits[min(number, n_found)], **each) for number, each in enumerate(rounds)))
 
 
 def probabilities(selection: Selection, outside: OutsideEvidence = NO_TRACE) -> Probabilities:

@@ -1,4 +1,4 @@
-"""Score tests of absent effects, and their selection: which are refitted, what counts, and which rivals remain in a tie."""
+"""Score tests of absent effects; their selection, what counts, and which rivals remain in a tie; the push that would resolve it."""
 
 from __future__ import annotations
 
@@ -7,24 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.diagnosis import simulated_pushes, stub_fit
-from push_ident.diagnosis.fits import fit_base
-from push_ident.diagnosis.next_push import competing_explanations
-from push_ident.diagnosis.policy import SelectionPolicy
+from helpers.diagnosis import simulated_pushes, step_of, stub_fit
+from push_ident.diagnosis.fits import fit_base, fit_effects
+from push_ident.diagnosis.next_push import NO_EFFECT, competing_explanations, separating_push
+from push_ident.diagnosis.policy import NextPushPolicy, SelectionPolicy
 from push_ident.diagnosis.scores import EffectInformation, EffectScore, score_effects
 from push_ident.diagnosis.select import choose_refits, required_log_bayes_factor, select_effects
-from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
+from push_ident.diagnosis.selection import RivalFit, Selection, Step
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effects import EFFECTS
+from push_ident.pushing.push import PushSettings
 from push_ident.types import SolveStatus
 
 POLICY = SelectionPolicy()
-
-
-def step_of(**log_bayes_factors: float) -> Step:
-    fit = stub_fit()
-    return Step(fit, None, (), tuple(Candidate(name, fit, value) for name, value in log_bayes_factors.items()))
 
 
 def test_evidence_of_an_effect_is_that_of_the_step_in_which_it_was_added() -> None:
@@ -149,3 +145,26 @@ def test_smallest_detectable_size_brings_the_threshold_on_average() -> None:
     assert found.expected_log_bayes_factor == pytest.approx(POLICY.min_log_bayes_factor)
     (nothing,) = score_effects(information_of(pose_latency=(1.0, 0.0)), POLICY)
     assert nothing.smallest_detectable == np.inf
+
+
+def test_no_push_distinguishes_an_error_of_the_tool_from_one_of_the_camera() -> None:
+    """The object lies where it is reported, and with an error of the camera elsewhere: exact twins then predict the same of every push."""
+    base = fit_base(simulated_pushes(3, 1, {"tool_offset": [0.003, 0.001]}), DiagnosisSettings())
+    fits = {name: fit_effects(base, (name,)) for name in ("tool_offset", "camera_translation")}
+    limits, policy = PushSettings(workspace=(-1.0, 1.0, -1.0, 1.0)), NextPushPolicy()
+    twins = separating_push(fits, np.zeros(3), limits, policy)
+    other = separating_push({"nothing": base, "tool_offset": fits["tool_offset"]}, np.zeros(3), limits, policy)
+    assert twins is None and other is not None and other.mahalanobis2 > 9.0 and other.resolves
+    three = separating_push({"nothing": base, **fits}, np.zeros(3), limits, policy)
+    assert three is not None and "nothing" in three.between and three.mahalanobis2 > 9.0 and not three.resolves
+
+
+def test_explanations_compete_with_no_effect_with_rivals_or_with_absence() -> None:
+    def names(found: tuple[str, ...], **log_bayes_factors: float) -> list[str]:
+        return list(competing_explanations(Selection(stub_fit(), stub_fit(*found), (step_of(**log_bayes_factors),)), POLICY))
+
+    assert names((), wear=2.0, tether=1.0, restitution=0.5) == [NO_EFFECT, "wear", "tether"]
+    assert names(("wear",), wear=50.0, tether=48.0) == ["wear", "tether"]
+    assert names(("wear",), wear=50.0, tether=10.0) == ["without wear", "wear"]
+    # No push distinguishes exact twins.
+    assert names(("tool_offset",), tool_offset=50.0, camera_translation=50.0) == ["without tool_offset", "tool_offset"]

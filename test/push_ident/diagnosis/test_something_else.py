@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from helpers.diagnosis import TRUTH, simulated_pushes
 from helpers.objects import with_forces
@@ -95,16 +96,14 @@ def test_patterns_of_each_push_by_blocks_give_what_all_columns_at_once_give() ->
     # The last column is nearly what the fit has explained already.
     blocks[2][:, 1] = jacobian[2 * n_rows :, 0] + 1e-4 * rng.normal(size=n_rows)
     hessian = jacobian.T @ jacobian + np.diag([1.0, 1.0, 0.3, 0.0, 0.0])
-    columns = np.zeros((len(jacobian), sum(sizes)))
+    columns = block_diag(*blocks)
     ends = np.cumsum([0, *sizes])
-    places = [slice(a, b) for a, b in pairwise(ends)]
-    for k, block in enumerate(blocks):
-        columns[k * n_rows : (k + 1) * n_rows, places[k]] = block
+    of_push = [slice(a, b) for a, b in pairwise(ends)]
     information = columns.T @ (columns - jacobian @ np.linalg.solve(hessian, jacobian.T @ columns))
     slope, scales = rng.normal(size=(sum(sizes), 3)), (0.1, 1.0, 30.0)
 
     together = AmplitudePrecision.of(information)
-    apart = AmplitudePrecision.of_blocks([block.T @ block for block in blocks], places, jacobian.T @ columns, hessian)
+    apart = AmplitudePrecision.of_blocks([block.T @ block for block in blocks], of_push, jacobian.T @ columns, hessian)
     np.testing.assert_allclose(apart.log_bayes_factors(slope, scales), together.log_bayes_factors(slope, scales), rtol=1e-9)
     for scale in scales:
         expected = np.linalg.solve(information + np.eye(len(information)) / scale**2, slope[:, 0])

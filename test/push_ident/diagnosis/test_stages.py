@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.diagnosis import account_of_parts, frame_residuals, simulated_pushes, stub_fit
+from helpers.diagnosis import account_of_parts, frame_residuals, simulated_pushes, step_of, stub_fit
 from push_ident.diagnosis.decide import confusion_sets, decide, verdict_of
 from push_ident.diagnosis.explain import explain
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.policy import SelectionPolicy, UnknownPolicy, ValidationPolicy
 from push_ident.diagnosis.select import select
-from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
+from push_ident.diagnosis.selection import RivalFit, Selection, Step
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
 from push_ident.diagnosis.validate import failed_tests, supported_selection, validate
@@ -94,8 +94,7 @@ def test_residuals_that_are_larger_or_smoother_than_noise_show_something_unknown
 
 
 def selection_of(*found: str, swaps: tuple[RivalFit, ...] = ()) -> Selection:
-    steps = tuple(Step(stub_fit(), None, (), (Candidate(name, stub_fit(name), 50.0),)) for name in found)
-    return Selection(stub_fit(), stub_fit(*found), steps, swaps)
+    return Selection(stub_fit(), stub_fit(*found), tuple(step_of(**{name: 50.0}) for name in found), swaps)
 
 
 def test_exact_twins_and_tied_rivals_are_confused() -> None:
