@@ -6,7 +6,6 @@ import http.client
 import os
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import time
@@ -14,15 +13,13 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from ipaddress import ip_address
-from pathlib import Path
 
+import psutil
 import pytest
 
 from helpers.executor_cell import Stalls
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.nodes.base.network import own_domain
-
-_KINDS = ("tcp", "tcp6", "udp", "udp6", "raw", "raw6")
 
 
 @dataclass(frozen=True)
@@ -30,8 +27,7 @@ class Socket:
     """One bound socket."""
 
     pid: int
-    kind: str
-    """tcp, tcp6, udp, udp6, raw or raw6."""
+    is_udp: bool
     address: str
     port: int
 
@@ -39,49 +35,16 @@ class Socket:
     def is_loopback(self) -> bool:
         """Whether only this machine reaches it."""
         address = ip_address(self.address)
-        mapped = getattr(address, "ipv4_mapped", None)
-        return (mapped or address).is_loopback
+        return (getattr(address, "ipv4_mapped", None) or address).is_loopback
 
 
 def sockets_of(pid: int) -> list[Socket]:
     """Every Internet socket that a process has open; [] where it has ended."""
     try:
-        links = [os.readlink(entry) for entry in Path(f"/proc/{pid}/fd").iterdir()]
-        tables = {kind: Path(f"/proc/{pid}/net/{kind}").read_text(encoding="ascii") for kind in _KINDS}
-    except OSError:
+        found = psutil.Process(pid).net_connections("inet")
+    except psutil.Error:
         return []
-    inodes = {link[len("socket:[") : -1] for link in links if link.startswith("socket:[")}
-    found = []
-    for kind, table in tables.items():
-        for line in table.splitlines()[1:]:
-            fields = line.split()
-            if fields[9] in inodes:
-                address, port = fields[1].split(":")
-                found.append(Socket(pid, kind, _address(address), int(port, 16)))
-    return found
-
-
-def descendants(pid: int) -> list[int]:
-    """Processes that a process has started, and theirs."""
-    children: dict[int, list[int]] = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                parent = int((entry / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[1])
-            except OSError:
-                continue
-            children.setdefault(parent, []).append(int(entry.name))
-    found, todo = [], [pid]
-    while todo:
-        more = children.get(todo.pop(), [])
-        found += more
-        todo += more
-    return found
-
-
-def _address(text: str) -> str:
-    words = [struct.pack("<I", int(text[i : i + 8], 16)) for i in range(0, len(text), 8)]
-    return socket.inet_ntop(socket.AF_INET if len(words) == 1 else socket.AF_INET6, b"".join(words))
+    return [Socket(pid, one.type == socket.SOCK_DGRAM, one.laddr.ip, one.laddr.port) for one in found if one.laddr]
 
 
 _PORTS = {"grpc_port": 19876, "web_port": 19090}
@@ -111,7 +74,9 @@ def sockets_below(pid: int, *, until: set[int]) -> list[Socket]:
     """Sockets of a process and of all that it has started, as soon as the ports `until` are among them."""
     deadline = time.monotonic() + _START_WITHIN
     while True:
-        found = [s for process in (pid, *descendants(pid)) for s in sockets_of(process)]
+        found = [
+            s for process in (pid, *(child.pid for child in psutil.Process(pid).children(recursive=True))) for s in sockets_of(process)
+        ]
         if until <= {s.port for s in found}:
             return found
         assert time.monotonic() < deadline, found
@@ -127,12 +92,12 @@ def test_every_process_of_a_cell_listens_on_loopback_only(monkeypatch: pytest.Mo
         sockets_below(os.getpid(), until=set(_PORTS.values()))
         deadline = time.monotonic() + _START_WITHIN
         # Every node is there once it has the two sockets of its participant.
-        while len({s.pid for s in sockets_below(os.getpid(), until=set()) if s.kind == "udp"}) < len(commands):
+        while len({s.pid for s in sockets_below(os.getpid(), until=set()) if s.is_udp}) < len(commands):
             assert time.monotonic() < deadline
             time.sleep(0.2)
         time.sleep(1.0)
         found = sockets_below(os.getpid(), until=set(_PORTS.values()))
-    assert {s.port for s in found if s.kind == "tcp"} >= set(_PORTS.values())
+    assert {s.port for s in found if not s.is_udp} >= set(_PORTS.values())
     assert [s for s in found if not s.is_loopback] == []
 
 
@@ -140,15 +105,15 @@ def test_every_process_of_a_cell_listens_on_loopback_only(monkeypatch: pytest.Mo
 def test_the_network_is_opened_by_the_discovery_range() -> None:
     with viewer(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET") as node:
         found = sockets_below(node.pid, until=set(_PORTS.values()))
-    assert any(not s.is_loopback for s in found if s.kind == "udp"), "the test cannot see an open socket"
-    assert all(s.is_loopback for s in found if s.kind == "tcp"), "the range of ROS does not open the viewer"
+    assert any(not s.is_loopback for s in found if s.is_udp), "the test cannot see an open socket"
+    assert all(s.is_loopback for s in found if not s.is_udp), "the range of ROS does not open the viewer"
 
 
 @pytest.mark.alone
 def test_viewer_listens_on_loopback_leads_from_its_plain_address_to_the_data_and_ends_with_its_node() -> None:
     with viewer() as node:
         found = sockets_below(node.pid, until=set(_PORTS.values()))
-        assert {s.kind for s in found} >= {"tcp", "udp"} and [s for s in found if not s.is_loopback] == []
+        assert {s.is_udp for s in found} == {True, False} and [s for s in found if not s.is_loopback] == []
         servers = {s.pid for s in found if s.port in _PORTS.values()} - {node.pid}
         assert len(servers) == 1
 
