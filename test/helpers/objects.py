@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from push_ident.geometry.outline import outline_of_cells, signed_distance
+from push_ident.geometry.se2 import transform_points
 from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
+
+if TYPE_CHECKING:
+    from push_ident.physics.overhang import TableEdge
 
 
 def hammer_shape(size: float = 0.011) -> ObjectShape:
@@ -118,3 +123,13 @@ def with_forces(record: PushRecord, model: ObjectModel, effects: dict[str, list[
     motion = simulate(model, scenario, settings=SimulationSettings(step=1 / 960), effects=effects)
     force = measured_forces(effect_values(effects), np.diff(motion.impulse, axis=0) / 0.01)[0]
     return replace(record, wrench=WrenchTrack(edges[1:], force + std * rng.normal(size=force.shape)))
+
+
+def overhung_loads(edge: TableEdge, model: ObjectModel, pose: Float64Array) -> Float64Array | None:
+    """Load of each cell of an object at the edge of the table as a share of its weight, shape (n_cells,); None where it falls."""
+    from push_ident.physics.overhang import Overhang, share_loads
+
+    cells, weight = model.shape.cells.centres, model.mass / model.total_mass
+    arms, factor = np.ascontiguousarray((cells - weight @ cells).T), np.ones(len(weight))
+    centre, overhang = transform_points(pose, (weight @ cells)[None])[0], Overhang(edge.outward.copy(), float(edge.offset), weight)
+    return weight * factor if share_loads(overhang, arms, centre, float(np.cos(pose[2])), float(np.sin(pose[2])), factor) else None

@@ -20,7 +20,7 @@ from push_ident.cli.main import main
 from push_ident.errors import InputError
 from push_ident.geometry.cells import cell_error
 from push_ident.geometry.convex import convex_pieces
-from push_ident.geometry.outline import cells_in_outline, points_in_polygon, polygon_area, signed_distance
+from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.identification.export.description import describe
 from push_ident.identification.export.files import SUFFIXES, write_description
 from push_ident.identification.results.model_file import load_model, save_model
@@ -183,23 +183,6 @@ def test_solid_outline_is_the_exact_polygon_in_mujoco_and_larger_only_by_a_mesh_
         client.resetBasePositionAndOrientation(probe, [*point, HEIGHT / 2], [0, 0, 0, 1])
         seen = min(close[8] for close in client.getClosestPoints(body, probe, 0.1, frame, -1))
         assert seen == pytest.approx(expected - radius - BULLET_SWELLING, abs=2e-5)
-
-
-def test_convex_pieces_cover_the_polygon_once() -> None:
-    rng = np.random.default_rng(0)
-    for n_vertices in (5, 12, 40):
-        angle = (np.arange(n_vertices) + rng.uniform(0, 0.8, n_vertices)) * 2 * np.pi / n_vertices
-        polygon = rng.uniform(0.02, 0.1, n_vertices)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        pieces = convex_pieces(polygon)
-        for piece in pieces:
-            before, after = piece - np.roll(piece, 1, axis=0), np.roll(piece, -1, axis=0) - piece
-            assert np.all(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0] > 0)
-        assert sum(polygon_area(piece) for piece in pieces) == pytest.approx(polygon_area(polygon), rel=1e-9)
-        points = rng.uniform(-0.1, 0.1, (500, 2))
-        times = np.sum([points_in_polygon(points, piece) for piece in pieces], axis=0)
-        np.testing.assert_array_equal(times, points_in_polygon(points, polygon).astype(int))
-    with pytest.raises(InputError, match="no area"):
-        convex_pieces([(0.0, 0.0), (0.1, 0.1), (0.3, 0.3), (0.2, 0.2)])
 
 
 def samples(pusher: PusherPath, step: float) -> Iterator[tuple[Float64Array, Float64Array]]:
@@ -382,3 +365,5 @@ def test_what_cannot_be_exported_ends_in_one_clear_line(
         error = capsys.readouterr().err
         assert says in error and len(error.strip().splitlines()) == 1
     assert model_file.read_bytes() == before
+    with pytest.raises(InputError, match="no area"):
+        convex_pieces([(0.0, 0.0), (0.1, 0.1), (0.3, 0.3), (0.2, 0.2)])

@@ -38,13 +38,6 @@ def test_four_noisy_pushes_predict_others_within_three_millimetres(result: Ident
     assert identified < 3e-3 and identified < 0.5 * uniform
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("seed", [1, 2])
-def test_so_they_do_for_other_hammers(seed: int) -> None:
-    records = random_records(hammer(seed), 12, seed)
-    assert np.mean(held_out_errors(identify(records[:4]).model, records[4:])) < 3e-3
-
-
 def test_threads_change_no_bit_of_a_result_and_report_progress_in_order() -> None:
     seen: list[Sample] = []
     one, two = (

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from helpers.objects import overhung_loads
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.physics.batch import BatchModel, BatchPush, rollouts
 from push_ident.physics.effect import OnTable
 from push_ident.physics.effect_values import effect_values
 from push_ident.physics.effects import EFFECTS
-from push_ident.physics.overhang import TableEdge, overhung_loads
+from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 from push_ident_sim.studies.common.objects import random_object
@@ -37,7 +38,7 @@ def at_edge(centre_inside: float, yaw: float) -> Float64Array:
 def test_loads_hold_the_weight_at_the_centre_of_mass_and_none_is_beyond_the_edge(inside: float) -> None:
     for yaw in np.linspace(-3.0, 3.0, 7):
         pose = at_edge(inside, yaw)
-        load = overhung_loads(EDGE, CELLS, MASS, pose)
+        load = overhung_loads(EDGE, MODEL, pose)
         beyond = EDGE.beyond(transform_points(pose, CELLS)) > 0.0
         if load is None:
             continue
@@ -59,7 +60,7 @@ def test_falls_exactly_where_no_pressure_on_the_table_is_in_equilibrium() -> Non
             equations = np.vstack([np.ones(len(arms)), arms.T])
             possible = linprog(np.zeros(len(arms)), A_eq=equations, b_eq=[1.0, 0.0, 0.0]).status == 0
             found.append(possible)
-            assert (overhung_loads(EDGE, CELLS, MASS, pose) is not None) == possible
+            assert (overhung_loads(EDGE, MODEL, pose) is not None) == possible
     assert 5 < sum(found) < len(found) - 5
 
 
@@ -114,7 +115,7 @@ def test_effects_at_the_edge_change_the_friction_of_the_cells_by_what_they_bear(
     effects: dict[str, list[float]], factor: Callable[[Float64Array, Float64Array], Float64Array], inside: float
 ) -> None:
     model, pose = model_of(), at_edge(inside, 0.7)
-    load = overhung_loads(EDGE, CELLS, MASS, pose)
+    load = overhung_loads(EDGE, MODEL, pose)
     assert load is not None
     place = transform_points(pose, CELLS)
     share = factor(place, load * MODEL.friction)

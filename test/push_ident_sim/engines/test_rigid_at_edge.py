@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.objects import overhung_loads
 from push_ident.geometry.se2 import transform_points, wrap_angle
 from push_ident.physics.batch import BatchPush, rollouts
-from push_ident.physics.overhang import TableEdge, overhung_loads
+from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.pushing.sampling import sample_push
 from push_ident.types import Float64Array, PusherPath
@@ -42,7 +43,7 @@ def test_a_rigid_body_bears_its_weight_on_the_table_only_and_falls_where_the_mod
     for yaw in (0.0, 0.7, 2.0, -2.6):
         for inside in (-0.01, -0.004, 0.018, 0.04):
             pose = with_centre_inside(inside, yaw)
-            load = overhung_loads(EDGE, MODEL.shape.cells.centres, MODEL.mass, pose)
+            load = overhung_loads(EDGE, MODEL, pose)
             world.push(pose, still, longest_rest=0.7)
             assert world.has_fallen == (load is None), (yaw, inside)
             if load is not None:

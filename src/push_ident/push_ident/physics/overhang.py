@@ -20,11 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.geometry.se2 import rotation
 from push_ident.physics.kernel import kernel
 from push_ident.types import Float64Array
 
-__all__ = ["Overhang", "TableEdge", "overhung_loads", "share_loads"]
+__all__ = ["Overhang", "TableEdge", "share_loads"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,22 +155,3 @@ def share_loads(edge: Overhang, arms: Float64Array, centre: Float64Array, cos: f
         if not math.isfinite(unknown[0] + unknown[1] + unknown[2]):
             return False
     return False
-
-
-def overhung_loads(edge: TableEdge, cells: Float64Array, mass: Float64Array, pose: Float64Array) -> Float64Array | None:
-    """Load of each cell as a share of the object's weight, shape (n_cells,), or None where the object falls.
-
-    Args:
-        edge: of the table.
-        cells: centres [m], shape (n_cells, 2), object frame.
-        mass: of each cell [kg], shape (n_cells,).
-        pose: of the object in the table frame (x, y, yaw), shape (3,).
-    """
-    weight = np.asarray(mass, dtype=np.float64) / np.sum(mass)
-    centre = weight @ cells
-    factor = np.ones(len(weight))
-    in_table = np.asarray(pose[:2] + rotation(float(pose[2])) @ centre)
-    arms = np.ascontiguousarray((cells - centre).T)
-    overhang = Overhang(edge.outward.copy(), float(edge.offset), weight)
-    held = share_loads(overhang, arms, in_table, float(np.cos(pose[2])), float(np.sin(pose[2])), factor)
-    return weight * factor if held else None
