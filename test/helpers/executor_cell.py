@@ -142,7 +142,6 @@ class Cell(Node):
         return float(sum(np.sum(np.maximum(gap - HORIZON / 2, 0.0)) for gap in gaps))
 
     def describe(self, urdf_xml: str) -> None:
-        """Publish a description of the arm."""
         self._description.publish(String(data=urdf_xml))
 
     def _publish_once(self, kind: type, topic: str, msg: object) -> None:
@@ -190,8 +189,6 @@ class Cell(Node):
 
 @dataclass
 class Call:
-    """One goal that was sent."""
-
     handle: object
     result: object
     feedback: list[int] = field(default_factory=list)

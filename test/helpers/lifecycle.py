@@ -34,15 +34,12 @@ class Lifecycle(Talker):
         self._get = self.node.create_client(GetState, f"{name}/get_state")
 
     def state(self) -> str:
-        """Label of the node's state, as soon as it answers."""
         return str(self.ask(self._get, GetState.Request(), timeout=120.0).current_state.label)
 
     def change(self, label: str = "", number: int = 0) -> bool:
-        """Whether the node made the transition."""
         return bool(self.ask(self._change, ChangeState.Request(transition=Transition(id=number, label=label))).success)
 
     def go_to(self, state: str) -> None:
-        """Lead the node to one of its states but finalized."""
         while (now := self.state()) != state:
             up = _ORDER.index(state) > _ORDER.index(now)
             towards = {("unconfigured", True): "configure", ("inactive", True): "activate", ("active", False): "deactivate"}

@@ -51,8 +51,6 @@ def node_commands(folder: Path) -> dict[str, tuple[str, dict[str, object]]]:
 
 
 class NodeProcess:
-    """A node; its output goes to a file."""
-
     def __init__(
         self,
         name: str,
@@ -78,17 +76,14 @@ class NodeProcess:
 
     @property
     def runs(self) -> bool:
-        """Whether the process has not ended."""
         return self._process.poll() is None
 
     @property
     def pid(self) -> int:
-        """Of the process."""
         return self._process.pid
 
     @property
     def output(self) -> str:
-        """All it has printed."""
         return self._log.read_text(errors="replace")
 
     def wait(self, timeout: float) -> int:
@@ -96,12 +91,10 @@ class NodeProcess:
         return self._process.wait(timeout)
 
     def kill(self) -> None:
-        """End it at once."""
         self._process.kill()
         self._process.wait()
 
     def stop(self) -> int:
-        """Interrupt it; its exit code."""
         if self.runs:
             self._process.send_signal(signal.SIGINT)
         try:
@@ -145,15 +138,12 @@ class Talker:
         return {value.key: value.value for report in own[-1:] for value in report.values}
 
     def forget(self) -> None:
-        """All reports so far."""
         self._reports.clear()
 
     def spin(self, seconds: float) -> None:
-        """Take in one message, if there is one within some time [s]."""
         self._executor.spin_once(timeout_sec=seconds)
 
     def result_of(self, future: Any, timeout: float = 120.0) -> Any:
-        """Wait for it."""
         self.until(future.done, timeout=timeout)
         return future.result()
 

@@ -32,7 +32,6 @@ def recording(*parts: str) -> Path:
 
 @cache
 def tree(path: Path) -> ast.Module:
-    """The tree of a file."""
     gc.disable()  # it would look at all trees again and again
     try:
         return ast.parse(path.read_text(encoding="utf-8"))
@@ -42,7 +41,6 @@ def tree(path: Path) -> ast.Module:
 
 @cache
 def nodes(path: Path) -> tuple[ast.AST, ...]:
-    """All nodes of a file."""
     gc.disable()
     try:
         return tuple(ast.walk(tree(path)))

@@ -15,7 +15,6 @@ NAMES = ("iiwa", "ur5e", "franka")
 
 
 def robot_path(name: str) -> Path:
-    """One of the examples."""
     return ROBOTS / f"{name}.yaml"
 
 

@@ -12,12 +12,10 @@ from push_ident.nodes.convert.messages import planar_pose_to_msg
 
 
 def right_pose() -> PoseWithCovarianceStamped:
-    """One that an object can have."""
     return planar_pose_to_msg(Time(sec=5), [0.1, 0.2, 0.3], np.eye(3) * 1e-6)
 
 
 def wrong_poses() -> dict[str, PoseWithCovarianceStamped]:
-    """By what is wrong with them."""
     found: dict[str, PoseWithCovarianceStamped] = {}
 
     def add(name: str, change: Any) -> None:

@@ -23,8 +23,6 @@ FACTORS = (0.0, -1.0, 0.5, 0.9, 1.1, 2.0, 1e-3, 1e3, 1e-9, 1e9, 1e-300, 1e300, n
 
 
 class Step(NamedTuple):
-    """One frame of a sequence."""
-
     view: int
     """Number of the clean image."""
     gap: float
@@ -34,7 +32,6 @@ class Step(NamedTuple):
 
 
 def window(depth: Image, rng: Generator) -> tuple[slice, slice]:
-    """A random part of the image."""
     rows, columns = depth.shape
     v, u = int(rng.integers(rows)), int(rng.integers(columns))
     return slice(v, v + 1 + int(rng.integers(rows))), slice(u, u + 1 + int(rng.integers(columns)))
@@ -163,7 +160,6 @@ OF_FRAME: dict[str, Callable[[DepthFrame, Generator], DepthFrame]] = {change.__n
 
 
 def changed(frame: DepthFrame, name: str, seed: int, other: Image) -> DepthFrame:
-    """The frame after one change; `other` is the image of another scene [m]."""
     rng = np.random.default_rng(seed)
     if name in OF_FRAME:
         return OF_FRAME[name](frame, rng)

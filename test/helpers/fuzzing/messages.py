@@ -65,7 +65,6 @@ def leaves(msg: Any, prefix: Path = ()) -> Iterator[tuple[Path, Any]]:
 
 @st.composite
 def messages_like(draw: st.DrawFn, base: Any) -> Any:
-    """A copy of a message with one to three changes."""
     msg = copy.deepcopy(base)
     for _ in range(draw(st.integers(1, 3))):
         fields = list(leaves(msg))

@@ -56,7 +56,6 @@ CORNERS = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])
 
 @cache
 def right_messages() -> dict[str, Any]:
-    """By topic."""
     shape = hammer().shape
     cells, outline = shape_to_msgs(shape, OBJECT, STAMP)
     image, info = depth_frame_to_msgs(DepthFrame(0.0, np.full((6, 8), 0.8, np.float32), CAMERA), STAMP)
@@ -109,7 +108,6 @@ def right_messages() -> dict[str, Any]:
 
 @cache
 def right_goals() -> dict[str, list[Any]]:
-    """By action: a goal of every kind."""
     straight = ExecutePush.Goal(
         object_id=OBJECT, contact_point=Point(x=0.05), frame_id=f"object_{OBJECT}", direction=3.14, distance=0.06, speed=0.2
     )

@@ -90,13 +90,11 @@ class Cell:
                 yield NodeCommand(command.name, (*command.argv, *remapped), is_node=True)
 
     def add(self, command: NodeCommand) -> Process:
-        """Start one more process in the cell."""
         process = self.processes[command.name] = Process(command, self.folder / f"{command.name}.log", self.domain)
         return process
 
     @contextmanager
     def with_process(self, command: NodeCommand) -> Iterator[Process]:
-        """One more process for a while."""
         try:
             yield self.add(command)
         finally:
@@ -104,7 +102,6 @@ class Cell:
 
     @contextmanager
     def with_recorder(self, bag: Path, **parameters: object) -> Iterator[Process]:
-        """A recorder that has begun to write."""
         commands = node_commands("sim", record=bag, parameters={RECORDER: {"depth": False, **parameters}})
         with self.with_process(next(command for command in commands if command.name == RECORDER)) as recorder:
             until(lambda: self.monitor.reports_of(RECORDER), 20.0, "the recorder reports nothing")
@@ -155,13 +152,11 @@ class Cell:
         return sent.result is None
 
     def end(self, sent: Goal, patience: float = PUSH) -> ExecutePush.Result:
-        """Result of a push."""
         until(lambda: sent.result is not None, patience, "the push did not end")
         assert sent.result is not None
         return sent.result
 
     def push(self, goal: ExecutePush.Goal | None = None) -> ExecutePush.Result:
-        """One whole push."""
         return self.end(self.monitor.send(goal or self.goal()))
 
     def whole_push(self, goal: ExecutePush.Goal | None = None) -> None:
@@ -194,7 +189,6 @@ class Cell:
         self.reset_object()
 
     def await_ready(self) -> None:
-        """Until the executor can plan a push; in a cell without one, until the arm reports."""
         if EXECUTOR not in self.plan.nodes:
             until(self.monitor.latest_state, STARTUP, "no joint states came")
             return
@@ -225,7 +219,6 @@ class Cell:
                 yield
 
     def save_model(self, path: Path) -> str:
-        """Let identification write its model; empty, or why not."""
         answer = self.monitor.call(SaveModel, "save_model", SaveModel.Request(path=str(path)))
         return "" if answer.success else str(answer.message)
 

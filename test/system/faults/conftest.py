@@ -18,7 +18,6 @@ RESULTS = Results(Path(os.environ["FAULTS"]) if "FAULTS" in os.environ else None
 
 @pytest.fixture(scope="session")
 def cells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cells]:
-    """One after the other, before all other work of the machine."""
     before = os.getpriority(os.PRIO_PROCESS, 0)
     set_priority(os.getpid(), PRIORITY)
     cells = Cells(tmp_path_factory.mktemp("faults"))

@@ -28,8 +28,6 @@ STEP = 0.02
 
 @dataclass(frozen=True)
 class Hold:
-    """How the arm stopped."""
-
     seconds: float
     """From the fault to the standing arm [s], by the arm's own clock."""
     allowed: float

@@ -38,8 +38,6 @@ def until(condition: Callable[[], object], patience: float, missing: str, every:
 
 @dataclass(frozen=True)
 class ArmSample:
-    """One joint state of the arm."""
-
     received: float
     """[s], `time.monotonic`"""
     stamp: float
@@ -51,33 +49,26 @@ class ArmSample:
 
     @property
     def speed(self) -> float:
-        """Of the fastest joint [rad/s]."""
         return float(np.abs(self.velocity).max())
 
 
 @dataclass(frozen=True)
 class Reported:
-    """One status of `/diagnostics`."""
-
     received: float
     message: str
     values: dict[str, str]
 
     @property
     def refused(self) -> int:
-        """Messages and requests that were refused so far."""
         return int(self.values.get("refused", "0"))
 
     def says(self, *words: str) -> bool:
-        """Whether it has all words, anywhere."""
         text = f"{self.message} {self.values}".lower()
         return all(word.lower() in text for word in words)
 
 
 @dataclass
 class Goal:
-    """A push that was requested."""
-
     phases: list[int] = field(default_factory=list)
     """Of the feedback so far."""
     push_id: int = 0
@@ -126,7 +117,6 @@ class Monitor(Node):
         return _sample(*self._raw_states[-1]) if self._raw_states else None
 
     def forget(self) -> None:
-        """Empty all lists; the latest diagnostics stay."""
         for kept in (self._raw_states, self.commands, self.records, self.maps, self.predictions):
             kept.clear()  # type: ignore[attr-defined]
         for reports in self._reports.values():
@@ -182,7 +172,6 @@ class Monitor(Node):
         return time.monotonic()
 
     def withdraw(self) -> None:
-        """Remove all publishers made by `publish`."""
         while self._own:
             self.destroy_publisher(self._own.popitem()[1])
 

@@ -42,7 +42,6 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Of the process that runs now, or ran last."""
         assert self._popen is not None
         return self._popen.pid
 
@@ -56,7 +55,6 @@ class Process:
         return self._log.read_text(encoding="utf-8", errors="replace") if self._log.exists() else ""
 
     def start(self) -> None:
-        """Start it, where it does not run."""
         if self.runs:
             return
         environment = os.environ | {"PYTHONUNBUFFERED": "1", LIFELINE: str(lifeline()[0]), "ROS_DOMAIN_ID": str(self._domain)}
@@ -73,13 +71,11 @@ class Process:
         set_priority(self.pid, os.getpriority(os.PRIO_PROCESS, 0))
 
     def signal(self, number: signal.Signals) -> float:
-        """Send a signal to the process alone; the time [s]."""
         if self.runs:
             os.kill(self.pid, number)
         return time.monotonic()
 
     def kill(self) -> float:
-        """SIGKILL to it and its children; the time [s]."""
         now = time.monotonic()
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
@@ -87,7 +83,6 @@ class Process:
         return now
 
     def wait(self, patience: float) -> int | None:
-        """Exit code; None where it still runs after `patience` [s]."""
         assert self._popen is not None
         with contextlib.suppress(subprocess.TimeoutExpired):
             return self._popen.wait(patience)

@@ -32,8 +32,6 @@ OBJECT_POSE = f"objects/{OBJECT}/pose"
 
 @dataclass(frozen=True)
 class Topic:
-    """What a topic carries, and how it is published."""
-
     kind: type
     latched: bool = False
     best_effort: bool = False
@@ -110,8 +108,6 @@ def source_of(topic: str) -> str:
 
 @dataclass
 class Route:
-    """One topic."""
-
     kind: type
     publisher: Any
     rule: Rule = as_it_is
@@ -136,26 +132,21 @@ class Proxy:
         self._thread.start()
 
     def set(self, topic: str, rule: Rule) -> float:
-        """Put a topic under a rule from now on; the time [s], of `time.monotonic`."""
         self._routes[topic].rule = rule
         return time.monotonic()
 
     def change(self, topic: str, change: Callable[[Any], object]) -> float:
-        """Change every message of a topic from now on; the time [s]."""
         return self.set(topic, changed(topic, change))
 
     def clear(self) -> None:
-        """Let everything pass."""
         for route in self._routes.values():
             route.rule = as_it_is
 
     def latest(self, topic: str) -> Any:
-        """The latest message of the source of a topic."""
         route = self._routes[topic]
         return deserialize_message(route.latest, route.kind)
 
     def close(self) -> None:
-        """Stop sending; subscriptions end with the node."""
         with self._wake:
             self._over = True
             self._wake.notify()

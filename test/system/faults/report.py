@@ -37,11 +37,9 @@ class Results:
         self._trial: Trial | None = None
 
     def failed(self, row: Fault) -> bool:
-        """Whether something of it did not hold."""
         return bool(self._rows[row.number]["result"] == "failed")
 
     def begin(self, trial: Trial) -> None:
-        """A trial starts."""
         self._trial = trial
 
     def take(self, row: Fault, report: pytest.TestReport, call: pytest.CallInfo[None]) -> None:
@@ -58,7 +56,6 @@ class Results:
                 content["time_to_hold_s"], content["allowed_s"] = round(worst.seconds, 3), round(worst.allowed, 3)
 
     def write(self) -> None:
-        """Both files."""
         if self._path is None:
             return
         before = json.loads(self._path.read_text(encoding="utf-8"))["faults"] if self._path.is_file() else []
@@ -109,7 +106,6 @@ def _time(row: dict[str, Any]) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Text of nodes and messages in a cell of a table."""
     for mark, safe in (("\\", "\\\\"), ("|", "\\|"), ("<", "&lt;"), ("\n", " "), ("*", "\\*"), ("_", "\\_"), ("[", "\\["), ("`", "\\`")):
         text = text.replace(mark, safe)
     return text

@@ -77,7 +77,6 @@ class Trial:
 
     @property
     def cell(self) -> Cell:
-        """The live cell."""
         assert self.live is not None
         return self.live
 
@@ -129,7 +128,6 @@ class Cells:
         self._n = 0
 
     def of(self, plan: CellPlan) -> Cell:
-        """A running cell of this plan."""
         if self._cell is None or self._plan is not plan:
             self.close()
             self._n += 1

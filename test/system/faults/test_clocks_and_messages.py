@@ -25,8 +25,6 @@ SENSORS = ("joint_states", "pusher/wrench", OBJECT_POSE)
 
 
 def shifted(change: Callable[[float], float]) -> Callable[[Any], None]:
-    """The time of a message, or of its header, goes through `change` [s]."""
-
     def shift(msg: Any) -> None:
         owner, name = (msg, "clock") if hasattr(msg, "clock") else (msg.header, "stamp")
         setattr(owner, name, stamp_to_msg(max(0.0, change(stamp_from_msg(getattr(owner, name))))))

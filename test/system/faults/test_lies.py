@@ -46,7 +46,6 @@ def repeating(*fields: str) -> Callable[[Any], None]:
 
 
 def first(n: int, change: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Change so many messages, and then none."""
     left = iter(range(n))
     return lambda msg: None if next(left, None) is None else change(msg)
 

@@ -101,8 +101,6 @@ def test_interrupt_any_moment(trial: Trial) -> None:
 
 @dataclass(frozen=True)
 class End:
-    """How a node ended after a signal."""
-
     name: str
     code: int | None
     took: float
