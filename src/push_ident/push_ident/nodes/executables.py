@@ -12,8 +12,6 @@ from typing import Final, NoReturn
 from push_ident.extras import how_to_get
 from push_ident.nodes.base.lifetime import LIFETIME
 
-__all__ = ["NODES", "main", "run_executable"]
-
 NODES: Final = {
     "perception_node": "push_ident.nodes.perception.perception_node",
     "push_executor_node": "push_ident.nodes.push_executor.push_executor_node",

@@ -14,8 +14,6 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.nodes.base.settings import NODE
 
-__all__ = ["Arrivals", "StampCheck"]
-
 
 class Arrivals:
     """Messages of one subscription that its topic carried and this node did not process.

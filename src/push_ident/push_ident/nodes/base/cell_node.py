@@ -27,8 +27,6 @@ from push_ident.nodes.base.guard import Guard, is_guarded, refusal
 from push_ident.nodes.base.parameters import Parameter, Parameters
 from push_ident.nodes.base.settings import NODE
 
-__all__ = ["AUTOSTART", "LATCHED", "CellNode", "Component", "Health"]
-
 LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Of topics whose latest message is valid until the next one: later subscriptions receive it as well."""
 AUTOSTART: Final = Parameter("autostart", True, "Configure and activate at start, without a lifecycle manager", read_only=True)

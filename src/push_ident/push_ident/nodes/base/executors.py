@@ -14,8 +14,6 @@ from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecu
 
 from push_ident.nodes.base.settings import NODE
 
-__all__ = ["make_executor"]
-
 
 class _GuardedExecutor(Executor):  # type: ignore[misc]
     """Guards what callbacks themselves cannot: taking a message, sending an answer to a client that has gone, the work of rclpy around

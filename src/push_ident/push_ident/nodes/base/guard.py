@@ -14,8 +14,6 @@ from push_ident.errors import PushIdentError
 from push_ident.limits import plain_text
 from push_ident.nodes.base.settings import NODE
 
-__all__ = ["Guard", "is_guarded"]
-
 _OTHERS: Final = "other sources"
 _MARK: Final = "guarded_source"
 

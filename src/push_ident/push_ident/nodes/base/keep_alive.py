@@ -35,8 +35,6 @@ from unique_identifier_msgs.msg import UUID
 
 from push_ident.nodes.base.cell_node import CellNode
 
-__all__ = ["ClientWatch", "KeepAlive", "ServerWatch", "cancellation"]
-
 _MARK: Final = b"keepaliv"
 """Of numbers of goals; the other 8 bytes are random, and other clients draw all 16."""
 _SIGNS: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -25,8 +25,6 @@ from typing import Any, Final, NoReturn
 
 from push_ident.nodes.base.settings import NODE
 
-__all__ = ["LIFELINE", "LIFETIME", "STOP_SIGNALS", "ExitCode", "Lifetime", "end_with_parent", "stop_signals_blocked", "stopping_in_order"]
-
 LIFELINE: Final = "PUSH_IDENT_LIFELINE"
 """Variable with the number of the open pipe that ends with the process that started this one."""
 STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)

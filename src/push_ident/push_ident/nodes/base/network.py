@@ -15,8 +15,6 @@ from typing import Final
 
 from push_ident.errors import InputError
 
-__all__ = ["COMMAND_LINE", "PROFILE", "RANGE", "choose_network", "listens_on", "own_domain"]
-
 RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILE: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
 COMMAND_LINE: Final = "/push_ident/command_line"

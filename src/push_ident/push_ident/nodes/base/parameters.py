@@ -18,8 +18,6 @@ from push_ident.errors import InputError
 from push_ident.files import read_regular
 from push_ident.limits import LIMITS, plain_text
 
-__all__ = ["Parameter", "Parameters", "description_in"]
-
 _KEYS_OF_ROS: Final = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 

@@ -9,8 +9,6 @@ from push_ident.errors import InputError
 from push_ident.identification.results.model_file import is_model_file
 from push_ident.limits import LIMITS, plain_text
 
-__all__ = ["file_to_read", "file_to_write"]
-
 
 def file_to_write(text: str) -> Path:
     """The path of a model that a client asks to write.

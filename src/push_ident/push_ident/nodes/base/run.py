@@ -22,8 +22,6 @@ from push_ident.nodes.base.executors import make_executor
 from push_ident.nodes.base.lifetime import LIFETIME, ExitCode
 from push_ident.nodes.base.settings import NODE
 
-__all__ = ["run_node", "settle_memory"]
-
 
 def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = None, n_threads: int = 1, yields: bool = True) -> int:
     """Run one node until SIGINT or SIGTERM, or until the process that started it is gone. To be called in the main thread.

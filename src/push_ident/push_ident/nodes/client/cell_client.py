@@ -43,8 +43,6 @@ from push_ident_msgs.action import DiagnoseGap, ExecutePush, PushToGoal
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.srv import PredictPush, SaveModel
 
-__all__ = ["CellClient", "CellTimeout"]
-
 _ANY: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_AVAILABLE)
 T = TypeVar("T")
 

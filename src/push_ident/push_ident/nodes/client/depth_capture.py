@@ -30,8 +30,6 @@ from push_ident.nodes.input.depth_pairs import MAX_SKEW, DepthPairs
 from push_ident.perception.frame.depth_image import ACCEPTED_ENCODINGS
 from push_ident.types import DepthFrame, Float64Array
 
-__all__ = ["DepthCapture"]
-
 _IMAGE: Final = "sensor_msgs/msg/Image"
 _INFO, _POSE = "camera_info", "camera_pose"
 """Last parts of the topics in the namespace of the image."""

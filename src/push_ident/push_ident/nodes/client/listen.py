@@ -21,8 +21,6 @@ from push_ident.limits import LIMITS
 from push_ident.nodes.base.network import COMMAND_LINE
 from push_ident.nodes.convert.messages import message_class
 
-__all__ = ["CellNames", "Heard", "listen_to_arms", "listen_to_contract", "start_ros"]
-
 _LATCHED = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.TF_STATIC, Role.CAMERA_ACCURACY})
 _RARE = _LATCHED | {Role.PUSHER, Role.PUSH_RECORD}
 """Roles that may be silent for a while."""

@@ -18,8 +18,6 @@ from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_
 from push_ident.perception.refusals import Refusal
 from push_ident.types import Float64Array
 
-__all__ = ["MARKERS", "GoalDrawing", "goal_markers_from_msg", "goal_markers_to_msg", "refusals_from_msg", "refusals_to_msg"]
-
 
 @dataclass(frozen=True, slots=True)
 class MarkerSettings:

@@ -33,39 +33,6 @@ from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
 from push_ident_msgs.msg import PushRecord
 
-__all__ = [
-    "camera_accuracy_from_msg",
-    "camera_accuracy_to_msg",
-    "TABLE_FRAME",
-    "cylinder_radius_from_msg",
-    "cylinder_to_msg",
-    "depth_frame_from_msgs",
-    "depth_frame_to_msgs",
-    "force_from_msg",
-    "force_to_msg",
-    "intrinsics_from_msg",
-    "joints_from_msg",
-    "message_class",
-    "object_frame",
-    "outline_from_msg",
-    "outline_std_from_msg",
-    "outline_std_to_msg",
-    "occupancy_to_msg",
-    "planar_pose_from_msg",
-    "planar_pose_of",
-    "planar_pose_to_msg",
-    "push_interval_from_msg",
-    "position_from_msg",
-    "position_to_msg",
-    "shape_from_msgs",
-    "shape_to_msgs",
-    "stamp_from_msg",
-    "stamp_to_msg",
-    "transform_from_msg",
-    "transform_to_msg",
-]
-
-
 _PLANAR: Final = (0, 1, 5)
 """Rows of x, y and yaw in a 6 x 6 covariance."""
 

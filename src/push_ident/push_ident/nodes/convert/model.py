@@ -33,20 +33,6 @@ from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.msg import ModelPosterior as ModelPosteriorMsg
 from push_ident_msgs.msg import PushScore as PushScoreMsg
 
-__all__ = [
-    "cloud_to_msg",
-    "map_status",
-    "map_to_msg",
-    "markers_to_msg",
-    "path_to_msg",
-    "prediction_path_to_msg",
-    "prediction_to_msg",
-    "posterior_from_msg",
-    "posterior_to_msg",
-    "pusher_path_from_msg",
-    "score_to_msg",
-]
-
 _STATUS = {
     SolveStatus.CONVERGED: MassFrictionMap.STATUS_OK,
     SolveStatus.MAX_ITERATIONS: MassFrictionMap.STATUS_NOT_CONVERGED,

@@ -16,8 +16,6 @@ from push_ident.nodes.convert.messages import TABLE_FRAME, outline_from_msg
 from push_ident.physics.overhang import TableEdge
 from push_ident.types import Float64Array
 
-__all__ = ["EDGE_TOPIC", "TABLE_TOPIC", "edge_from_msg", "edge_to_msg", "table_from_msg", "table_to_msg"]
-
 TABLE_TOPIC: Final = "workspace/table"
 """Latched: a source that knows the table publishes it once."""
 EDGE_TOPIC: Final = "workspace/edge"

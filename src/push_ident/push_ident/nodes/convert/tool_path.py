@@ -17,8 +17,6 @@ from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushCorrection
 from push_ident_msgs.msg import ToolPath as ToolPathMsg
 
-__all__ = ["correction_from_msg", "correction_to_msg", "path_goal", "path_request_from_goal"]
-
 
 def path_goal(object_id: str, request: PathRequest) -> ExecutePush.Goal:
     """The goal of the action for a push along a path."""

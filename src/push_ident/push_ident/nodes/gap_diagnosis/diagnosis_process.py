@@ -17,8 +17,6 @@ from push_ident.nodes.base.lifetime import end_with_parent, stop_signals_blocked
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PushRecord
 
-__all__ = ["DiagnosisProcess", "diagnose_requests"]
-
 _STAGE, _DONE, _FAILED = "stage", "done", "failed"
 
 

@@ -32,8 +32,6 @@ from push_ident.types import ObjectShape, PushRecord
 from push_ident_msgs.action import DiagnoseGap
 from push_ident_msgs.msg import GapEffect, GapPart, GapReport
 
-__all__ = ["PARAMETERS", "GapDiagnosisNode", "main", "report_to_msg"]
-
 PARAMETERS: Final = (
     Parameter("total_mass", 0.5, "Nominal total mass of an object [kg]", 0.001, 1000.0, read_only=True),
     Parameter("friction", 0.3, "Nominal support friction coefficient [-]", 0.001, 10.0, read_only=True),

@@ -43,8 +43,6 @@ from push_ident.types import Float64Array, ObjectShape
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import ModelPosterior as ModelPosteriorMsg
 
-__all__ = ["CellPorts", "CellView", "ModelInput", "Planners", "SteeredPush", "WishOfClient", "WorkUnderWay"]
-
 K = TypeVar("K")
 P = TypeVar("P")
 T = TypeVar("T")

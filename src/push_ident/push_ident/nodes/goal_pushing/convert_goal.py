@@ -26,8 +26,6 @@ from push_ident.pushing.push import PushPlan2D
 from push_ident.types import Float64Array
 from push_ident_msgs.action import PushToGoal
 
-__all__ = ["draw_goal", "edge_points", "feedback_to_msg", "planar_pose_msg", "request_from_msg", "result_to_msg"]
-
 
 def request_from_msg(msg: PushToGoal.Goal, defaults: dict[str, Any]) -> GoalRequest:
     """The goal of a request; `defaults` are the parameters that a zero stands for.

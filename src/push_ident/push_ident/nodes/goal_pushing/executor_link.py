@@ -25,9 +25,6 @@ from push_ident.pushing.push import PushCode
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
 
-__all__ = ["ExecutorLink", "RequestedPush"]
-
-
 K = TypeVar("K")
 
 

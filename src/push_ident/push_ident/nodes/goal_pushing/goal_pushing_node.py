@@ -44,8 +44,6 @@ from push_ident.pushing.push import PushSettings
 from push_ident_msgs.action import PushToGoal
 from push_ident_msgs.msg import PushCorrection
 
-__all__ = ["PARAMETERS", "GoalPushingNode", "main"]
-
 
 class GoalPushingNode(CellNode):
     """Serves `push_to_goal`; moves the arm through `execute_push` only.

@@ -11,8 +11,6 @@ from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal_ports import SessionLimits
 from push_ident.pushing.push import PushSettings
 
-__all__ = ["GOAL_PUSHING", "PARAMETERS", "GoalPushingSettings", "check_values", "push_settings", "session_limits"]
-
 
 @dataclass(frozen=True, slots=True)
 class GoalPushingSettings:

@@ -43,8 +43,6 @@ from push_ident.types import ObjectShape, PushRecord
 from push_ident_msgs.msg import GapReport
 from push_ident_msgs.srv import LoadModel, PredictPush, SaveModel
 
-__all__ = ["PARAMETERS", "IdentificationNode", "main"]
-
 _IMPOSSIBLE: Final = "pushes with impossible poses, left out"
 _EXCURSIONS: Final = "impossible poses, left out"
 

@@ -29,8 +29,6 @@ from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.msg import ModelPosterior as ModelPosteriorMsg
 from push_ident_msgs.msg import PushScore as PushScoreMsg
 
-__all__ = ["ObjectOutput"]
-
 
 class ObjectOutput:
     """Publishers of one object.

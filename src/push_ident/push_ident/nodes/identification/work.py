@@ -9,8 +9,6 @@ from enum import Enum
 
 from push_ident.nodes.base.guard import Guard
 
-__all__ = ["Kind", "LatestJobs", "WorkQueue"]
-
 
 class Kind(Enum):
     """What some work is for."""

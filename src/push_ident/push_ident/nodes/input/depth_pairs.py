@@ -17,8 +17,6 @@ from push_ident.nodes.base.cell_node import CellNode
 from push_ident.nodes.convert.messages import depth_frame_from_msgs, stamp_from_msg
 from push_ident.types import DepthFrame
 
-__all__ = ["MAX_SKEW", "DepthPairs", "EVERY_IMAGE", "EVERY_POSE", "DepthInput"]
-
 MAX_SKEW: Final = 0.05
 """An image and a camera info further apart do not belong together, unless a node has another parameter [s]: more than a frame at 30 Hz."""
 

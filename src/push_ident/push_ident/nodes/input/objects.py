@@ -25,8 +25,6 @@ from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["ObjectTopics", "ShapeInput", "TrackedObjects"]
-
 _POSE_TYPE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 

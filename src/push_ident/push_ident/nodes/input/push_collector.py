@@ -36,8 +36,6 @@ from push_ident.pushing.cutter import UNRECORDED, PushCutter
 from push_ident.types import Float64Array, ObjectShape, PushRecord
 from push_ident_msgs.msg import PushRecord as PushRecordMsg
 
-__all__ = ["PushCollector"]
-
 # Waiting messages are kept: a publisher that keeps all, such as the bag player, is held back and overwrites nothing.
 # The middleware bounds what waits: 5000 messages of a topic in Fast DDS; from then on messages are lost, which is counted.
 _ALL: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_AVAILABLE)

@@ -18,8 +18,6 @@ from push_ident.nodes.convert.table import EDGE_TOPIC, TABLE_TOPIC, edge_from_ms
 from push_ident.physics.overhang import TableEdge
 from push_ident.types import PushRecord
 
-__all__ = ["CORNERS", "TableInput", "table_of_corners"]
-
 CORNERS: Final = Parameter(
     "table_corners",
     [0.0],

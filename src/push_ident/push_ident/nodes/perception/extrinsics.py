@@ -17,8 +17,6 @@ from push_ident.perception.calibration import Calibration, Mark, calibrate
 from push_ident.survey.parameter_file import POSITION, QUATERNION
 from push_ident.types import DepthFrame, Float64Array
 
-__all__ = ["Extrinsics", "FromMark", "FromParameters", "FromTf", "mark_of", "pose_rows"]
-
 
 def pose_rows(name: str) -> tuple[Parameter, Parameter]:
     """Parameters for the pose of the further camera `name`; their defaults are no pose."""

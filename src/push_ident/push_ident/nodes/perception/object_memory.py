@@ -19,8 +19,6 @@ from push_ident.geometry.se2 import wrap_angle
 from push_ident.perception.known_object import KnownObject, TracedObject
 from push_ident.types import CellGrid, Float64Array, ObjectShape
 
-__all__ = ["ObjectMemory"]
-
 _FORMAT: Final = "push_ident/object/1"
 _SUFFIX: Final = ".object.json"
 _POSE_SUFFIX: Final = ".pose.json"

@@ -13,8 +13,6 @@ from push_ident.perception.settings import PerceptionSettings
 from push_ident.survey.parameter_file import HEADING_STD, POSITION_STD
 from push_ident.types import CameraAccuracy
 
-__all__ = ["PARAMETERS", "IMAGE_TIMES", "ImageTimes", "names_of_further_cameras", "perception_settings"]
-
 _DEFAULTS: Final = PerceptionSettings()
 
 

@@ -59,8 +59,6 @@ from push_ident.perception.refusals import Refusal, Removal
 from push_ident.survey.parameter_file import pose_lines
 from push_ident.types import CameraAccuracy, DepthFrame, Float64Array
 
-__all__ = ["PARAMETERS", "OlderImages", "PerceptionNode", "main"]
-
 
 @dataclass(slots=True)
 class _Camera:

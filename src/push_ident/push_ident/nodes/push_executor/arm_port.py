@@ -36,8 +36,6 @@ from push_ident.pushing.push import PushCode
 from push_ident.pushing.state_intake import StateCheck, StateIntake
 from push_ident.pushing.trajectory import JointTrajectory
 
-__all__ = ["ArmPort", "ForcePort", "ArmLease"]
-
 
 def _message(joint_names: tuple[str, ...], piece: JointTrajectory) -> JointTrajectoryMsg:
     # A stamp of zero: start on receipt, whatever the controller's clock.

@@ -16,8 +16,6 @@ from push_ident.nodes.push_executor.settings import EXECUTOR
 from push_ident.pushing.hand import BASIC_MODE, CLOSED, HandState
 from push_ident.pushing.ports import Hand
 
-__all__ = ["HAND_KINDS", "FixedTool", "RobotiqHand", "make_hand"]
-
 _STATUS_TOPIC: Final = "Robotiq3FGripper/InputRegisters"
 _COMMAND_TOPIC: Final = "Robotiq3FGripper/OutputRegisters"
 _MESSAGES: Final = {

@@ -12,8 +12,6 @@ from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.push import PushSettings
 from push_ident.pushing.push_request import ExecutionSettings, WatchLimits
 
-__all__ = ["PARAMETERS", "execution_settings"]
-
 T = TypeVar("T")
 
 _OTHER_NAMES: Final = {

@@ -39,8 +39,6 @@ from push_ident.pushing.push_request import Mode, PushOutcome, PushRequest
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushCorrection, PushRecord
 
-__all__ = ["PARAMETERS", "PushExecutorNode", "main"]
-
 
 class _NodeClock:
     """`pushing.ports.Clock` of a node."""

@@ -27,8 +27,6 @@ from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.messages import message_class
 from push_ident.nodes.recording.recording_port import RECORDING
 
-__all__ = ["PARAMETERS", "BagPlayerNode", "live_object_id", "main"]
-
 # A subscriber that also keeps all holds the player back until it has room: nothing is lost, however fast the bag is played.
 _RELIABLE: Final = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED_ROLES: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.TF_STATIC, Role.CAMERA_ACCURACY})

@@ -24,9 +24,6 @@ from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.messages import message_class
 from push_ident.nodes.recording.recording_port import RECORDING, RECORDING_TOPIC, REPEATED
 
-__all__ = ["PARAMETERS", "BagRecorderNode", "main"]
-
-
 PARAMETERS: Final = (
     Parameter("bag", "", "Bag to write: a new folder", read_only=True),
     Parameter("numbered", False, "Where `bag` exists, record to the first of bag_2, bag_3, ... that does not", read_only=True),

@@ -12,8 +12,6 @@ from rclpy.node import Node
 
 from push_ident.nodes.base.cell_node import LATCHED
 
-__all__ = ["RECORDING", "RECORDING_TOPIC", "REPEATED", "RecordingPort", "RecordingSettings"]
-
 
 @dataclass(frozen=True, slots=True)
 class RecordingSettings:

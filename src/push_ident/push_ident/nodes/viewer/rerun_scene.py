@@ -22,8 +22,6 @@ from push_ident.nodes.viewer.rerun_server import RerunServer
 from push_ident.nodes.viewer.settings import VIEWER
 from push_ident.types import CameraIntrinsics, Float64Array
 
-__all__ = ["CellMap", "RerunScene"]
-
 _OBSERVED, _PREDICTED, _EXPECTED, _UNIFORM, _TOOL, _NEXT, _GOAL = (
     [0, 158, 115],
     [213, 94, 0],

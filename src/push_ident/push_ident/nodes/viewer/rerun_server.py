@@ -24,8 +24,6 @@ from push_ident.errors import InputError
 from push_ident.limits import plain_text
 from push_ident.nodes.viewer.settings import VIEWER
 
-__all__ = ["PageServer", "RerunServer"]
-
 _HOST: Final = re.compile(r"(?P<host>[A-Za-z0-9.\-]{1,253}|\[[0-9A-Fa-f:.]{2,45}\])(?::\d{1,5})?")
 """Host and port as a browser asks for them; of anything else nothing is repeated in the answer."""
 _PASSED_ON: Final = ("Content-Type", "Content-Length", "Content-Encoding", "Last-Modified", "ETag", "Cache-Control")

@@ -39,8 +39,6 @@ from push_ident.perception.frame.view import height_inside, points_in_table
 from push_ident.types import DepthFrame, Float64Array
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction, PushScore
 
-__all__ = ["PARAMETERS", "ViewerNode", "main"]
-
 PARAMETERS: Final = (
     Parameter(
         "output",
