@@ -210,11 +210,6 @@ class _Prepared:
     """Start, tangent, normal, length and openness of each, with axes for variants and frames."""
 
 
-def never_late() -> bool:
-    """No deadline."""
-    return False
-
-
 class CurvedPushes:
     """Simulates and optimises pushes of one object along one path.
 
@@ -338,7 +333,7 @@ class CurvedPushes:
         starts: Sequence[PushStart],
         first: Float64Array,
         n_iterations: int,
-        is_late: Callable[[], bool] = never_late,
+        is_late: Callable[[], bool] = lambda: False,
     ) -> tuple[Float64Array, RolledPushes]:
         """Better unknowns, shape (n_starts, N_SEGMENTS, 2), and what they do (one variant).
 

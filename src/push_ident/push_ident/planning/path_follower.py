@@ -20,7 +20,7 @@ import numpy as np
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchClock, BatchModel, ModelBatch
 from push_ident.physics.effect_values import driven_path
-from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Face, Horizon, PushStart, face_of, never_late
+from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Face, Horizon, PushStart, face_of
 from push_ident.planning.path_goal import PathGoal
 from push_ident.pushing.push import PushSettings
 from push_ident.pushing.tool_path import Corridor
@@ -239,7 +239,7 @@ class PathFollower:
         model, radius = self._weights.best(1), self._settings.pusher_radius
         self._tracker = ContactTracker(model, radius, compose(self._camera_in_arm, pose), covariance)
 
-    def correct(self, time: float, pose: Float64Array, covariance: Float64Array, is_late: Callable[[], bool] = never_late) -> Correction:
+    def correct(self, time: float, pose: Float64Array, covariance: Float64Array, is_late: Callable[[], bool] = lambda: False) -> Correction:
         """The motion from a frame on.
 
         Args:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -155,9 +155,6 @@ class Comparison(Sequence[PredictedPush]):
 
     def __getitem__(self, index: int) -> PredictedPush:  # type: ignore[override]
         return self.pushes[index]
-
-    def __iter__(self) -> Iterator[PredictedPush]:
-        return iter(self.pushes)
 
     @property
     def mean_cell_error(self) -> float:

@@ -101,7 +101,10 @@ class Explanation:
     @property
     def contradiction(self) -> str:
         """Why these pushes cannot be explained by any maps: impossible contacts, or ends no better predicted than by "it does not move"."""
-        return self._impossible_contacts() or (self._missed() if self._is_no_better_than_rest else "")
+        if impossible := self._impossible_contacts():
+            return impossible
+        moved = any(push.moved for push in self.pushes)
+        return self._missed() if moved and np.mean(self._all("error")) >= np.mean(self._all("motion")) else ""
 
     @property
     def failure(self) -> str:
@@ -141,11 +144,6 @@ class Explanation:
             "it are missed by more than half of their motion. Likely causes: poses of another object or in wrong order, poses and pusher "
             "in different frames or units, clocks that differ, an outline or a pusher radius of another size. Look at one push in a viewer."
         )
-
-    @property
-    def _is_no_better_than_rest(self) -> bool:
-        """Whether objects moved, and "it does not move" predicts as well as the fit."""
-        return any(push.moved for push in self.pushes) and bool(np.mean(self._all("error")) >= np.mean(self._all("motion")))
 
     def _impossible_contacts(self) -> str:
         if not self.pushes:

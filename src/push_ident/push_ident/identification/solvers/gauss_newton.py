@@ -224,8 +224,9 @@ class _Candidates:
         self._set_inflation(1.0)
         for remaining in reversed(range(noise_rounds)):
             self.fits, self.warm_starts, earlier = [], [], self.warm_starts or self._task.warm_starts
-            for name, candidate in zip(STARTS, self._maps_from_all_starts(earlier), strict=True):
-                self._keep_maps(name, candidate)
+            for candidate in self._maps_from_all_starts(earlier):
+                if candidate is not None:
+                    self._keep_maps(candidate)
             if remaining == 0 or not self.fits or not self._noise_is_open or not self._set_inflation(self._expected_inflation):
                 break
 
@@ -254,11 +255,8 @@ class _Candidates:
             start[: len(warm.x)], prior = warm.x, warm.prior
         return fit_by_evidence(name, unknowns, partial(self._problem, meter=meter), prior, start, self._task.options.max_iterations)
 
-    def _keep_maps(self, name: str, candidate: EvidenceFit | None) -> None:
-        task, unknowns = self._task, self._unknowns
-        if candidate is None:
-            return
-        fit = candidate.fit
+    def _keep_maps(self, candidate: EvidenceFit) -> None:
+        task, unknowns, fit, name = self._task, self._unknowns, candidate.fit, candidate.name
         self.is_complete &= candidate.is_complete or not task.meter.spent
         self.fits.append(_Entry(name, unknowns, candidate.log_evidence, candidate.prior, fit, candidate.z, candidate.covariance))
         self.warm_starts.append(WarmStart(name, np.concatenate([candidate.z, fit.x[unknowns.size :]]), candidate.prior))

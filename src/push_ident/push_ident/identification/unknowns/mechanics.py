@@ -89,7 +89,7 @@ def mechanics_at(spec: UnknownsSpec, z: Float64Array) -> Mechanics:
     arms = spec.shape.cells.centres - body.centre
     moment = np.sum(arms**2, axis=1) + spec.shape.cells.size**2 / 6
     effects, d_values, mass_factor = effects_at(spec, z), effect_values_at(spec, z)[1], _mass_factor(spec, z)
-    d_mass, d_friction = _log_derivatives(spec, z, model)
+    d_mass, d_friction = log_derivatives_at(spec, z, model)
     shown = np.array([not effect.needs_forces for effect in spec.effects.effects for _ in effect.parameters], dtype=bool)
     n_cells, n_values = len(weight), int(np.sum(shown))
     derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values, spec.size))
@@ -123,13 +123,9 @@ def uniform_model(shape: ObjectShape, prior: Prior | None = None) -> ObjectModel
     return model_at(spec, np.zeros(spec.size))
 
 
-def log_derivatives_at(spec: UnknownsSpec, z: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """d log(mass of each cell) / dz and d log(friction of each cell) / dz at `z`, each shape (n_cells, size)."""
-    return _log_derivatives(spec, z, model_at(spec, z))
-
-
-def _log_derivatives(spec: UnknownsSpec, z: Float64Array, model: ObjectModel) -> tuple[Float64Array, Float64Array]:
-    prior, at = spec.prior, spec.slices
+def log_derivatives_at(spec: UnknownsSpec, z: Float64Array, model: ObjectModel | None = None) -> tuple[Float64Array, Float64Array]:
+    """d log(mass of each cell) / dz and d log(friction of each cell) / dz at `z`, each shape (n_cells, size); `model` is that of `z`."""
+    prior, at, model = spec.prior, spec.slices, model or model_at(spec, z)
     d_mass = np.zeros((len(model.mass), spec.size))
     d_friction = np.zeros_like(d_mass)
     # Of the weights w_i = softmax(a): only differences count.
