@@ -248,19 +248,16 @@ def test_reasons_are_given_when_nothing_comes_out():
         observe_offline([render([], stamp=0.1 * i) for i in range(2)], CAMERA)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "text"),
-    [
+def test_settings_that_contradict_each_other_are_refused():
+    for wrong, why in (
         ({"workspace_low": (0.1, 0.1), "workspace_high": (0.0, 0.2)}, "low must be below high"),
         ({"min_object_height": 0.6}, "0 < min < max"),
         ({"tool_reach": (0.09, 0.01)}, "tool_reach"),
         ({"min_step": 0.0}, "min_step"),
         ({"rest_frames": 0}, "at least 1"),
-    ],
-)
-def test_settings_that_contradict_each_other_are_refused(wrong, text):
-    with pytest.raises(InputError, match=text):
-        PerceptionSettings(**wrong)
+    ):
+        with pytest.raises(InputError, match=why):
+            PerceptionSettings(**wrong)
 
 
 HAMMER_AT = np.array([0.1, 0.1, 0.4])

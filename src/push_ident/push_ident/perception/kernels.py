@@ -2,9 +2,7 @@
 
 Each kernel declares its argument types. Numba therefore compiles it, or reads it from its cache, when this module is imported: a node
 that subscribes never waits for the compiler. A kernel and what it calls stay in one file, because numba's cache detects changes of a
-kernel's own file only. The loops stay whole: numba compiles each kernel for one set of types, and splitting the loops would cost speed.
-First come those of every frame, then those that divide pixels into surfaces and trace objects; each of these gives the same result as the
-operations on whole arrays that it replaces, to the last bit.
+kernel's own file only. The loops stay whole: splitting them would cost speed.
 """
 
 from __future__ import annotations

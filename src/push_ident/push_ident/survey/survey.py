@@ -209,7 +209,7 @@ def _agreed(given: Float64Array | None, fitted: Float64Array, noise: float) -> t
         return fitted, False, wrong
     slope = (float(-normal[0] / normal[2]), float(-normal[1] / normal[2]))
     note = f"the plane corrects the given pose of the camera by {np.degrees(tilt):.2f} degrees and {abs(offset) * 1e3:.1f} mm"
-    return TablePlane(slope, offset, noise, 0).correct(given), True, note
+    return TablePlane(slope, offset, noise).correct(given), True, note
 
 
 def _least_height(bands: Sequence[NoiseBand], noise: float, settings: PerceptionSettings, step: float = 5e-4) -> float:

@@ -30,7 +30,6 @@ class TablePlane:
     """[m]"""
     noise: float
     """Standard deviation of the heights of single points about the plane [m]."""
-    n_points: int
 
     @property
     def least_height(self) -> float:
@@ -110,7 +109,7 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
             f"{under:.0%} of the points in the workspace lie more than {accepted.under * 1e3:.0f} mm under the table, expected at most "
             f"{accepted.max_share_under:.0%}: a reflection, or the rim of a bin taken for the table; check extrinsics and workspace."
         )
-    return TablePlane((float(plane[0]), float(plane[1])), float(plane[2]), max(noise, 1e-4), int(np.count_nonzero(inliers)))
+    return TablePlane((float(plane[0]), float(plane[1])), float(plane[2]), max(noise, 1e-4))
 
 
 def _best_random_plane(points: Float64Array, max_tilt: float) -> Float64Array:
@@ -191,7 +190,7 @@ class TableCamera:
             if anew.difference(plane, self.settings) <= self.settings.table.moved:
                 raise
             return anew
-        if moved.difference(TablePlane((0.0, 0.0), 0.0, 0.0, 0), self.settings) > self.settings.table.moved:
+        if moved.difference(TablePlane((0.0, 0.0), 0.0, 0.0), self.settings) > self.settings.table.moved:
             return fit_table(points_in_table(view.frame, self._extrinsics), self.settings)
         return replace(plane, noise=moved.noise) if moved.noise < self.settings.table.calmer * plane.noise else plane
 
