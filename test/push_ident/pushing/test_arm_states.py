@@ -1,6 +1,8 @@
-"""What joint states tell: where an arm can have gone, what its clock is between them, and how far it is from its path."""
+"""What arm and hand report: where an arm can have gone, its clock between states, how far it is from its path, when a hand is a fist."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from push_ident.errors import InputError
 from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.arm_motion import nearest_on_path
+from push_ident.pushing.hand import HandState
 from push_ident.pushing.state_intake import StateCheck
 
 # --- which states are believed
@@ -100,3 +103,25 @@ def test_nearest_point_of_a_path(point: tuple[float, float, float], distance: fl
     corner = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 2.0, 0.0]])
     assert nearest_on_path(corner, np.array(point)) == pytest.approx((distance, index))
     assert nearest_on_path(corner[1:2], np.array([1.0, 0.0, 2.0])) == (2.0, 0.0), "a single point is a path"
+
+
+FIST = HandState(activated=True, mode=0, going=True, readiness=3, motion=2, fault=0, request=255)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({}, ""),
+        ({"motion": 3}, ""),
+        ({"motion": 0}, "moving"),
+        ({"fault": 0x0D}, "0x0D"),
+        ({"activated": False}, "not activated"),
+        ({"readiness": 1}, "not activated"),
+        ({"mode": 1}, "mode 1"),
+        ({"request": 120}, "open"),
+        ({"going": False}, "open"),
+    ],
+)
+def test_hand_is_a_fist_only_when_closed_still_and_without_fault(change: dict[str, int], text: str) -> None:
+    reason = replace(FIST, **change).why_no_fist
+    assert text in reason and bool(reason) == bool(text)
