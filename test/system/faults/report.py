@@ -91,10 +91,10 @@ def _page(content: dict[str, Any]) -> str:
         f"{content['passed']} held, {content['failed']} did not, {content['skipped']} could not be injected; "
         f"{content['time_s'] / 60:.0f} minutes on {machine['processor']}, {machine['cores']} cores."
     )
-    lines = ["| # | fault | expected | time to hold [ms] |", "|---|---|---|---|"]
+    lines = ["row | fault | expected | time to hold [ms]", "---|---|---|---"]
     for row in rows:
         cells = (str(row["number"]), row["fault"], row["expected"], _time(row))
-        lines.append("| " + " | ".join(_escaped(cell) for cell in cells) + " |")
+        lines.append(" | ".join(_escaped(cell) for cell in cells))
     if failed := [row for row in rows if row["result"] != "passed"]:
         lines += ["", "## What did not hold, or was not injected", ""]
         lines += [f"- **{row['number']} {row['name']}** ({row['result']}): {_escaped('; '.join(row['reasons']))}" for row in failed]

@@ -225,9 +225,9 @@ STUDY = Benchmark(
     name="engine",
     title="The compiled engine",
     question=(
-        f"A square plate, {_N_PUSHES} random pushes of 1 s in 240 steps; per push, median (quartiles). The gradient is that of a "
-        "loss of 31 poses with respect to mass and friction of every cell, by the adjoint method, its error that against central "
-        "differences; the Jacobian that of the poses."
+        f"A square plate, {_N_PUSHES} random pushes of 1 s in 240 steps; per push, median (quartiles). Gradient: of a loss of 31 "
+        "poses by mass and friction of every cell, by the adjoint method, its error against central differences; Jacobian: of the "
+        "poses."
     ),
     pieces=_pieces,
     summarise=_summarise,

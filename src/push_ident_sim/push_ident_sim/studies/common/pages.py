@@ -41,8 +41,8 @@ _PUSHES: Final = """
 """
 _BENCHMARKS: Final = """# Benchmarks
 
-`make bench` makes this page. Every piece is measured in a fresh process with one thread; calls that are compared take turns. Times are
-processor seconds, medians with their quartiles, unless the wall clock is named.
+`make bench` makes this page. Each piece has a fresh process with one thread; calls that are compared take turns. Times are processor
+seconds, medians with quartiles, unless the wall clock is named.
 """
 
 
