@@ -41,8 +41,6 @@ from push_ident.physics.simulation import SimulationSettings, Timeline
 from push_ident.physics.tape import Param
 from push_ident.types import Float64Array, PushRecord, SolveStatus
 
-__all__ = ["Account", "AccountPart", "ExpectedErrors", "account_of", "expected_errors"]
-
 _UNEXPLAINED: Final = "unexplained"
 
 

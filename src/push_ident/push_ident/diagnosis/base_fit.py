@@ -17,8 +17,6 @@ from push_ident.identification.observing.observation import NoiseModel
 from push_ident.identification.results.explanation import explain
 from push_ident.types import SolveStatus
 
-__all__ = ["check_fit", "fit_base_model", "noise_above_steps", "step_effect"]
-
 
 def fit_base_model(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     """The stage: the base fit and its gates.

@@ -21,10 +21,6 @@ from push_ident.identification.observing.observation import NoiseModel
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS
 from push_ident.types import ObjectShape
 
-__all__ = [
-    "OUTLINE_ERRORS", "POSE_ERRORS", "camera_is_in_question", "camera_settings", "outlier_pushes", "question_camera", "set_outliers_aside",
-]  # fmt: skip
-
 OUTLINE_ERRORS: Final = tuple(name for name in CAMERA_ERRORS if EFFECTS[name].moves_outline)
 """Camera errors that displace the outline."""
 POSE_ERRORS: Final = tuple(name for name in CAMERA_ERRORS if not EFFECTS[name].moves_outline)

@@ -18,8 +18,6 @@ from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array
 
-__all__ = ["confusion_sets", "decide", "found_effects", "verdict_of"]
-
 
 def decide(state: DiagnosisState) -> DiagnosisState:
     """The stage: from what held-out pushes confirmed to a verdict."""

@@ -21,8 +21,6 @@ from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PushRecord
 
-__all__ = ["diagnose"]
-
 
 def diagnose(
     records: Sequence[PushRecord],

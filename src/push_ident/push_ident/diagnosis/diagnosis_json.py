@@ -17,8 +17,6 @@ from push_ident.diagnosis.something_else.evidence import SomethingElse
 from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 
-__all__ = ["to_json"]
-
 Json = dict[str, Any]
 _PARTS = {"noise_m": "noise", "maps_m": "maps", "model_m": "model", "unexplained_m": "unexplained"}
 """Keys of the parts of an account that every diagnosis has."""

@@ -10,8 +10,6 @@ import numpy as np
 from push_ident.identification.fitting.fit import Fit
 from push_ident.types import Float64Array, PushRecord
 
-__all__ = ["EarlierFits"]
-
 _Key = tuple[tuple[str, ...], frozenset[int]]
 """Names of the effects of a fit, and the numbers of the pushes that it does not use."""
 

@@ -16,8 +16,6 @@ from push_ident.diagnosis.verdict import Verdict
 from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.pushing.push import PushSettings
 
-__all__ = ["explain"]
-
 _ANYWHERE = (-1.0, 1.0, -1.0, 1.0)
 """Workspace of a proposed push where the caller gave no limits [m]."""
 

@@ -18,8 +18,6 @@ from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.effects import EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array, PushRecord
 
-__all__ = ["BASE_WITH_FORCES", "fit_base", "fit_effects", "polished", "with_another", "without_pushes"]
-
 BASE_WITH_FORCES: Final = tuple(name for name in FORCE_CAUSES if EFFECTS[name].delays_forces)
 """Effects that belong to the base model where forces are measured: contacts that give delay them, and nothing is wrong."""
 

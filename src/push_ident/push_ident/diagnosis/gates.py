@@ -22,8 +22,6 @@ from push_ident.identification.observing.observation import (
 )  # fmt: skip
 from push_ident.types import BoolArray, PushRecord
 
-__all__ = ["check_data", "check_pushes"]
-
 
 def check_pushes(state: DiagnosisState) -> DiagnosisState:
     """The stage: gates of the data; pushes without contact are left out, and the noise is as correlated as frames at rest show.

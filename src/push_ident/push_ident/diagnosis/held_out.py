@@ -18,8 +18,6 @@ from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
 
-__all__ = ["Gap", "HeldOutFits", "folds_of", "measure_gap", "noise_errors"]
-
 
 @dataclass(frozen=True, slots=True)
 class Gap:

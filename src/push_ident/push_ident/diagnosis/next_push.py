@@ -31,10 +31,6 @@ from push_ident.physics.simulation import SimulationSettings
 from push_ident.pushing.push import PUSH_ACCELERATION, PushSettings
 from push_ident.types import Float64Array, ObjectShape, PoseTrack, SolveStatus
 
-__all__ = [
-    "NO_EFFECT", "SeparatingPush", "check_without_a_push", "competing_explanations", "most_informative_push", "separating_push", "without",
-]  # fmt: skip
-
 NO_EFFECT = "no effect"
 """Name of the explanation that no effect is missing."""
 

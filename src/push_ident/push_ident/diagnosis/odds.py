@@ -25,8 +25,6 @@ from push_ident.diagnosis.something_else.evidence import SomethingElse
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 
-__all__ = ["SOMETHING_ELSE", "Explanation", "OutsideEvidence", "Probabilities", "explanations_of", "is_outside", "probabilities_of"]
-
 SOMETHING_ELSE = "something_else"
 """Name of a cause outside the catalogue among those of effects."""
 

@@ -22,11 +22,6 @@ from dataclasses import asdict, dataclass, field, replace
 
 from push_ident.physics.effects import CAUSES
 
-__all__ = [
-    "AccountPolicy", "CameraPolicy", "DecisionPolicy", "GatePolicy", "NextPushPolicy", "ResidualPolicy", "SelectionPolicy",
-    "UnknownPolicy", "ValidationPolicy",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, slots=True)
 class GatePolicy:

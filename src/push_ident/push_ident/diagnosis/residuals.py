@@ -27,11 +27,6 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = [
-    "N_SECTORS", "PHASES", "FrameResiduals", "ResidualGroup", "correlation_in_motion", "draw_noise", "group_residuals",
-    "standardized_residuals",
-]  # fmt: skip
-
 PHASES = ("contact", "steady", "stop", "rest")
 """Of a push, in the order of `FrameResiduals.phase`."""
 N_SECTORS = 8

@@ -21,8 +21,6 @@ from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.pages.tables import html_table
 
-__all__ = ["Diagnosis"]
-
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:

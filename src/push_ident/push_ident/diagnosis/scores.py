@@ -19,8 +19,6 @@ from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array
 
-__all__ = ["EffectInformation", "EffectScore", "clipped_start", "effect_information", "score_effects"]
-
 
 @dataclass(frozen=True, slots=True)
 class EffectScore:

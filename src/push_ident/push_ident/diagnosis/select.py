@@ -22,8 +22,6 @@ from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import SolveStatus
 
-__all__ = ["check_outline", "choose_refits", "required_log_bayes_factor", "select", "select_effects"]
-
 
 def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     """The stage: effects beside the base model, and the gate of a traced outline beside them."""

@@ -12,8 +12,6 @@ from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
 
-__all__ = ["Candidate", "RivalFit", "Selection", "Step"]
-
 
 @dataclass(frozen=True, slots=True)
 class Candidate:

@@ -10,8 +10,6 @@ from push_ident.identification.observing.observation import NoiseModel
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.simulation import SimulationSettings
 
-__all__ = ["DiagnosisSettings", "Progress"]
-
 Progress = Callable[[str], None]
 """Called with what is under way."""
 

@@ -16,8 +16,6 @@ from push_ident.diagnosis.verdict import FoundEffect, Gate, Verdict
 from push_ident.identification.fitting.fit import Fit
 from push_ident.types import PushRecord
 
-__all__ = ["Decision", "DiagnosisState", "UnsupportedEffect", "Validation"]
-
 
 @dataclass(frozen=True, slots=True)
 class UnsupportedEffect:

@@ -13,8 +13,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Lock
 from typing import Final, TypeVar
 
-__all__ = ["map_in_threads"]
-
 _MAX_THREADS: Final = 4
 """Between kernels, threads wait for each other, so that more bring nothing."""
 

@@ -22,8 +22,6 @@ from push_ident.limits import LIMITS, plain_text
 from push_ident.physics.effect import OnPusherFriction
 from push_ident.physics.effects import EFFECTS
 
-__all__ = ["UsableEffects", "usable_effects", "usable_effects_of_file", "usable_effects_of_text"]
-
 _NAMING: Final = ("named", "one_of", "several")
 """Verdicts that name what acts; `diagnosis.verdict.Verdict`."""
 _NOTHING: Final = "no_gap"

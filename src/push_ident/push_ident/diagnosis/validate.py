@@ -19,8 +19,6 @@ from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Valida
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.fit import Fit
 
-__all__ = ["failed_tests", "supported_selection", "validate"]
-
 _Structure = tuple[FrameResiduals, SomethingElse | None]
 """Residuals of a fit, and structure in them."""
 

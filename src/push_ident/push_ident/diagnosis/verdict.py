@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-__all__ = ["FoundEffect", "Gate", "Verdict"]
-
 
 class Verdict(Enum):
     """The conclusion; the values are those of the JSON contract."""

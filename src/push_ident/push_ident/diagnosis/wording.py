@@ -15,12 +15,6 @@ from push_ident.diagnosis.verdict import FoundEffect
 from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 
-__all__ = [
-    "describe_push", "detectable_size", "in_mm", "sentence_of_doubt", "sentence_of_effects", "sentence_of_more_pushes",
-    "sentence_of_negligible", "sentence_of_nothing", "sentence_of_outliers", "sentence_of_suspicion", "sentence_of_unknown",
-    "sentence_of_unsupported", "size_of",
-]  # fmt: skip
-
 _SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°"), "s": (1e3, "ms")}
 """Everyday units of an effect's size, with their factor."""
 

@@ -13,8 +13,6 @@ from push_ident.geometry.frames import TABLE_FRAME
 from push_ident.geometry.rod import Rod
 from push_ident.types import Float64Array
 
-__all__ = ["ArmShape"]
-
 
 class ArmShape:
     """All solids of a URDF whose root link is `table`, placed by joint positions.

@@ -7,8 +7,6 @@ import numpy as np
 from push_ident.geometry.se2 import rotation, transform_points
 from push_ident.types import CellGrid, Float64Array
 
-__all__ = ["cell_displacement", "cell_error", "cell_error_std", "cell_errors"]
-
 
 def cell_error(cells: CellGrid, pose_a_in_table: Float64Array, pose_b_in_table: Float64Array) -> float:
     """Mean over the cells of the distance between their centres at two poses [m]."""

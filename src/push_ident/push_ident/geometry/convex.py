@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 from push_ident.errors import InputError
 from push_ident.types import Float64Array
 
-__all__ = ["convex_pieces"]
-
 
 def convex_pieces(polygon: ArrayLike) -> list[Float64Array]:
     """Convex polygons without overlap whose union is `polygon`.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["CAMERA_FRAME", "TABLE_FRAME", "object_frame"]
-
 TABLE_FRAME: Final = "table"
 CAMERA_FRAME: Final = "camera_depth_optical_frame"
 

@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike
 from push_ident.errors import InputError
 from push_ident.types import Float64Array
 
-__all__ = ["TOOL_DOWN", "ArmKinematics"]
-
 TOOL_DOWN = np.array([0.0, 0.0, -1.0])
 """Direction of the tool's z axis when it points at the table, root frame."""
 TOOL_DOWN.setflags(write=False)

@@ -16,11 +16,6 @@ from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
 from push_ident.types import BoolArray, CellGrid, Float64Array
 
-__all__ = [
-    "cells_in_outline", "edge_normals", "outline_distance", "outline_of_cells", "points_in_polygon", "polygon_area", "polygon_centroid",
-    "signed_distance",
-]  # fmt: skip
-
 _Corner = tuple[int, int]
 
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from push_ident.types import Float64Array
 
-__all__ = ["Rod"]
-
 
 @dataclass(frozen=True, slots=True)
 class Rod:

@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike
 
 from push_ident.types import Float64Array
 
-__all__ = ["compose", "inverse", "quaternion_of_yaw", "rotation", "transform_points", "wrap_angle", "yaw_of_quaternion"]
-
 
 def wrap_angle(angle: ArrayLike) -> Float64Array:
     """The same angle [rad] within [-pi, pi), any shape."""

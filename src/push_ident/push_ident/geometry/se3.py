@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 from push_ident.errors import InputError
 from push_ident.types import Float64Array
 
-__all__ = ["pose_of_quaternion", "quaternion_of_pose"]
-
 
 def pose_of_quaternion(position: ArrayLike, quaternion: ArrayLike) -> Float64Array:
     """Pose (4, 4) of a frame at `position` [m], shape (3,), turned by `quaternion` (x, y, z, w).

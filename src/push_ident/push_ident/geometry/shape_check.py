@@ -16,8 +16,6 @@ from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.limits import LIMITS
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["check_pusher_radius", "check_shape", "crossing_edges"]
-
 
 @dataclass(frozen=True, slots=True)
 class ShapeLimits:

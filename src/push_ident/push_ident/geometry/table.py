@@ -9,8 +9,6 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.types import Float64Array
 
-__all__ = ["Table"]
-
 
 @dataclass(frozen=True, slots=True)
 class Table:

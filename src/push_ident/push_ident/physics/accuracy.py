@@ -21,8 +21,6 @@ import numpy as np
 from push_ident.physics.simulation import DEFAULT_STEP, SimulationSettings
 from push_ident.types import Float64Array
 
-__all__ = ["MAX_LEVEL", "SHARE", "StepChoice", "choose_steps", "halved", "quick_steps", "step_error"]
-
 SHARE: Final = 0.1
 """Largest effect of halving the steps on the last pose, in standard deviations of its noise [-]: it adds 1 % to a squared residual."""
 MAX_LEVEL: Final = 7

@@ -26,8 +26,6 @@ from push_ident.physics.effect_values import EffectValues
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["N_FIXED_INPUTS", "N_SUMS", "ActiveEffects", "Input", "InputIndices", "active_effects"]
-
 
 class Input(IntEnum):
     """Inputs of the effects by their index, see above."""

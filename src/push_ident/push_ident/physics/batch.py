@@ -32,8 +32,6 @@ from push_ident.physics.simulation import SimulationSettings
 from push_ident.physics.tape import Frames, Tape, new_tape
 from push_ident.types import Float64Array, ObjectShape, PusherPath
 
-__all__ = ["BatchClock", "BatchModel", "BatchPush", "ModelBatch", "rollouts"]
-
 
 class BatchModel(NamedTuple):
     """A model of the object."""

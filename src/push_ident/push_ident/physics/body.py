@@ -16,8 +16,6 @@ from push_ident.physics.support import GRAVITY
 from push_ident.physics.tape import Param
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["BodyParameters", "body_of_cells", "cell_gradient", "check_body", "owned"]
-
 
 @dataclass(frozen=True, slots=True)
 class BodyParameters:

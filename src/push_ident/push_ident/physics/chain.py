@@ -22,8 +22,6 @@ from push_ident.physics.support import Cone, unit_friction
 from push_ident.physics.tape import N_BODY_PARAMETERS, Block, Event, Frames, Param, Tape
 from push_ident.types import Float64Array
 
-__all__ = ["Chain", "chain_backward", "chain_forward", "chain_response"]
-
 
 class Chain(NamedTuple):
     """A rollout, ready to be differentiated."""

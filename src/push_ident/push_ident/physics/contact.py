@@ -22,8 +22,6 @@ from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import MAX_CONTACTS
 from push_ident.types import Float64Array
 
-__all__ = ["MAX_DISC_CONTACTS", "PARALLEL", "REACH", "Field", "Kind", "count_inside", "find_contacts", "max_candidates"]
-
 
 class Field(IntEnum):
     """First column of each field of a contact."""

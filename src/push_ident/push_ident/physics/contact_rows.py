@@ -15,11 +15,6 @@ from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import MAX_CONTACTS, Row, StepGeometry
 from push_ident.types import Float64Array
 
-__all__ = [
-    "RECOVERY_SPEED", "ContactEffects", "Rebound", "RelativeChange", "RelativePusher", "add_rebound", "contact_rows", "contact_rows_seed",
-    "new_relative_pusher", "shift_surface",
-]  # fmt: skip
-
 RECOVERY_SPEED = 0.02
 """Greatest speed at which an overlap closes [m/s]. Noisy poses cause overlaps; closing one within a step would throw the object."""
 

@@ -21,12 +21,6 @@ from numpy.typing import NDArray
 
 from push_ident.errors import InputError
 
-__all__ = [
-    "MAPS", "MAX_LOAD_NUMBERS", "STEP_OF_INPUT", "STILL", "Body", "Cell", "ComplexArray", "Effect", "EffectParameter", "Equation",
-    "ExportAs", "Law", "Load", "Memory", "OnContact", "OnForceTimes", "OnForces", "OnPoses", "OnPusherFriction", "OnPusherPath",
-    "OnTable", "OnTimes", "Rival", "analytic_exp", "analytic_log", "analytic_sqrt", "equation", "unit_direction",
-]  # fmt: skip
-
 ComplexArray = NDArray[np.complex128]
 Equation = Callable[..., Any]
 

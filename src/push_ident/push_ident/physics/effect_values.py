@@ -26,11 +26,6 @@ from push_ident.physics.effect import (
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array
 
-__all__ = [
-    "NO_EFFECTS", "EffectValues", "EffectsLike", "changed_friction", "driven_path", "effect_values", "measurement_times",
-    "reported_poses", "true_pose",
-]  # fmt: skip
-
 ComplexArray = NDArray[np.complex128]
 _IMAGINARY_STEP = STEP_OF_INPUT * 1j
 

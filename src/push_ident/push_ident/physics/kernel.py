@@ -20,8 +20,6 @@ from typing import Any
 
 from numba import config, njit
 
-__all__ = ["VARIABLE", "extra_effect_files", "extra_effect_folders", "fast_kernel", "kernel"]
-
 VARIABLE = "PUSH_IDENT_EFFECTS"
 
 

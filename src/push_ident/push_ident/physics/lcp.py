@@ -37,8 +37,6 @@ from torch.autograd.function import once_differentiable
 
 from push_ident.errors import InputError
 
-__all__ = ["Lcp", "LcpSolution", "LcpStatus", "solve_lcp"]
-
 
 class _Method(NamedTuple):
     """Of the interior-point method and its adjoint; numbers without unit, near the rounding of double precision."""

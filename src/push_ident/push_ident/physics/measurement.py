@@ -18,8 +18,6 @@ from push_ident.physics.effect_values import EffectValues, measurement_times, re
 from push_ident.physics.tape import Frames, Param
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["Measurement", "ReportTimes", "StepClock"]
-
 
 @dataclass(frozen=True, slots=True)
 class StepClock:

@@ -24,11 +24,6 @@ from numpy.typing import NDArray
 from push_ident.physics.kernel import kernel
 from push_ident.types import Float64Array
 
-__all__ = [
-    "MAX_CONTACTS", "Mode", "ModeScratch", "Row", "StepContacts", "StepGeometry", "drag_sign", "mode_system", "new_mode_scratch",
-    "solve_modes", "solve_small", "tangent_row",
-]  # fmt: skip
-
 MAX_CONTACTS = 5
 _TANGENT = MAX_CONTACTS  # row of the tangent of contact 0
 

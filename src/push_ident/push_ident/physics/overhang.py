@@ -23,8 +23,6 @@ from push_ident.errors import InputError
 from push_ident.physics.kernel import kernel
 from push_ident.types import Float64Array
 
-__all__ = ["Overhang", "TableEdge", "share_loads"]
-
 
 @dataclass(frozen=True, slots=True)
 class TableEdge:

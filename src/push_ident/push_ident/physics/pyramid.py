@@ -28,8 +28,6 @@ from push_ident.physics.step import StepScratch
 from push_ident.physics.support import SupportImpulse
 from push_ident.types import Float64Array
 
-__all__ = ["FINAL_NU", "PyramidScratch", "new_pyramid_scratch", "pyramid_friction", "pyramid_step"]
-
 FINAL_NU = 1e-13
 """Products w z at the end of the central path [m/s]. A sticking cell creeps at most at this speed."""
 

@@ -26,8 +26,6 @@ from push_ident.physics.reference_step import StepProblem, reference_step, rotat
 from push_ident.physics.simulation import GRAVITY, SimulationSettings
 from push_ident.types import BoolArray, Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
 
-__all__ = ["ReferenceModel", "ReferenceMotion", "reference_rollout"]
-
 
 @dataclass(frozen=True, slots=True)
 class ReferenceModel:

@@ -42,8 +42,6 @@ from push_ident.physics.contact import MAX_DISC_CONTACTS
 from push_ident.physics.lcp import Lcp, LcpStatus, solve_lcp
 from push_ident.physics.support import GRAVITY
 
-__all__ = ["StepProblem", "StepResult", "reference_lcp", "reference_step", "rotated", "turned"]
-
 # G has blocks of five rows. Pusher: two normals, two tangents, cone. Cell: the four rows of D, limit.
 _D = torch.tensor([[0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1], [0, 0, 0]], dtype=torch.float64)
 _SUPPORT_BLOCK = torch.tensor([[0, 0, 0, 0, -1]] * 4 + [[1, 1, 1, 1, 0]], dtype=torch.float64)

@@ -39,8 +39,6 @@ from push_ident.physics.table import (
 from push_ident.physics.tape import Event, Frames, Tape
 from push_ident.types import Float64Array
 
-__all__ = ["EffectScratch", "Numerics", "Push", "new_effect_scratch", "rollout"]
-
 
 class Push(NamedTuple):
     """A push, in the arrays that the kernels take."""

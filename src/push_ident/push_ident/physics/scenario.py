@@ -9,8 +9,6 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.types import Float64Array, PusherPath
 
-__all__ = ["PushScenario"]
-
 
 @dataclass(frozen=True, slots=True)
 class PushScenario:

@@ -32,8 +32,6 @@ from push_ident.physics.modes import MAX_CONTACTS, Mode, ModeScratch, Row, StepC
 from push_ident.physics.support import add_skew, support_friction
 from push_ident.types import Float64Array
 
-__all__ = ["StepScratch", "TableForces", "new_step_scratch", "step"]
-
 
 class _Iteration(NamedTuple):
     """When the iteration of a step ends."""

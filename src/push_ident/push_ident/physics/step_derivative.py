@@ -33,8 +33,6 @@ from push_ident.physics.support import SupportImpulse
 from push_ident.physics.tape import Block
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["EffectDrive", "StepBalance", "new_effect_drive", "new_sensitivity_scratch", "step_sensitivity"]
-
 
 class StepBalance(NamedTuple):
     """A solved step; object axes."""

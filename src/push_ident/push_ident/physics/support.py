@@ -18,8 +18,6 @@ from typing import NamedTuple
 from push_ident.physics.kernel import fast_kernel
 from push_ident.types import Float64Array
 
-__all__ = ["GRAVITY", "Cone", "SupportImpulse", "add_skew", "cell_friction", "support_friction", "unit_friction"]
-
 GRAVITY = 9.81
 """[m/s^2]"""
 

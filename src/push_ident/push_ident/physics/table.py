@@ -19,11 +19,6 @@ from push_ident.physics.support import cell_friction
 from push_ident.physics.table_laws import all_loads, all_memories, all_planes, all_pulls, all_skews
 from push_ident.types import Float64Array
 
-__all__ = [
-    "TableScratch", "fill_inputs", "friction_demand", "new_table_scratch", "sum_limits", "table_action", "table_sensitivity",
-    "update_memory",
-]  # fmt: skip
-
 _EVERY_INPUT = -1
 """As the index of the input with the complex step: no input has it, and everything is evaluated."""
 _PADDING = MAX_LOAD_NUMBERS  # inputs behind the last, so that as many can be read from any index

@@ -13,8 +13,6 @@ from push_ident.physics.effect import Body, Cell, Effect, Equation, Load, OnTabl
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array
 
-__all__ = ["all_loads", "all_memories", "all_planes", "all_pulls", "all_skews"]
-
 
 @equation
 def _four(inputs: Any, at: int) -> Any:

@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 from push_ident.physics.active_effects import N_FIXED_INPUTS
 from push_ident.types import Float64Array
 
-__all__ = ["N_BODY_PARAMETERS", "Block", "Event", "Frames", "Param", "Tape", "new_tape"]
-
 
 class Param(IntEnum):
     """First column of each parameter in the derivative of a motion."""

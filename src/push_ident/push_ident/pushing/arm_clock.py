@@ -11,8 +11,6 @@ from push_ident.errors import PlanningError
 from push_ident.pushing.ports import Arm, ArmState, Clock
 from push_ident.pushing.push import PushCode
 
-__all__ = ["ArmClock", "MotionClock"]
-
 
 @dataclass(frozen=True, slots=True)
 class ClockSettings:

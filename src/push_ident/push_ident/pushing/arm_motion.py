@@ -12,8 +12,6 @@ from push_ident.pushing.push import PushCode
 from push_ident.pushing.trajectory import JointTrajectory, cubics
 from push_ident.types import Float64Array
 
-__all__ = ["ArmMotion", "JointLimits", "gentler", "nearest_on_path"]
-
 
 @dataclass(frozen=True, slots=True)
 class JointLimits:

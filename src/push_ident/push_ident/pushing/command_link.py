@@ -20,8 +20,6 @@ from push_ident.pushing.push_request import WatchLimits
 from push_ident.pushing.trajectory import SAMPLE_PERIOD, JointTrajectory
 from push_ident.types import Float64Array
 
-__all__ = ["CommandLink", "Commanded", "TakeOver", "joint_distance", "stand_at"]
-
 
 class Commanded:
     """The motion of an arm by its last command, whatever its states say. At rest between two motions."""

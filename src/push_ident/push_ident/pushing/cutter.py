@@ -29,8 +29,6 @@ from push_ident.errors import InputError
 from push_ident.limits import LIMITS
 from push_ident.types import CameraAccuracy, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 
-__all__ = ["LIVE_CAPACITY", "UNRECORDED", "CutPush", "PushCutter", "PushInterval"]
-
 LIVE_CAPACITY: Final = 20_000
 """Samples of a stream that a live cell keeps: ten minutes at 30 Hz."""
 UNRECORDED: Final = "push without an end record: the executor ended in the middle"

@@ -15,8 +15,6 @@ from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.ports import ArmState, TrackedObject
 from push_ident.types import Float64Array
 
-__all__ = ["ExecutedPush", "Purpose", "RestingPose", "displacement"]
-
 
 @dataclass(slots=True)
 class RestingPose:

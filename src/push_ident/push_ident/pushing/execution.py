@@ -24,9 +24,6 @@ from push_ident.pushing.steering import Steering, ToolCorrection
 from push_ident.pushing.watch import ArmWatch
 from push_ident.types import Float64Array, PusherPath
 
-__all__ = ["PushExecution", "phase_of"]
-
-
 PlanFrom = Callable[[np.ndarray], ArmPlan]
 
 

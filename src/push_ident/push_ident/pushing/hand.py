@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-__all__ = ["BASIC_MODE", "CLOSED", "HandState", "HandMotion"]
-
 CLOSED: Final = 255
 """Position of closed fingers; 0 is open."""
 BASIC_MODE: Final = 0

@@ -16,8 +16,6 @@ from push_ident.pushing.tool_path import Corridor, ToolMotion, ToolPath, rounded
 from push_ident.pushing.trajectory import JointTrajectory, join, joint_move, path_at_speed, path_move, stand_still
 from push_ident.types import Float64Array
 
-__all__ = ["ArmPlan", "MotionSettings", "PathPlan", "joint_limits", "plan_path_push", "plan_push", "plan_retreat"]
-
 
 @dataclass(frozen=True, slots=True)
 class MotionSettings:

@@ -24,8 +24,6 @@ import numpy as np
 from push_ident.pushing.trajectory import SAMPLE_PERIOD, JointTrajectory
 from push_ident.types import Float64Array
 
-__all__ = ["SPLICE", "PathPacing"]
-
 SPLICE: Final = 0.03
 """First point of a piece after its start [s]. The arm reaches it by a cubic from its own present state, which smooths what transport
 adds: a piece that is 1 ms late shifts the path by 1 ms, over this time rather than at once."""

@@ -15,8 +15,6 @@ from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.trajectory import JointTrajectory
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["Arm", "ArmState", "Client", "Clock", "ExecutionPorts", "ForceSensor", "Hand", "Objects", "Phase", "Recorder", "TrackedObject"]
-
 
 @dataclass(frozen=True, slots=True)
 class ArmState:

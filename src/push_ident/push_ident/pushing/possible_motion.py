@@ -24,19 +24,6 @@ from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import inverse, transform_points, wrap_angle
 from push_ident.types import CameraAccuracy, Float64Array, ObjectShape, PusherPath
 
-__all__ = [
-    "UNDERSTATED",
-    "Frames",
-    "PusherTravel",
-    "displacement",
-    "moved_text",
-    "noise_allowance",
-    "pose_std",
-    "stop_time",
-    "travel_in_contact",
-    "why_impossible",
-]
-
 UNDERSTATED: Final = 2.0
 """True standard deviation of a pose over the stated one, at most [1]: what recordings show where nothing checks a pose."""
 

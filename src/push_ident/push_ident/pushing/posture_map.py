@@ -20,8 +20,6 @@ from push_ident.pushing.push import PushCode
 from push_ident.pushing.tool_path import Corridor, ToolMotion
 from push_ident.types import Float64Array
 
-__all__ = ["PostureMap"]
-
 
 @dataclass(frozen=True, slots=True)
 class PostureGrid:

@@ -10,8 +10,6 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.types import Float64Array
 
-__all__ = ["PUSH_ACCELERATION", "PushCode", "PushPlan2D", "PushSettings"]
-
 PUSH_ACCELERATION = 2.0
 """Default acceleration of the tool at both ends of a push [m/s^2]."""
 

@@ -10,8 +10,6 @@ from push_ident.pushing.motion import ArmPlan, MotionSettings
 from push_ident.pushing.push import PushSettings
 from push_ident.pushing.steering import PathRequest
 
-__all__ = ["ExecutionSettings", "Mode", "PushOutcome", "PushRequest", "WatchLimits"]
-
 
 @dataclass(frozen=True, slots=True)
 class WatchLimits:

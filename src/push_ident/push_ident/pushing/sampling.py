@@ -15,8 +15,6 @@ from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.tool_path import ToolPath
 from push_ident.types import Float64Array, ObjectShape
 
-__all__ = ["check_push", "is_near_edge", "push_along_path", "push_from_goal", "recentring_pushes", "sample_push"]
-
 
 def push_from_goal(
     shape: ObjectShape,

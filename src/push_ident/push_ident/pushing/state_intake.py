@@ -14,8 +14,6 @@ from push_ident.errors import InputError
 from push_ident.pushing.ports import ArmState
 from push_ident.types import Float64Array
 
-__all__ = ["StateIntake", "StateCheck"]
-
 
 @dataclass(frozen=True, slots=True)
 class StateLimits:

@@ -23,8 +23,6 @@ from push_ident.pushing.push import PushCode, PushSettings
 from push_ident.pushing.tool_path import Corridor, ToolPath, stopping
 from push_ident.types import Float64Array
 
-__all__ = ["CorrectionFault", "PathRequest", "Steering", "ToolCorrection"]
-
 
 @dataclass(frozen=True, slots=True)
 class CorrectionLimits:

@@ -13,8 +13,6 @@ from push_ident.limits import LIMITS
 from push_ident.pushing.trajectory import SAMPLE_PERIOD
 from push_ident.types import Float64Array
 
-__all__ = ["ToolMotion", "ToolPath", "rounded", "stopping", "Corridor"]
-
 
 @dataclass(frozen=True, slots=True)
 class PathControl:

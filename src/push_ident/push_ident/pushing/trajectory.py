@@ -13,8 +13,6 @@ from push_ident.errors import PlanningError
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array
 
-__all__ = ["JointTrajectory", "cubics", "SAMPLE_PERIOD", "join", "joint_move", "path_at_speed", "path_move", "stand_still"]
-
 SAMPLE_PERIOD: Final = 0.01
 """Time between the samples of a motion, and between looks at a moving arm [s]."""
 _MIN_JERK_SPEED = 1.875

@@ -18,8 +18,6 @@ from push_ident.pushing.push import PushCode
 from push_ident.pushing.push_request import WatchLimits
 from push_ident.types import Float64Array
 
-__all__ = ["ArmWatch", "Tracking"]
-
 
 class Tracking:
     """Compares the states of an arm with the pieces of a motion that it got.

@@ -18,11 +18,6 @@ from push_ident.geometry.se2 import transform_points
 from push_ident.pages.chart import HEAT, Arrow, CellPanel, cell_panel, field_panel, shade, text_on
 from push_ident.types import ObjectShape
 
-__all__ = [
-    "EXAGGERATION", "Bar", "account_bar", "draw_proposal", "draw_residuals", "heat_of_headings", "heat_of_pushes", "ranking_bars",
-    "shrink_bars",
-]  # fmt: skip
-
 EXAGGERATION = 10.0
 """Factor on the residuals that are drawn on the table."""
 

@@ -28,8 +28,6 @@ from push_ident.diagnosis.wording import sentence_of_more_pushes, size_of
 from push_ident.pages.page import write_page
 from push_ident.physics.effects import EFFECTS
 
-__all__ = ["write_report"]
-
 _TITLES = {
     Verdict.NO_GAP: "no gap beyond noise",
     Verdict.NAMED: "the cause is named",

@@ -33,8 +33,6 @@ from push_ident.geometry.cells import cell_displacement
 from push_ident.identification.fitting.fit import Fit
 from push_ident.types import BoolArray, Float64Array
 
-__all__ = ["Pattern", "SomethingElse", "error_with_patterns", "find_something_else"]
-
 
 @dataclass(frozen=True, slots=True)
 class Pattern:

@@ -11,8 +11,6 @@ import numpy as np
 
 from push_ident.types import Float64Array
 
-__all__ = ["Acts", "Family", "Member", "Rows", "VariesWith", "all_of", "from_push", "one_push", "parts", "separate", "shared", "singles"]
-
 Rows = tuple[Float64Array, Float64Array]
 """Rows of the poses and of the measured forces of one push, weighted as in the cost, shapes (3 n_frames, n) and (2 n_windows, n)."""
 

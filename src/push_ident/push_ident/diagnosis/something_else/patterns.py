@@ -38,8 +38,6 @@ from push_ident.physics.effect import STILL
 from push_ident.physics.simulation import Motion, StepResponse
 from push_ident.types import Float64Array
 
-__all__ = ["PATTERNS", "PatternSettings", "pattern_families", "waves"]
-
 
 @dataclass(frozen=True, slots=True)
 class PatternSettings:

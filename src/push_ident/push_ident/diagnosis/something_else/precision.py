@@ -22,8 +22,6 @@ import numpy as np
 
 from push_ident.types import Float64Array
 
-__all__ = ["AmplitudePrecision"]
-
 
 @dataclass(frozen=True, slots=True)
 class AmplitudePrecision:

@@ -13,8 +13,6 @@ from push_ident.diagnosis.something_else.family import Acts, VariesWith
 from push_ident.diagnosis.something_else.patterns import PATTERNS, waves
 from push_ident.types import Float64Array
 
-__all__ = ["PatternWords", "describe_pattern"]
-
 _LOOK_FOR: Final = {
     (Acts.FRICTION, VariesWith.POINT): "another surface, a film or dirt at that place of the table",
     (Acts.FRICTION, VariesWith.POSITION): "parts of the table with another surface, a film or dirt",

@@ -6,8 +6,6 @@ import numpy as np
 
 from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPoses, Rival
 
-__all__ = ["EFFECT"]
-
 
 def _reported(values: ComplexArray, pose: ComplexArray) -> ComplexArray:
     angle = values[0]

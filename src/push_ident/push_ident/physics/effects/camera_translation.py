@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPoses, Rival
 
-__all__ = ["EFFECT"]
-
 
 def _reported(values: ComplexArray, pose: ComplexArray) -> ComplexArray:
     reported = pose.copy()

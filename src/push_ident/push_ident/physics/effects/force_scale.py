@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from push_ident.physics.effect import MAPS, ComplexArray, Effect, EffectParameter, Law, OnForces, Rival
 
-__all__ = ["EFFECT"]
-
 
 def _feel(values: ComplexArray, force: ComplexArray) -> ComplexArray:
     return force * (1.0 + values[0])

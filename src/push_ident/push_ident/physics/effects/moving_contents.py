@@ -18,8 +18,6 @@ from push_ident.physics.effect import (
     unit_direction,
 )  # fmt: skip
 
-__all__ = ["EFFECT"]
-
 
 @equation
 def _shift(p: Any, body: Body, load: Load, memory: Any) -> Any:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from push_ident.physics.effect import Effect, EffectParameter, Law, OnContact, Rival
 
-__all__ = ["EFFECT"]
-
 EFFECT = Effect(
     name="outline_error",
     what="The surface that the pusher touches lies outside (> 0) or inside (< 0) the outline, or the pusher's radius is larger or smaller "

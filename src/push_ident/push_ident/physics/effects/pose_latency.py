@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnTimes, Rival
 
-__all__ = ["EFFECT"]
-
 
 def _delayed(values: ComplexArray, time: ComplexArray) -> ComplexArray:
     return time - values[0]

@@ -6,8 +6,6 @@ from typing import Any
 
 from push_ident.physics.effect import MAPS, STILL, Body, Effect, EffectParameter, Law, Load, OnTable, Rival, analytic_sqrt, equation
 
-__all__ = ["EFFECT"]
-
 
 @equation
 def _shift(p: Any, body: Body, load: Load, memory: Any) -> Any:

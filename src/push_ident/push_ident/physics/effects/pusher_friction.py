@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, ExportAs, Law, OnPusherFriction, Rival
 
-__all__ = ["EFFECT"]
-
 
 def _changed(values: ComplexArray, coefficient: ComplexArray) -> ComplexArray:
     changed = coefficient + values[0]

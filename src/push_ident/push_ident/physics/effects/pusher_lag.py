@@ -9,8 +9,6 @@ import numpy as np
 from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPusherPath, Rival
 from push_ident.physics.kernel import kernel
 
-__all__ = ["EFFECT"]
-
 
 @kernel
 def _follow(path: ComplexArray, behind: ComplexArray, decay: ComplexArray, driven: ComplexArray) -> None:

@@ -6,8 +6,6 @@ from typing import Any
 
 from push_ident.physics.effect import Body, Effect, EffectParameter, Law, Memory, OnContact, Rival, equation
 
-__all__ = ["EFFECT"]
-
 
 @equation
 def _remember(p: Any, body: Body, dt: float, memory: Any, after: Any) -> None:

@@ -6,8 +6,6 @@ from typing import Any
 
 from push_ident.physics.effect import MAPS, Body, Cell, Effect, EffectParameter, Law, OnTable, Rival, analytic_log, analytic_sqrt, equation
 
-__all__ = ["EFFECT"]
-
 
 @equation
 def _load(p: Any, body: Body, cell: Cell, memory: Any) -> Any:

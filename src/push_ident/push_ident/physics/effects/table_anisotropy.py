@@ -6,8 +6,6 @@ from typing import Any
 
 from push_ident.physics.effect import Body, Effect, EffectParameter, Law, OnTable, Rival, equation
 
-__all__ = ["EFFECT"]
-
 
 @equation
 def _skew(p: Any, body: Body) -> Any:

@@ -7,8 +7,6 @@ from typing import Any
 from push_ident.physics.effect import Body, Effect, EffectParameter, ExportAs, Law, OnTable, Rival, equation
 from push_ident.physics.support import GRAVITY
 
-__all__ = ["EFFECT"]
-
 
 @equation
 def _pull(p: Any, body: Body) -> Any:

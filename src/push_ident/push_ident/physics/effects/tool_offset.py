@@ -6,8 +6,6 @@ from typing import Any
 
 from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPusherPath, Rival
 
-__all__ = ["EFFECT"]
-
 
 def _move(values: ComplexArray, dt: Any, path: ComplexArray) -> ComplexArray:
     driven = path.copy()

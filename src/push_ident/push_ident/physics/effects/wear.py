@@ -6,8 +6,6 @@ from typing import Any
 
 from push_ident.physics.effect import MAPS, Body, Effect, EffectParameter, Law, OnTable, Rival, equation
 
-__all__ = ["EFFECT"]
-
 
 @equation
 def _plane(p: Any, body: Body, memory: Any) -> Any:

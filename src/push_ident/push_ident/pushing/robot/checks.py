@@ -22,8 +22,6 @@ from push_ident.pushing.robot.reach import AXES, Outcome, Reach
 from push_ident.pushing.robot.robot_file import Robot, motion_settings
 from push_ident.types import Float64Array
 
-__all__ = ["Finding", "Level", "check_posture", "check_reach", "check_robot"]
-
 
 class Level(StrEnum):
     """How bad it is."""

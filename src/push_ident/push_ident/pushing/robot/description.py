@@ -21,8 +21,6 @@ from push_ident.geometry.frames import TABLE_FRAME
 from push_ident.limits import LIMITS, plain_text
 from push_ident.pushing.robot.robot_file import Joints, Robot, Tool
 
-__all__ = ["PUSHER_LINK", "TIP_LINK", "Urdf", "cell_description", "read_urdf"]
-
 TIP_LINK: Final = "tool_tip"
 """Link at the bottom centre of the pusher, z down the tool."""
 PUSHER_LINK: Final = "tool_pusher"

@@ -9,8 +9,6 @@ from push_ident.errors import InputError
 from push_ident.pushing.robot.description import TIP_LINK
 from push_ident.pushing.robot.robot_file import Robot
 
-__all__ = ["node_parameters"]
-
 
 def node_parameters(robot: Robot, description_file: Path | None = None) -> dict[str, dict[str, Any]]:
     """Parameters by node.

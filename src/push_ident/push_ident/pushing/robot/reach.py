@@ -16,8 +16,6 @@ from push_ident.pushing.motion import MotionSettings, plan_push
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import Float64Array
 
-__all__ = ["AXES", "Outcome", "Reach", "Trial", "find_reach"]
-
 AXES: Final = ("x", "y")
 """Headings that are tried: along each axis of `table`."""
 

@@ -13,8 +13,6 @@ from push_ident.pushing.robot.reach import AXES, Outcome, Reach
 from push_ident.pushing.robot.robot_file import Robot
 from push_ident.types import Float64Array
 
-__all__ = ["write_reach_page"]
-
 _STYLES: Final = {
     Outcome.POSSIBLE: ("possible", ()),
     Outcome.LIMIT: ("limited", ((0, 2),)),

@@ -17,8 +17,6 @@ from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
 
-__all__ = ["Camera", "Joints", "Robot", "RobotFile", "Tool", "motion_settings", "push_settings", "read_robot"]
-
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 """x, y, z [m], or roll, pitch, yaw [rad] as a URDF has them."""
 Angles = Annotated[list[float], Field(min_length=1, max_length=100)]
