@@ -45,7 +45,7 @@ def with_centre_inside(inside: float, yaw: float) -> Float64Array:
 
 def test_a_rigid_body_bears_its_weight_on_the_table_only_and_falls_where_the_model_says_so(world: PushWorld) -> None:
     still = PusherPath(np.array([0.0, 0.3]), np.full((2, 2), 0.2), PUSHES.pusher_radius)
-    for yaw in (0.0, 0.7, 2.0, -2.6):
+    for yaw in (0.7, -2.6):
         for inside in (-0.01, -0.004, 0.018, 0.04):
             pose = with_centre_inside(inside, yaw)
             load = overhung_loads(EDGE, MODEL, pose)
