@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from helpers.commands import run_here
-from push_ident.cli.goal_messages import edge_message, goal_message, path_message
-from push_ident.cli.goal_report import GoalReport, PathReport, last_feedback
+from push_ident.cli.goal_report import GoalReport, PathReport, edge_message, goal_message, last_feedback, path_message
 from push_ident.cli.push_to import goals_of, parse_edge, parse_goal
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw

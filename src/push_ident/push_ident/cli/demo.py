@@ -17,8 +17,7 @@ from rich.table import Column, Table
 
 from push_ident.cli.checks import writable_folder
 from push_ident.cli.demo_pushes import DemoPush, DemoPushes
-from push_ident.cli.goal_messages import goal_message
-from push_ident.cli.goal_report import GoalReport
+from push_ident.cli.goal_report import GoalReport, goal_message
 from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import Description, JsonOption, console, millimetres, say, write_json
 from push_ident.cli.push_to import finish, parse_goal, push_to_goal

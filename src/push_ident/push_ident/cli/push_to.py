@@ -11,8 +11,7 @@ import typer
 from rich.markup import escape
 
 from push_ident.cli.checks import above_zero, finite, parse_floats
-from push_ident.cli.goal_messages import edge_message, goal_message, path_message, planar
-from push_ident.cli.goal_report import GoalReport, PathReport, broken_off, last_feedback
+from push_ident.cli.goal_report import GoalReport, PathReport, broken_off, edge_message, goal_message, last_feedback, path_message, planar
 from push_ident.cli.output import JsonOption, OutOption, console, say, warn, write_json
 from push_ident.errors import InputError
 from push_ident.extras import need_ros
