@@ -144,7 +144,7 @@ def test_the_messages_themselves_are_converted() -> None:
 def test_changed_messages_are_wrong_in_every_way() -> None:
     seen: list[Any] = []
 
-    @fuzzed(600)
+    @fuzzed(2000)
     @given(messages_like(POSE))
     def collect(msg: Any) -> None:
         seen.append(msg)
