@@ -100,7 +100,7 @@ def _runs(studies: Iterable[_S], folder: Path, command: str) -> list[tuple[_S, J
 def _section(study: Study, run: Json, folder: Path, written: list[Path], origin: str) -> str:
     figures = study.draw(run["summary"], folder)
     written += [folder / name for name in figures]
-    images = [f"![{caption}]({name})\n\n{caption}" for name, caption in figures.items()]
+    images = [f"![Figure of the numbers above]({name})\n\n{caption}" for name, caption in figures.items()]
     return "\n\n".join([study.tables(run["summary"]), *images, study.question, origin]) + "\n"
 
 
