@@ -54,8 +54,9 @@ blind: setup  ## the diagnosis on sealed cases of two other engines (an hour and
 	$(VENV)/push-ident experiment report
 
 DATA ?= ../shared/data
-recordings: setup  ## recordings of others, set by set, DATA=FOLDER of them (goes on where it stopped)
-	$(VENV)/push-ident experiment recorded --recordings "$(DATA)" --models 2 --json out/recordings.json
+recordings: setup  ## recordings of others, set by set, DATA=FOLDER of them (goes on where it stopped), then the page
+	$(call experiment,recorded --models 2 --recordings "$(DATA)")
+	$(VENV)/push-ident experiment report
 
 STREAMS ?= 10000
 states: setup  ## pushes under STREAMS=10000 random streams of joint states that lie: no command may break a limit (an hour)

@@ -90,13 +90,11 @@ def experiment_command(
     )
     content = _with_progress(runner, known[name], options)
     say(known[name].tables(content["summary"]))
-    failed: dict[str, list[str]] = {}
-    for failure in content["failed"]:
-        failed.setdefault(failure["error"], []).append(failure["case"])
-    for error, cases in failed.items():
-        warn(f"push-ident: {', '.join(cases[:2])}{f' and {len(cases) - 2} more' if cases[2:] else ''}: {error}")
+    studies = sim_module("push_ident_sim.studies.common.study")
+    for text in studies.failures(content):
+        warn(f"push-ident: {text}")
     if json is not None:
-        sim_module("push_ident_sim.studies.common.study").write_json(json, content)
+        studies.write_json(json, content)
         say(f"written: {json}")
 
 

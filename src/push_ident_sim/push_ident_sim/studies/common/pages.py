@@ -8,7 +8,7 @@ from typing import Final, TypeVar
 
 from push_ident.errors import InputError
 from push_ident.files import write_whole
-from push_ident_sim.studies.common.study import Benchmark, Experiment, Json, Study, read_json
+from push_ident_sim.studies.common.study import Benchmark, Experiment, Json, Study, failures, read_json
 from push_ident_sim.studies.common.tables import markdown_table, millimetres
 
 _S = TypeVar("_S", bound=Study)
@@ -123,7 +123,7 @@ def _origin_of_experiment(experiment: Experiment, run: Json) -> str:
     if "planned" in run:
         sentences.append(f"{run['finished']} of {run['planned']} planned cases, in their order, until the time was up.")
     if run["failed"]:
-        sentences.append(f"{len(run['failed'])} cases failed: " + "; ".join(f"{f['case']} ({f['error']})" for f in run["failed"]) + ".")
+        sentences.append(f"{len(run['failed'])} cases failed: {'; '.join(failures(run))}.")
     if run.get("remark"):
         sentences.append(run["remark"])
     return " ".join(sentences)

@@ -160,6 +160,14 @@ class Benchmark(Study):
     targets: Callable[[Json], list[Target]]
 
 
+def failures(run: Json) -> list[str]:
+    """What failed in a run, a text for each error: its cases, at most two of them by name, and the error."""
+    cases: dict[str, list[str]] = {}
+    for failure in run["failed"]:
+        cases.setdefault(failure["error"], []).append(failure["case"])
+    return [f"{', '.join(of[:2])}{f' and {len(of) - 2} more' if of[2:] else ''}: {error}" for error, of in cases.items()]
+
+
 def write_json(path: Path, content: Json) -> None:
     """Write whole or not at all. Raises PushIdentError where it cannot be written, ValueError for numbers that are not finite."""
     write_whole(path, json.dumps(content, separators=(",", ":"), allow_nan=False) + "\n", "the result")
