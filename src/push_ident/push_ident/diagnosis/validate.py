@@ -33,8 +33,8 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     folds = folds_of(len(selection.base.problem.records), policy.validation.max_folds)
     fits = [(selection.base, folds), *([(selection.fit, ())] if selection.selected else [])]
     base, *others = map_in_threads(lambda task: _look_for_structure(state, *task), fits)
-    beside = others[0] if others else base
-    reported, probabilities = _weigh_outside(state, selection, base, beside, {})
+    remaining = others[0] if others else base
+    reported, probabilities = _weigh_outside(state, selection, base, remaining, {})
     held_out = HeldOutFits(state.earlier)
     unsupported = None
     if not is_outside(probabilities, policy.selection):
@@ -44,8 +44,8 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
             rejected = dict.fromkeys(
                 (name for name in selection.selected if name not in supported.selected), policy.validation.min_log_bayes_factor_without_push
             )
-            selection, beside = supported, _look_for_structure(state, supported.fit, ()) if supported.selected else base
-            reported, probabilities = _weigh_outside(state, selection, base, beside, rejected)
+            selection, remaining = supported, _look_for_structure(state, supported.fit, ()) if supported.selected else base
+            reported, probabilities = _weigh_outside(state, selection, base, remaining, rejected)
             gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
     is_unknown = is_outside(probabilities, policy.selection)
     if is_unknown:
@@ -57,7 +57,7 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
         gap=gap,
         account=account_of(gap, selection.base.problem, policy.account),
         base_residuals=base[0],
-        residuals=beside[0],
+        residuals=remaining[0],
         probabilities=probabilities,
         cause_is_unknown=is_unknown,
         something_else=reported,
@@ -116,11 +116,11 @@ def _look_for_structure(state: DiagnosisState, fit: Fit, folds: Sequence[Sequenc
 
 
 def _weigh_outside(
-    state: DiagnosisState, selection: Selection, base: _Structure, beside: _Structure, rejected: Mapping[str, float]
+    state: DiagnosisState, selection: Selection, base: _Structure, remaining: _Structure, rejected: Mapping[str, float]
 ) -> tuple[SomethingElse | None, Probabilities]:
     """From the residuals of the base model and of the fit with all effects of a selection: something else in place of the effects or
     in addition to them, whichever explains more, and the probabilities of all causes."""
-    policy, (base_residuals, in_place), (residuals, in_addition) = state.settings.policy, base, beside
+    policy, (base_residuals, in_place), (residuals, in_addition) = state.settings.policy, base, remaining
     # Errors of perceived poses depend on the pose, so that they continue from frame to frame.
     correlation_std = state.rest_correlation_std if state.rest_noise_known and not state.from_camera else np.inf
     failed = failed_tests(base_residuals, residuals, policy.unknown, correlation_std=correlation_std)

@@ -156,7 +156,7 @@ class TakeOver:
                 why = why or f"by them it moved {farthest:.3f} rad away."
             if why:
                 self._contradiction = (
-                    f"joint_states are not believed: the arm was told to stand where they said that it stands, and {why} "
+                    f"joint_states are not believed: the arm was commanded to hold the position that they report, and {why} "
                     "Check its driver, then deactivate and activate the executor."
                 )
                 self._commanded_then = q

@@ -327,10 +327,10 @@ def _panel(title: str, placed: list[Placed], overlap: Overlap, pushes: Float64Ar
 def _over_time(title: str, overlap: Overlap, pushes: Float64Array) -> str:
     lines = []
     for push in pushes:
-        own = overlap.push == push
-        distance = 1e3 * overlap.distance[own]
+        of_push = overlap.push == push
+        distance = 1e3 * overlap.distance[of_push]
         style = "trace" if abs(np.median(distance)) <= 1e3 * overlap.tolerance else "missed"
-        lines.append(Line(overlap.time[own], distance, style, f"push {push + 1:.0f}: {np.median(distance):.1f} mm in the median"))
+        lines.append(Line(overlap.time[of_push], distance, style, f"push {push + 1:.0f}: {np.median(distance):.1f} mm in the median"))
     return time_chart(
         title,
         lines,
@@ -342,6 +342,6 @@ def _over_time(title: str, overlap: Overlap, pushes: Float64Array) -> str:
 
 def _first(overlap: Overlap, push: float) -> int:
     """The first frame in which a push moves the object: one far before the next, by twice the median step, is noise."""
-    own = np.flatnonzero(overlap.push == push)
-    step = np.diff(overlap.time[own])
-    return int(own[np.argmax(step <= 2.0 * np.median(step))]) if len(step) else int(own[0])
+    of_push = np.flatnonzero(overlap.push == push)
+    step = np.diff(overlap.time[of_push])
+    return int(of_push[np.argmax(step <= 2.0 * np.median(step))]) if len(step) else int(of_push[0])

@@ -172,8 +172,8 @@ def _moving(streams: Streams) -> _Frames:
         there = other.clip(0, len(time) - 1)
         way = np.linalg.norm(poses[there, 1:3] - poses[:, 1:3], axis=1) + lever * np.abs(poses[there, 3] - poses[:, 3])
         # Across a gap of more than half a second nothing shows when the object moved.
-        seen = (there == other) & (np.abs(time[there] - time) <= 0.5)
-        moving &= (way > least) & seen
+        without_gap = (there == other) & (np.abs(time[there] - time) <= 0.5)
+        moving &= (way > least) & without_gap
     at = np.flatnonzero(moving)
     at = at[np.unique(np.linspace(0, len(at) - 1, min(len(at), 400)).astype(int))] if len(at) else at
     middle = np.array([0.5 * (run[0, 0] + run[-1, 0]) for run in streams.runs])

@@ -276,10 +276,10 @@ def _pushes(streams: Streams) -> list[_Push]:
 
 def _with_contact(spans: list[_Push], tolerance: float, notes: list[str]) -> list[_Push]:
     """The motions in which the object moves or the pusher reaches it."""
-    found = [(run, contact) for run, contact in spans if contact.moved or contact.nearest <= tolerance]
-    if missed := len(spans) - len(found):
+    touching = [(run, contact) for run, contact in spans if contact.moved or contact.nearest <= tolerance]
+    if missed := len(spans) - len(touching):
         notes.append(f"{missed} motions in which the pusher does not reach the object are left out")
-    return found
+    return touching
 
 
 def _write(

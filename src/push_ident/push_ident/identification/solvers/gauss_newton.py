@@ -325,7 +325,7 @@ class _Candidates:
         self.warm_starts.append(WarmStart(name, fit.x))
 
     def _clusters(self, number: int, rng: np.random.Generator, n_steps: int = 10) -> Float64Array:
-        """Centres of clusters of the load of the best maps so far [m], shape (number, 2), in an order of their own: Lloyd's algorithm."""
+        """Centres of clusters of the load of the best maps so far [m], shape (number, 2), unordered: Lloyd's algorithm."""
         cells = self._task.unknowns.shape.cells.centres
         maps = [entry for entry in self.fits if entry.unknowns is self._unknowns]
         load = np.ones(len(cells))
