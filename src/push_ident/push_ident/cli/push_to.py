@@ -96,8 +96,7 @@ _STATES = ("looking", "exploring push", "planning", "pushing", "learning")
 def goals_of(x: float | None, y: float | None, yaw: float | None, path: Path | None, spacing_mm: float | None) -> Float64Array:
     """Poses of a path to be followed, or to be pushed to one after another, shape (n, 3), from the options of the command line.
 
-    Raises:
-        InputError: neither a whole pose nor a path, both, numbers that are not finite, or a file that holds no path.
+    Raises InputError: neither a whole pose nor a path, both, numbers that are not finite, or a file that holds no path.
     """
     pose = [value for value in (x, y, yaw) if value is not None]
     if path is not None:

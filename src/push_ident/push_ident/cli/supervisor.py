@@ -92,11 +92,7 @@ class Supervisor:
         """Of processes that were, or will be, started again."""
 
     def start(self) -> None:
-        """Start all processes.
-
-        Raises:
-            SupervisorError: One cannot be started; those started before are stopped again.
-        """
+        """Start all processes. Raises SupervisorError: One cannot be started; those started before are stopped again."""
         if self._log_dir is not None:
             self._log_dir.mkdir(parents=True, exist_ok=True)
             for command in self._commands:
@@ -265,11 +261,7 @@ def _stop_requests() -> Iterator[list[int]]:
 
 
 def config_file(package: str, name: str) -> Path:
-    """Path of an installed configuration file of a package.
-
-    Raises:
-        SupervisorError: The package is not built, or has no such file.
-    """
+    """Path of an installed configuration file of a package. Raises SupervisorError: The package is not built, or has no such file."""
     from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
     try:

@@ -98,8 +98,7 @@ def camera_over_table(frame: DepthFrame) -> tuple[Float64Array, float, float]:
     Returns:
         Optical frame in a frame of the plane, shape (4, 4); noise about the plane [m]; fraction of the points on it.
 
-    Raises:
-        PerceptionError: Too few valid pixels, or no plane with enough of them.
+    Raises PerceptionError: Too few valid pixels, or no plane with enough of them.
     """
     points = points_in_table(frame, np.eye(4))[::STRIDE, ::STRIDE].reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points[:, 2])]
@@ -146,8 +145,7 @@ def table_extent(frame: DepthFrame, camera_in_table: Float64Array, noise: float)
 def calibrate(frames: Sequence[DepthFrame], mark: Mark) -> Calibration:
     """Extrinsics from frames at rest in which all of the mark is visible on the table; other objects may lie there as well.
 
-    Raises:
-        PerceptionError: No table, no segment of the mark's size, or a fit whose residual is too large; the text gives the counts.
+    Raises PerceptionError: No table, no segment of the mark's size, or a fit whose residual is too large; the text gives the counts.
     """
     if not frames:
         raise PerceptionError("There are no depth frames to calibrate from; start the camera.")

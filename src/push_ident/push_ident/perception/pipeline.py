@@ -112,7 +112,6 @@ class Perception:
 
         Args:
             camera_in_table: optical frame in the table frame, homogeneous, shape (4, 4), from the extrinsics.
-            settings: ranges and thresholds.
             occupancy: whether to make the occupancy grid; without it, poses and shapes are the same.
         """
         self._extrinsics = np.array(camera_in_table, dtype=np.float64)
@@ -189,7 +188,6 @@ class Perception:
         """Keep a frame of a further camera for tracing objects at rest; poses come from the main camera only.
 
         Args:
-            name: Name of the camera.
             camera_in_table: Its optical frame in the table frame, shape (4, 4), from its extrinsics.
             robot: Parts of the robot when the frame was taken.
         """

@@ -34,8 +34,7 @@ def observe_offline(
     Returns:
         The last shape and the track by id, without those that came apart.
 
-    Raises:
-        PerceptionError: No object has two poses; the text gives the stage that failed.
+    Raises PerceptionError: No object has two poses; the text gives the stage that failed.
     """
     perception = Perception(camera_in_table, settings, occupancy=False)
     parts_at = robot_at or (lambda stamp: ())

@@ -60,11 +60,6 @@ class CommandLink:
 
     Each piece passes one last check: a controller that follows it from the command before keeps to the limits of every joint. Otherwise it
     is not sent; the arm then stands at the end of the one before, which is at rest.
-
-    Args:
-        arm: that is moved.
-        commanded: its last command.
-        limits: of its joints.
     """
 
     def __init__(self, arm: Arm, commanded: Commanded, limits: JointLimits) -> None:
@@ -121,8 +116,7 @@ class TakeOver:
     def at(self, motion: ArmMotion, limits: WatchLimits, check_wanted: Callable[[], None]) -> ArmState:
         """Command the arm to the start of `motion`; its state then. Nothing is sent if it stands there by its last command.
 
-        Raises:
-            PlanningError: TRACKING where its states contradict the command, and those of `check_wanted`.
+        Raises PlanningError: TRACKING where its states contradict the command, and those of `check_wanted`.
         """
         joints, start = motion.limits, motion.trajectory.position[0]
         commanded, state = self._commanded.posture(joints.names), self._arm.next_state(limits.arm_timeout)

@@ -31,7 +31,6 @@ class PushExecution:
     """Carries out requests, one at a time.
 
     Args:
-        ports: of the cell.
         on_push: called with every push that has begun, once it has ended.
         on_warning: called with texts for the operator.
     """

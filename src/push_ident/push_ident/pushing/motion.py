@@ -185,11 +185,9 @@ class PathPlan(ArmPlan):
         """The plan with another path of the tool from a time on.
 
         Args:
-            path: new path; times from the departure on [s].
             begin: when the motion begins to change, from the departure on [s].
 
-        Raises:
-            PlanningError: LIMIT where a joint would have to accelerate too much.
+        Raises PlanningError: LIMIT where a joint would have to accelerate too much.
         """
         k = min(int(np.searchsorted(self.tool.time, begin)), len(self.tool.time) - 1)
         now = float(self.tool.time[k]), self.tool.position[k], self.tool.velocity[k]

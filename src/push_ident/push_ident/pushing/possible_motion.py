@@ -90,7 +90,6 @@ class PusherTravel:
     """How far a pusher can have moved an object between any two times.
 
     Args:
-        pusher: its path.
         time: of the poses [s], shape (n,).
     """
 
@@ -118,7 +117,6 @@ def why_impossible(
     """Why no push along this path can have moved an object from one rest to the other; empty where one can.
 
     Args:
-        shape: of the object.
         pusher: path of the lowered tool, as it was measured or planned, from before the contact to where it stops or is lifted.
         before: pose of the object at rest before the push, table frame, shape (3,).
         after: the same after the push.

@@ -46,13 +46,11 @@ class PostureMap:
     """Postures over the part of a corridor that lies in the workspace, with the tool down, its spin and height held.
 
     Args:
-        kinematics: of the arm.
         q_start: posture with the tool where the push begins [rad].
         corridor: in which the tool may be.
         workspace: x_min, x_max, y_min, y_max of the tool [m].
 
-    Raises:
-        PlanningError: UNREACHABLE where the arm has no posture for a position in the corridor.
+    Raises PlanningError: UNREACHABLE where the arm has no posture for a position in the corridor.
     """
 
     def __init__(
@@ -87,11 +85,9 @@ class PostureMap:
         Args:
             speed: requested speed of the tool.
             acceleration: requested acceleration of the tool.
-            limits: of the joints.
             link_height: least height of a moving joint [m].
 
-        Raises:
-            PlanningError: LIMIT where a joint would be lower.
+        Raises PlanningError: LIMIT where a joint would be lower.
         """
         inside = self._distance() <= 0.0
         low = np.where(inside, self._low_links, np.inf)

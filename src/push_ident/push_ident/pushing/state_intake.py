@@ -53,8 +53,8 @@ class StateCheck:
     def check(self, received: float, stamp: float, q: Float64Array) -> None:
         """Take a state: time of receipt [s], stamp [s], joint positions [rad], shape (n_joints,).
 
-        Raises:
-            InputError: a joint beyond its limits, or further from the last state than the arm can move; the text names the joint's number.
+        Raises InputError: a joint beyond its limits, or further from the last state than the arm can move; the text names the joint's
+        number.
         """
         beyond = np.maximum(self._lower - q, q - self._upper)
         if np.any(beyond > 0.0):
@@ -84,7 +84,6 @@ class StateIntake:
     """Takes the states of one arm. May be filled in one thread and asked in another.
 
     Args:
-        check: whether the arm can be there.
         forward: pose of the tip, shape (4, 4), for joint positions [rad].
         capacity: number of states that may wait to be taken: a second at 1 kHz.
     """
@@ -101,8 +100,7 @@ class StateIntake:
 
         None for a stamp that was there before: a driver that repeats itself has lost its arm, and counts as silent.
 
-        Raises:
-            InputError: it cannot be true.
+        Raises InputError: it cannot be true.
         """
         if self.latest is not None and stamp == self.latest.stamp != 0.0:
             return None

@@ -66,8 +66,7 @@ class CorrectionFault(Enum):
 class PathRequest:
     """A push along a path, as a client requests it.
 
-    Raises:
-        InputError: a path out of its corridor, or a timeout that is neither 0 nor between 0.05 and 5 s.
+    Raises InputError: a path out of its corridor, or a timeout that is neither 0 nor between 0.05 and 5 s.
     """
 
     path: ToolPath
@@ -108,7 +107,6 @@ class Steering:
     """Corrections of one push along a path. They may arrive in another thread.
 
     Args:
-        request: of the client.
         settings: limits of the tool.
         obstacles: gives the outlines of the other objects, table frame [m], each of shape (n_vertices, 2).
         timeout: longest time without a correction, after the contact and by wall time [s].
@@ -137,11 +135,7 @@ class Steering:
             self._push_id, self._plan = push_id, plan
 
     def offer(self, correction: ToolCorrection) -> None:
-        """Take a correction, or refuse and count it.
-
-        Raises:
-            InputError: it is refused; why.
-        """
+        """Take a correction, or refuse and count it. Raises InputError: it is refused; why."""
         with self._lock:
             if correction.stop and self._is_stopping and correction.push_id == self._push_id:
                 return  # sent again in case it was lost
@@ -159,8 +153,7 @@ class Steering:
             time: the time then, clock of the cell [s].
             wall: the present, wall time [s].
 
-        Raises:
-            PlanningError: CORRECTION where promised corrections do not come.
+        Raises PlanningError: CORRECTION where promised corrections do not come.
         """
         with self._lock:
             plan = self._plan

@@ -37,8 +37,7 @@ _CONTROL: Final = PathControl()
 class Corridor:
     """A strip along a line of the table.
 
-    Raises:
-        InputError: less than two points, numbers that are not finite, or a width that is not positive.
+    Raises InputError: less than two points, numbers that are not finite, or a width that is not positive.
     """
 
     line: Float64Array
@@ -80,9 +79,8 @@ class Corridor:
 class ToolPath:
     """Points joined by straight lines.
 
-    Raises:
-        InputError: less than two points, shapes that do not fit, numbers that are not finite, times that do not increase, or a path that is
-            longer or lasts longer than a push may: it is sampled every 4 mm and every 10 ms.
+    Raises InputError: less than two points, shapes that do not fit, numbers that are not finite, times that do not increase, or a path that
+    is longer or lasts longer than a push may: it is sampled every 4 mm and every 10 ms.
     """
 
     time: Float64Array
@@ -152,7 +150,6 @@ def stopping(motion: ToolMotion, begin: float, acceleration: float) -> ToolPath:
     """Path of a tool that brakes to rest along its present motion, which was checked; a straight line would leave it in a bend.
 
     Args:
-        motion: present motion.
         begin: when the tool begins to brake [s].
         acceleration: largest acceleration [m/s^2].
     """
@@ -174,7 +171,6 @@ def rounded(
     tool that is behind at the end goes on until it is there.
 
     Args:
-        path: reference.
         begin: when the motion begins [s].
         position: of the tool then [m], shape (2,).
         velocity: of the tool then [m/s], shape (2,).

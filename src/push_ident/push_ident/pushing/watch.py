@@ -20,12 +20,7 @@ from push_ident.types import Float64Array
 
 
 class Tracking:
-    """Compares the states of an arm with the pieces of a motion that it got.
-
-    Args:
-        pacing: of the motion.
-        limits: of the motion.
-    """
+    """Compares the states of an arm with the pieces of a motion that it got."""
 
     def __init__(self, pacing: PathPacing, limits: WatchLimits) -> None:
         self._pacing, self._limits = pacing, limits
@@ -39,8 +34,7 @@ class Tracking:
     def take(self, motion: ArmMotion, state: ArmState, time: float) -> None:
         """Judge a state; `time` [s] on the clock of the pieces.
 
-        Raises:
-            PlanningError: TRACKING for a state that contradicts the commands.
+        Raises PlanningError: TRACKING for a state that contradicts the commands.
         """
         earliest, latest = self._pacing.path_time(time - self._limits.tracking_lag), self._pacing.path_time(time)
         if self.stood_at is not None:
@@ -88,15 +82,7 @@ def _tool_travel(motion: ArmMotion, begin: float, end: float) -> float:
 
 
 class _UnderWay:
-    """One motion that the arm makes: its pieces, and where the arm is on it.
-
-    Args:
-        motion: planned motion.
-        limits: of the watch.
-        clock: of the motion, which begins now.
-        arm: that is moved.
-        commanded: its last command.
-    """
+    """One motion that the arm makes: its pieces, and where the arm is on it."""
 
     def __init__(self, motion: ArmMotion, limits: WatchLimits, clock: MotionClock, arm: Arm, commanded: Commanded) -> None:
         self.limits, self.clock, self._motion = limits, clock, motion
@@ -238,8 +224,6 @@ class ArmWatch:
         """Make one motion.
 
         Args:
-            motion: planned from `posture`.
-            limits: of the watch.
             replan: plans it once more from the posture [rad], if the arm was moved since.
             check_wanted: raises PlanningError when the motion should end.
             on_start: called with the motion that begins, and with what tells when the arm reaches which part of it.
@@ -247,9 +231,8 @@ class ArmWatch:
                 and the arm's state. May give another motion, which is the same up to where the next piece begins to act; may raise
                 PlanningError, which ends the motion.
 
-        Raises:
-            PlanningError: nothing moved, or the arm is held: TRACKING, ARM_SILENT, FORCE, HAND, RECORDING, LIMIT, and those of the
-                arguments.
+        Raises PlanningError: nothing moved, or the arm is held: TRACKING, ARM_SILENT, FORCE, HAND, RECORDING, LIMIT, and those of the
+        arguments.
         """
         for attempt in range(2):
             distance = joint_distance(self._arm.next_state(limits.arm_timeout).q, motion.trajectory.position[0])

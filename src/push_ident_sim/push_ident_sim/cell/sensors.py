@@ -175,8 +175,7 @@ class SensorModel:
 def suitable_pose(name: str) -> Float64Array:
     """Pose in `table`, shape (4, 4), from which the sensor with this name sees the workspace as large as it can, within its range.
 
-    Raises:
-        InputError: No sensor has that name.
+    Raises InputError: No sensor has that name.
     """
     check_name(name)
     position = np.array(_PLAIN_POSITION)

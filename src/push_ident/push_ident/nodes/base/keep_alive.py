@@ -155,7 +155,6 @@ class ServerWatch:
     """Whether the server of an action is there, for one goal.
 
     Args:
-        client: of the action.
         probe: of its service to cancel, made after it: a server that answers this has discovered the ends of the action, too. One that has
             not would drop its answers.
     """

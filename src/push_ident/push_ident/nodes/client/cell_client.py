@@ -168,8 +168,7 @@ class CellClient:
         Args:
             last_heard: Time of the last sign of life [s], of `time.monotonic`; the timeout counts from it instead of from now.
 
-        Raises:
-            CellTimeout: `timeout` [s] of wall time has passed; the text is `missing`.
+        Raises CellTimeout: `timeout` [s] of wall time has passed; the text is `missing`.
         """
         started = time.monotonic()
         while (value := what()) is None or value is False:
@@ -300,8 +299,7 @@ class CellClient:
         Args:
             silence: longest time without feedback [s], wall time; planning sends none and a simulated cell may be slow.
 
-        Raises:
-            CellTimeout: The action is not served, the goal was refused, or the executor is gone or sent no more feedback.
+        Raises CellTimeout: The action is not served, the goal was refused, or the executor is gone or sent no more feedback.
         """
         return self._carry_out(self._push, goal, "execute_push", "push_executor_node", silence, on_feedback)
 
@@ -311,12 +309,10 @@ class CellClient:
         """Push an object to a goal; returns the result whatever its error code. An exception meanwhile, such as Ctrl-C, cancels the goal.
 
         Args:
-            goal: of the action.
             silence: longest time without feedback [s], wall time; the node sends some ten times a second.
             on_feedback: called with each feedback, in the thread of the caller.
 
-        Raises:
-            CellTimeout: The action is not served, the goal was refused, or its node is gone or sent no more feedback.
+        Raises CellTimeout: The action is not served, the goal was refused, or its node is gone or sent no more feedback.
         """
         return self._carry_out(self._push_to, goal, "push_to_goal", "goal_pushing_node", silence, on_feedback)
 

@@ -46,7 +46,6 @@ class DepthCapture:
         """Start to listen.
 
         Args:
-            topic: Of the images.
             seconds: Longest time until `frames` ends [s].
             on_progress: Called with a line of text when something is heard.
 

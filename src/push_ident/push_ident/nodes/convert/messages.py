@@ -351,8 +351,7 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
         info: Its camera.
         max_skew: Stamps further apart [s] are refused; None accepts any (a camera that publishes its info once).
 
-    Raises:
-        FrameError: Image and info do not belong together, or one is refused for itself.
+    Raises FrameError: Image and info do not belong together, or one is refused for itself.
     """
     if image.header.frame_id != info.header.frame_id:
         frames = [plain_text(msg.header.frame_id) for msg in (image, info)]

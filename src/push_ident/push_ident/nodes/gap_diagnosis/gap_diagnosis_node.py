@@ -190,7 +190,6 @@ def report_to_msg(content: dict[str, Any], object_id: str, stamp: float, n_pushe
 
     Args:
         content: JSON of the command-line contract, see `push_ident.diagnosis.diagnosis_json.to_json`.
-        object_id: of the object.
         stamp: of its newest push [s].
         n_pushes: that were diagnosed.
     """

@@ -179,9 +179,6 @@ class SteeredPush:
     """`planning.goal_ports.SteeredUnderWay`.
 
     Args:
-        push: that was asked for.
-        follower: decides the corrections.
-        plan: of the push.
         tracked: the object before it.
         observe: the object as observed last.
         send: publishes a correction.
@@ -285,8 +282,6 @@ class CellPorts:
     """Of one goal.
 
     Args:
-        view: of the cell.
-        wish: of the client.
         executor_timeout: longest silence of the executor during a push [s].
     """
 

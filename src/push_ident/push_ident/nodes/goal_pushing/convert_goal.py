@@ -150,7 +150,6 @@ def draw_goal(progress: GoalProgress, outline: Float64Array) -> GoalDrawing | No
     """What is shown of a goal; None before it is known where the object shall be.
 
     Args:
-        progress: towards the goal.
         outline: of the object in its frame [m], shape (n_vertices, 2).
     """
     target, path = progress.target, progress.path

@@ -31,12 +31,7 @@ from push_ident_msgs.msg import PushScore as PushScoreMsg
 
 
 class ObjectOutput:
-    """Publishers of one object.
-
-    Args:
-        node: that publishes.
-        object_id: of the object.
-    """
+    """Publishers of one object."""
 
     def __init__(self, node: Node, object_id: str) -> None:
         self._id = object_id

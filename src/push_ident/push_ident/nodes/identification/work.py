@@ -55,12 +55,7 @@ class WorkQueue:
 
 
 class LatestJobs:
-    """A thread that does one job after another; a newer job replaces a waiting one of the same name.
-
-    Args:
-        name: name of the thread.
-        guard: refuses jobs that fail.
-    """
+    """A thread that does one job after another; a newer job replaces a waiting one of the same name."""
 
     def __init__(self, name: str, guard: Guard) -> None:
         self._name, self._guard = name, guard

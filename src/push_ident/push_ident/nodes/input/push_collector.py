@@ -68,7 +68,6 @@ class PushCollector:
     """Subscribes to objects, pusher, wrench and push records of a cell, and cuts them into pushes.
 
     Args:
-        node: node that subscribes.
         gap: pause of the pusher that ends a push [s].
         on_object: called with the id of each object as soon as its pose is published.
         on_shape: called with id and shape of an object whenever its shape is published; a `PushIdentError` refuses the shape.

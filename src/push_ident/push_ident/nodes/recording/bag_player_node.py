@@ -215,7 +215,6 @@ class _Pace:
     """Keeps few depth images ahead of the node that processes them, so that none is lost and the other topics stay in step with them.
 
     Args:
-        node: that plays.
         follower: name of the node that processes images and publishes `done_until` after each.
     """
 

@@ -137,8 +137,7 @@ class PageServer:
         inner: Host and port at which Rerun serves its viewer.
         grpc_port: Of the data, at the host that the browser asks for.
 
-    Raises:
-        OSError: `port` of `bind` cannot be used.
+    Raises OSError: `port` of `bind` cannot be used.
     """
 
     def __init__(self, *, bind: str, port: int, inner: tuple[str, int], grpc_port: int) -> None:

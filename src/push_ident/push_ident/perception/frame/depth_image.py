@@ -43,8 +43,7 @@ def depth_from_buffer(
     Returns:
         Depth along the optical axis [m], shape (height, width); NaN where nothing was measured.
 
-    Raises:
-        FrameError: Another encoding, or sizes that do not fit the data.
+    Raises FrameError: Another encoding, or sizes that do not fit the data.
     """
     if encoding not in ACCEPTED_ENCODINGS:
         raise FrameError(f"Depth encoding is {encoding[:40]!r}, expected one of {', '.join(ACCEPTED_ENCODINGS)}; publish rectified depth.")
@@ -65,8 +64,7 @@ def depth_from_buffer(
 def check_intrinsics(intrinsics: CameraIntrinsics) -> None:
     """Reject a camera matrix that no pinhole camera has.
 
-    Raises:
-        FrameError: Focal length not positive or too large, a value not finite, or a line of sight across the optical axis.
+    Raises FrameError: Focal length not positive or too large, a value not finite, or a line of sight across the optical axis.
     """
     k = (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy)
     if not all(math.isfinite(value) for value in k) or intrinsics.fx <= 0 or intrinsics.fy <= 0:
@@ -89,8 +87,7 @@ def check_intrinsics(intrinsics: CameraIntrinsics) -> None:
 def check_size(frame: DepthFrame) -> None:
     """Reject an image whose size differs from its camera info: the compiled loops over its pixels would read out of bounds.
 
-    Raises:
-        FrameError: The sizes differ.
+    Raises FrameError: The sizes differ.
     """
     expected = (frame.intrinsics.height, frame.intrinsics.width)
     if frame.depth.shape != expected:
@@ -100,8 +97,7 @@ def check_size(frame: DepthFrame) -> None:
 def usable_frame(frame: DepthFrame) -> DepthFrame:
     """The frame as perception needs it: depth in single precision, row by row, and NaN in place of all that is no depth.
 
-    Raises:
-        FrameError: The size of the image differs from its camera info, or the intrinsics are none.
+    Raises FrameError: The size of the image differs from its camera info, or the intrinsics are none.
     """
     check_intrinsics(frame.intrinsics)
     check_size(frame)

@@ -64,9 +64,8 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
     Args:
         points: [m], shape (height, width, 3), table frame of the extrinsics; NaN where nothing was measured.
 
-    Raises:
-        PerceptionError: No valid pixel, too few points on a plane, too many under it, or a correction larger than the error of usable
-            extrinsics.
+    Raises PerceptionError: No valid pixel, too few points on a plane, too many under it, or a correction larger than the error of usable
+    extrinsics.
     """
     sample = points[::STRIDE, ::STRIDE].reshape(-1, 3).astype(np.float64)
     valid = sample[np.isfinite(sample[:, 2])]
@@ -148,11 +147,7 @@ class TableCamera:
         """Stamp of the frame of the last check [s]."""
 
     def view(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> FrameView:
-        """The frame seen by this camera; the first frame gives the plane.
-
-        Raises:
-            PerceptionError: No table is found in the first frame.
-        """
+        """The frame seen by this camera; the first frame gives the plane. Raises PerceptionError: No table is found in the first frame."""
         if self.plane is None:
             self._use(fit_table(FrameView(frame, self._extrinsics, settings=self.settings).points, self.settings))
         assert self.plane is not None

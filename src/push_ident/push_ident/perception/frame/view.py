@@ -34,8 +34,7 @@ DEVIATIONS: Final = 4.0
 class FrameView:
     """A depth frame, the pose of its camera and the robot in it. Rays, points and labels are computed once, when first asked for.
 
-    Raises:
-        FrameError: The size of the image differs from its camera info.
+    Raises FrameError: The size of the image differs from its camera info.
     """
 
     frame: DepthFrame
@@ -54,8 +53,7 @@ class FrameView:
     def rays(self) -> tuple[Float64Array, NDArray[np.float32]]:
         """Camera centre [m], shape (3,), and direction of each pixel per metre of depth, shape (height, width, 3), table frame.
 
-        Raises:
-            FrameError: The pose of the camera is no finite (4, 4) transform.
+        Raises FrameError: The pose of the camera is no finite (4, 4) transform.
         """
         transform = np.ascontiguousarray(self.camera_in_table, dtype=np.float64)
         if transform.shape != (4, 4) or not np.all(np.isfinite(transform)):
@@ -124,11 +122,7 @@ def _rays_in_table(intrinsics: CameraIntrinsics, transform: bytes) -> tuple[Floa
 
 
 def points_in_table(frame: DepthFrame, camera_in_table: ArrayLike) -> NDArray[np.float32]:
-    """Point of every pixel, as `FrameView.points`.
-
-    Raises:
-        FrameError: The size of the image differs from its camera info.
-    """
+    """Point of every pixel, as `FrameView.points`. Raises FrameError: The size of the image differs from its camera info."""
     return FrameView(frame, np.asarray(camera_in_table, dtype=np.float64)).points
 
 

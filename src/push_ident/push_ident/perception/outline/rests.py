@@ -147,8 +147,7 @@ class _RestHistory:
             points: Of the segment in the last one [m], shape (n, 3), table frame.
             min_height: Anything lower is table [m].
 
-        Raises:
-            InputError, PerceptionError: No outline of an object can be traced, or the object is not found with it.
+        Raises InputError, PerceptionError: No outline of an object can be traced, or the object is not found with it.
         """
         cut = [cut_to(segmented) for segmented in frames]
         last = cut[-1].view
@@ -341,8 +340,7 @@ def _passed(view: FrameView, positions: Float64Array) -> NDArray[np.bool_]:
 def _held(better: Refined, before: Template, view: RestView) -> InParts[Refined]:
     """The better object in the frame in which its pose in the latest view stays what it is: poses have no step where an outline changes.
 
-    Raises:
-        PerceptionError: The object is not found in the view.
+    Raises PerceptionError: The object is not found in the view.
     """
     after, latest = Template(better.traced), view.segmented.view
     yield
@@ -373,8 +371,7 @@ def with_cells(shape: ObjectShape) -> ObjectShape:
 
     Their number tells nothing: an edge that moves by a millimetre may hold a row of cells more or less.
 
-    Raises:
-        InputError: It is no shape of an object.
+    Raises InputError: It is no shape of an object.
     """
     cells = shape.cells
     anew = cells_in_outline(shape.outline, cells.size)
@@ -409,8 +406,7 @@ def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float
     Args:
         min_height: Anything lower is table [m].
 
-    Raises:
-        PerceptionError: No outline can be traced from the views.
+    Raises PerceptionError: No outline can be traced from the views.
     """
     state = _begin(np.array(traced.shape.outline), [view.pose for view in views])
     yield from _fit(state, traced, views, moves_edges=False)

@@ -67,8 +67,7 @@ def trace_in_parts(views: Sequence[SegmentedView], *, min_height: float, cell_co
         min_height: Anything lower is table [m].
         cell_count: Approximate number of cells.
 
-    Raises:
-        PerceptionError: No upper side is visible, or no outline can be traced.
+    Raises PerceptionError: No upper side is visible, or no outline can be traced.
     """
     lines = []
     for segmented in views:

@@ -220,8 +220,7 @@ class FurtherCamera:
             traced: The object as the main camera traced it.
             began, ended: Start and end of its rest [s].
 
-        Raises:
-            PerceptionError: The view shows too little of the object, or contradicts the main camera; the text gives the numbers.
+        Raises PerceptionError: The view shows too little of the object, or contradicts the main camera; the text gives the numbers.
         """
         accepted = settings.further_camera
         shots = self._during(began, ended, settings)

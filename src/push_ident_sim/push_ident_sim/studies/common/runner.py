@@ -75,8 +75,7 @@ def run_experiment(experiment: Experiment, options: RunOptions, on_progress: Pro
         What the run was (`experiment, objects, models, variants, seed, max_seconds, date, machine`), the cases that failed (`failed`: case
         and error), and the experiment's `summary`. Times are of the processor of the machine that ran the case.
 
-    Raises:
-        InputError: no case gave a result, or a variant that the experiment does not have.
+    Raises InputError: no case gave a result, or a variant that the experiment does not have.
     """
     report, began = on_progress or (lambda what, done, total: None), time.monotonic()
     cases = cases_of(experiment, options)
