@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.paths import SOURCE, nodes, tree
+from helpers.paths import SOURCE, nodes
 
 CORE = SOURCE / "push_ident" / "push_ident"
 SIM = SOURCE / "push_ident_sim" / "push_ident_sim"
@@ -81,15 +81,15 @@ def stage_of(path: Path) -> str:
 CORE_FILES = sorted(p for p in CORE.rglob("*.py") if p.name != "__init__.py" or p.parent != CORE)
 
 
-@pytest.mark.parametrize("path", CORE_FILES, ids=lambda p: str(p.relative_to(CORE)))
-def test_stage_imports_only_earlier_stages(path: Path) -> None:
-    own = ORDER.index(stage_of(path))
-    for name in imported(path):
-        parts = name.split(".")
-        if parts[0] == "push_ident" and len(parts) > 1 and parts[1] in ORDER:
-            other = ORDER.index(parts[1])
-            assert other <= max(own, 3), f"{path.name} ({ORDER[own]}) imports {name}, which stands below it"
-        assert parts[0] != "push_ident_sim", f"{path.name} imports the simulated cell"
+def test_stage_imports_only_earlier_stages() -> None:
+    for path in CORE_FILES:
+        own = ORDER.index(stage_of(path))
+        for name in imported(path):
+            parts = name.split(".")
+            if parts[0] == "push_ident" and len(parts) > 1 and parts[1] in ORDER:
+                other = ORDER.index(parts[1])
+                assert other <= max(own, 3), f"{path.name} ({ORDER[own]}) imports {name}, which stands below it"
+            assert parts[0] != "push_ident_sim", f"{path.name} imports the simulated cell"
 
 
 def rooms_of(stage: str) -> set[str]:
@@ -109,36 +109,17 @@ def test_rooms_of_a_stage_import_only_earlier_rooms(stage: str) -> None:
                 assert levels[parts[2]] < levels[room], f"{path.relative_to(CORE)} imports {name}, which is not in a room before its own"
 
 
-@pytest.mark.parametrize("path", [p for p in CORE_FILES if stage_of(p) not in ("nodes", "cli")], ids=lambda p: str(p.relative_to(CORE)))
-def test_no_ros_outside_the_nodes(path: Path) -> None:
-    assert not ROS & {name.split(".")[0] for name in imported(path)}
-
-
-@pytest.mark.parametrize("path", [p for p in CORE_FILES if stage_of(p) == "cli"], ids=lambda p: str(p.relative_to(CORE)))
-def test_command_line_reaches_ros_only_through_the_nodes(path: Path) -> None:
-    """Plain messages may be filled there; the middleware is the nodes' business. `doctor` asks whether it is there at all."""
-    if path.name != "live.py":
-        assert "rclpy" not in {name.split(".")[0] for name in imported(path)}
+def test_no_ros_outside_the_nodes_and_the_command_line_reaches_it_only_through_them() -> None:
+    """The command line may fill plain messages; the middleware is the nodes' business. `doctor` asks whether it is there at all."""
+    for path in CORE_FILES:
+        found = {name.split(".")[0] for name in imported(path)}
+        if stage_of(path) == "cli":
+            assert "rclpy" not in found or path.name == "live.py", path
+        elif stage_of(path) != "nodes":
+            assert not ROS & found, path
 
 
 def test_only_the_simulated_cell_imports_pybullet() -> None:
     users = {p for p in SOURCE.rglob("*.py") if {"pybullet", "pybullet_data"} & {n.split(".")[0] for n in imported(p)}}
     assert users
     assert all(SIM in p.parents for p in users)
-
-
-def test_every_public_name_exists() -> None:
-    for path in CORE_FILES:
-        module = tree(path)
-        exported: list[str] = []
-        defined: set[str] = set()
-        for node in module.body:
-            if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
-                exported = [c.value for c in getattr(node.value, "elts", []) if isinstance(c, ast.Constant)]
-            for target in getattr(node, "targets", [getattr(node, "target", None)]):
-                defined |= {name.id for name in ast.walk(target or ast.Pass()) if isinstance(name, ast.Name)}
-            if isinstance(node, ast.ClassDef | ast.FunctionDef):
-                defined.add(node.name)
-            if isinstance(node, ast.ImportFrom | ast.Import):
-                defined |= {alias.asname or alias.name for alias in node.names}
-        assert set(exported) <= defined, path

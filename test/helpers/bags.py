@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from push_ident.bags.typestore import jazzy_typestore
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
 from push_ident.geometry.outline import cells_in_outline
+from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.types import ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 
 COVARIANCE = np.array([[2e-6, 3e-7, 1e-7], [3e-7, 1e-6, 2e-7], [1e-7, 2e-7, 8e-5]])
@@ -43,18 +45,37 @@ def write_push(writer: BagWriter, start: float, *, n: int = 31, poses: bool = Tr
             writer.write_pusher(time, (time, 0.0))
 
 
-def write_raw(writer: BagWriter, role: Role, topic: str, stamp_ns: int, *fields: object) -> None:
-    store = jazzy_typestore()
-    message = store.types[role.msgtype](*fields)  # type: ignore[arg-type]
-    writer.write_raw(topic, role.msgtype, stamp_ns, store.serialize_cdr(message, role.msgtype))
+def new(msgtype: str, *fields: Any) -> Any:
+    return jazzy_typestore().types[msgtype](*fields)
+
+
+def header_msg(stamp: float, frame: str) -> Any:
+    return new("std_msgs/msg/Header", time_msg(round(1e9 * stamp)), frame)
+
+
+def time_msg(stamp_ns: int) -> Any:
+    return new("builtin_interfaces/msg/Time", *divmod(stamp_ns, 10**9))
+
+
+def pose_msg(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> Any:
+    turn = new("geometry_msgs/msg/Quaternion", *(float(value) for value in quaternion_of_yaw(yaw)))
+    return new("geometry_msgs/msg/Pose", new("geometry_msgs/msg/Point", x, y, z), turn)
+
+
+def write_raw(writer: BagWriter, msgtype: str, topic: str, stamp_ns: int, *fields: Any) -> None:
+    writer.write_raw(topic, msgtype, stamp_ns, jazzy_typestore().serialize_cdr(new(msgtype, *fields), msgtype))
 
 
 def write_pusher_logged(writer: BagWriter, stamp_ns: int, log_ns: int, topic: str = "/pusher/pose") -> None:
     """A pusher pose whose log time is not its stamp."""
-    types = jazzy_typestore().types
-    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9)), "table")
-    point, turn = types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    write_raw(writer, Role.PUSHER, topic, log_ns, header, types["geometry_msgs/msg/Pose"](point, turn))
+    write_raw(writer, Role.PUSHER.msgtype, topic, log_ns, new("std_msgs/msg/Header", time_msg(stamp_ns), "table"), pose_msg())
+
+
+def write_cells(writer: BagWriter, size: float, origin: Any, values: np.ndarray) -> None:
+    """The cells of object 7 as occupancy of rows and columns."""
+    header = header_msg(1.0, "object_7")
+    info = new("nav_msgs/msg/MapMetaData", header.stamp, size, *values.shape[::-1], origin)
+    write_raw(writer, Role.CELLS.msgtype, "/objects/7/cells", 10**9, header, info, values.astype(np.int8).ravel())
 
 
 def bag_error(path: Path) -> str:

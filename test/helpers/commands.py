@@ -22,3 +22,9 @@ def run_here(*args: object) -> subprocess.CompletedProcess[str]:
         except SystemExit as ended:
             code = int(ended.code or 0)
     return subprocess.CompletedProcess(args, code, output.getvalue(), error.getvalue())
+
+
+def check_refused(reason: str, *args: object) -> None:
+    """That a command ends with one line that has the reason."""
+    done = run_here(*args)
+    assert done.returncode == 1 and reason in done.stderr and done.stderr.strip().count("\n") == 0, done.stderr

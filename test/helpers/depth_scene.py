@@ -12,6 +12,7 @@ from push_ident.geometry.se2 import transform_points
 from push_ident.types import CameraIntrinsics, DepthFrame
 
 INTRINSICS = CameraIntrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
+SMALL = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 
 
 def look_at(position, target) -> np.ndarray:

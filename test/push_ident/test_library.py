@@ -1,12 +1,10 @@
-"""`import push_ident as pi`: quick to import, short to print, and the same results as the command line."""
+"""`import push_ident as pi`: short to print, and the same results as the command line."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -38,15 +36,6 @@ def result(pushes: LoadedPushes) -> Identification:
     return pi.identify(pushes[:3])
 
 
-def test_import_of_the_package_imports_nothing_that_is_heavy_and_its_use_neither_torch_nor_ros_nor_matplotlib() -> None:
-    heavy = ("cv2", "matplotlib", "numba", "numpy", "rclpy", "scipy", "torch")
-    code = (
-        f"import sys, push_ident as pi; assert 'identify' in dir(pi); print(sorted(set({heavy}) & set(sys.modules)))\n"
-        "pi.identify; print(sorted({'matplotlib', 'rclpy', 'torch'} & set(sys.modules)))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n[]\n"
-
-
 def test_every_name_that_is_offered_exists_and_is_documented_and_typed() -> None:
     assert (Path(pi.__file__).parent / "py.typed").is_file()
     for name in pi.__all__:
@@ -72,12 +61,8 @@ def test_linear_algebra_has_one_thread_during_a_call(chosen: str | None, used: i
         assert hasattr(call, "__wrapped__"), f"{call.__name__} is no call of one thread"
 
 
-def test_slice_of_pushes_is_as_many_pushes_of_the_same_object(pushes: LoadedPushes) -> None:
-    assert len(pushes) == 5 and len(pushes[1:3]) == 2
-    assert pushes[1:3].object_id == pushes.object_id and pushes[1:3][0] is pushes[1]
-
-
 def test_pushes_not_used_are_predicted_by_the_result_and_by_its_file(pushes: LoadedPushes, result: Identification, tmp_path: Path) -> None:
+    assert len(pushes[1:3]) == 2 and pushes[1:3].object_id == pushes.object_id and pushes[1:3][0] is pushes[1]
     predicted = pi.predict(result, pushes[3:])
     assert len(predicted) == 2 and predicted.mean_cell_error < 0.004
     save_model(tmp_path / "model.json", result.posterior, object_id="1")
@@ -107,18 +92,8 @@ def test_tables_of_results_are_whole_and_escape_foreign_text(pushes: LoadedPushe
     hostile = LoadedPushes("<script>", pushes.records, ["a <b>"])
     for thing in (hostile, result, pi.predict(result, pushes[3:])):
         html = HTMLFormatter()(thing)
-        assert html is not None
-        opened: list[str] = []
-
-        class Reader(HTMLParser):
-            def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-                opened.append(tag)  # noqa: B023
-
-            def handle_endtag(self, tag: str) -> None:
-                assert opened.pop() == tag  # noqa: B023
-
-        Reader().feed(html)
-        assert opened == [] and "<script>" not in html
+        assert html is not None and "<script>" not in html
+        ElementTree.fromstring(f"<div>{html}</div>")  # each element ends
 
 
 def test_mistakes_are_answered_in_one_line(pushes: LoadedPushes, result: Identification) -> None:

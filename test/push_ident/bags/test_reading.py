@@ -2,24 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from helpers.bags import COVARIANCE, L_OUTLINE, L_SHAPE, assert_same_record, make_record, write_push, write_pusher_logged, write_raw
-from helpers.paths import recording
+from helpers.bags import (
+    COVARIANCE,
+    L_OUTLINE,
+    L_SHAPE,
+    assert_same_record,
+    header_msg,
+    make_record,
+    new,
+    pose_msg,
+    write_cells,
+    write_push,
+    write_pusher_logged,
+    write_raw,
+)
+from helpers.paths import EXAMPLE_BAG, recording
 from push_ident.bags.contract import Role, TopicRole, role_of
 from push_ident.bags.decode import DEFAULT_COVARIANCE
 from push_ident.bags.pushes import split_pushes
-from push_ident.bags.reader import read_bag
+from push_ident.bags.raw import raw_messages
+from push_ident.bags.reader import BagContents, read_bag
 from push_ident.bags.records import write_records
-from push_ident.bags.typestore import jazzy_typestore
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.outline import outline_of_cells, polygon_area
-from push_ident.geometry.se2 import quaternion_of_yaw
-from push_ident.types import CameraIntrinsics, CellGrid, ObjectShape, PushRecord
+from push_ident.types import CameraIntrinsics, CellGrid, ObjectShape
+from push_ident_msgs.msg import PushRecord, PushScore
 
 
 def test_topics_are_recognised_under_any_namespace() -> None:
@@ -46,20 +63,16 @@ def test_records_read_back_equal(tmp_path: Path, name: str) -> None:
     assert sorted(path.stat().st_mtime_ns for path in tmp_path.rglob("*")) == before
 
 
-def test_one_push_of_two_objects_is_a_record_of_each(tmp_path: Path) -> None:
+def test_one_push_of_two_objects_is_a_record_of_each_and_one_object_has_one_shape(tmp_path: Path) -> None:
     records = [make_record(1.0, object_id="a", wrench=False), make_record(1.0, object_id="b", wrench=False)]
     write_records(tmp_path / "bag", records)
     contents = read_bag(tmp_path / "bag")
     assert list(contents.objects) == ["a", "b"] and len(contents.pusher) == 31
     assert_same_record(split_pushes(contents, "b")[0], records[1])
-
-
-def test_records_that_cannot_share_a_bag_are_refused(tmp_path: Path) -> None:
-    other = make_record(5.0)
     smaller = ObjectShape(CellGrid(L_SHAPE.cells.centres[:3], 0.01), L_OUTLINE)
     with pytest.raises(InputError, match="one shape"):
-        write_records(tmp_path / "bag", [other, PushRecord("7", smaller, other.poses, other.pusher)])
-    assert not (tmp_path / "bag").exists()
+        write_records(tmp_path / "other", [records[0], replace(records[0], shape=smaller)])
+    assert not (tmp_path / "other").exists()
 
 
 def test_times_of_a_date_keep_their_nanoseconds(tmp_path: Path) -> None:
@@ -93,16 +106,9 @@ def test_what_is_dropped_or_assumed_is_counted(tmp_path: Path) -> None:
 
 
 def test_cells_follow_the_origin_and_yaw_of_their_grid(tmp_path: Path) -> None:
-    store = jazzy_typestore()
-    x, y, z, w = quaternion_of_yaw(np.pi / 2)
-    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](1, 0), "object_7")
-    origin = store.types["geometry_msgs/msg/Pose"](
-        store.types["geometry_msgs/msg/Point"](0.1, -0.2, 0.0), store.types["geometry_msgs/msg/Quaternion"](x, y, z, w)
-    )
-    info = store.types["nav_msgs/msg/MapMetaData"](header.stamp, 0.02, 3, 2, origin)  # type: ignore[attr-defined]
     with BagWriter(tmp_path / "bag") as writer:
         write_push(writer, 2.0)
-        write_raw(writer, Role.CELLS, "/objects/7/cells", 10**9, header, info, np.array([0, 0, 100, -1, 49, 50], dtype=np.int8))
+        write_cells(writer, 0.02, pose_msg(0.1, -0.2, yaw=np.pi / 2), np.array([[0, 0, 100], [-1, 49, 50]]))
     contents = read_bag(tmp_path / "bag")
     shape = contents.objects["7"].shape
     assert shape is not None and any("no outline" in note for note in contents.notes)
@@ -135,25 +141,23 @@ def test_depth_frames_come_one_by_one_in_metres(tmp_path: Path) -> None:
     assert any("1 of 3 images are not usable" in note for note in contents.notes)
 
 
+def depth_bag(path: Path, encoding: str, bigendian: int, rows: np.ndarray) -> BagContents:
+    with BagWriter(path) as writer:
+        write_push(writer, 2.0)
+        writer.write_camera_info(2.0, CameraIntrinsics(2, 2, 3.0, 3.0, 0.5, 0.5))
+        fields = header_msg(2.0, "camera_depth_optical_frame"), 2, 2, encoding, bigendian, rows.shape[1], rows.ravel()
+        write_raw(writer, Role.DEPTH.msgtype, "/depth/image_rect", 2 * 10**9, *fields)
+    return read_bag(path)
+
+
 @pytest.mark.parametrize(("bigendian", "pad"), [(0, 6), (1, 0)])
 def test_depth_honours_step_and_byte_order(tmp_path: Path, bigendian: int, pad: int) -> None:
     values = np.array([[300, 1000], [2, 65535]], dtype=">u2" if bigendian else "<u2")
     rows = np.hstack([values.view(np.uint8).reshape(2, 4), np.full((2, pad), 7, dtype=np.uint8)])
-    self_described(tmp_path / "bag", "16UC1", bigendian, rows)
-    (frame,) = read_bag(tmp_path / "bag").depth_frames()
+    (frame,) = depth_bag(tmp_path / "bag", "16UC1", bigendian, rows).depth_frames()
     np.testing.assert_allclose(frame.depth, [[0.3, 1.0], [0.002, 65.535]], rtol=1e-6)
-    self_described(tmp_path / "other", "mono16", 0, np.zeros((2, 4), dtype=np.uint8))
     with pytest.raises(FrameError, match="'mono16'.*16UC1"):
-        list(read_bag(tmp_path / "other").depth_frames())
-
-
-def self_described(path: Path, encoding: str, bigendian: int, rows: np.ndarray) -> None:
-    store = jazzy_typestore()
-    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](2, 0), "camera_depth_optical_frame")
-    with BagWriter(path) as writer:
-        write_push(writer, 2.0)
-        writer.write_camera_info(2.0, CameraIntrinsics(2, 2, 3.0, 3.0, 0.5, 0.5))
-        write_raw(writer, Role.DEPTH, "/depth/image_rect", 2 * 10**9, header, 2, 2, encoding, bigendian, rows.shape[1], rows.ravel())
+        list(depth_bag(tmp_path / "other", "mono16", 0, rows).depth_frames())
 
 
 def test_contract_sample_of_another_maker_is_read() -> None:
@@ -170,24 +174,47 @@ def test_contract_sample_of_another_maker_is_read() -> None:
 
 
 def test_accuracy_of_the_camera_is_that_of_every_push_and_one_that_is_none_is_noted(tmp_path: Path) -> None:
-    read = []
-    types = jazzy_typestore().types
-    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 0), "table")
-    place = types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-
-    def covariance(position: float, heading: float) -> object:
-        variance = np.diag([position**2, position**2, 0.0, 0.0, 0.0, heading**2]).ravel()
-        return types["geometry_msgs/msg/PoseWithCovariance"](types["geometry_msgs/msg/Pose"](*place), variance)
-
     for name, position, heading in (("right", 2e-3, 5e-3), ("none", 1e6, 0.0)):
+        variance = np.diag([position**2, position**2, 0.0, 0.0, 0.0, heading**2]).ravel()
+        covariance = new("geometry_msgs/msg/PoseWithCovariance", pose_msg(), variance)
         with BagWriter(tmp_path / name) as writer:
             writer.write_shape("7", L_SHAPE, 1.0)
-            write_raw(writer, Role.CAMERA_ACCURACY, "/depth/camera_accuracy", 10**9, header, covariance(position, heading))
+            write_raw(writer, Role.CAMERA_ACCURACY.msgtype, "/depth/camera_accuracy", 10**9, header_msg(1.0, "table"), covariance)
             write_push(writer, 2.0)
-        read.append(read_bag(tmp_path / name))
-    right, wrong = read
+    right, wrong = (read_bag(tmp_path / name) for name in ("right", "none"))
     assert right.camera_accuracy is not None
     assert (right.camera_accuracy.position, right.camera_accuracy.heading) == pytest.approx((2e-3, 5e-3))
     (record,) = split_pushes(right, "7")
     assert record.poses.camera == right.camera_accuracy
     assert wrong.camera_accuracy is None and any("depth/camera_accuracy" in note for note in wrong.notes)
+
+
+# ---- messages recorded with other definitions are played as the installed ones
+
+
+def test_push_records_of_the_example_bag_are_what_subscribers_take() -> None:
+    records = [deserialize_message(message.data, PushRecord) for message in raw_messages(EXAMPLE_BAG) if message.topic == "/push_record"]
+    assert [record.push_id for record in records] == [1, 2, 3, 4]
+    assert {record.object_id for record in records} == {"o1"}
+    assert {record.purpose for record in records} == {PushRecord.PURPOSE_REQUESTED}
+    assert all(record.distance > 0.01 and record.end.sec > record.start.sec for record in records)
+
+
+OTHER = "std_msgs/Header header\nstring remark\nuint32 number\nfloat64 error\nfloat64[] extra"
+"""Of PushScore, with other fields in another order."""
+
+
+def test_fields_of_another_definition_are_taken_over_by_name_and_others_are_empty(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    name, text = "push_ident_msgs/msg/PushScore", "std_msgs/msg/String"
+    store.register(get_types_from_msg(OTHER, name))
+    score = store.types[name](header=header_msg(3.0, "table"), remark="old", number=7, error=0.25, extra=np.array([1.0, 2.0]))
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for topic, kind, message in (("/objects/o1/push_score", name, score), ("/words", text, store.types[text](data="as it is"))):
+            writer.write(writer.add_connection(topic, kind, typestore=store), 3 * 10**9, store.serialize_cdr(message, kind))
+    played, words = raw_messages(tmp_path / "bag")
+    found = deserialize_message(played.data, PushScore)
+    assert found.header.stamp.sec == 3 and found.number == 7
+    others = [getattr(found, field) for field in found.get_fields_and_field_types() if field not in ("header", "number")]
+    assert all(value in (0, "", False) for value in others)
+    assert words.data.endswith(b"as it is\x00")

@@ -48,6 +48,7 @@ class Quadratic:
         return np.asarray(self.gradient + self.hessian @ (z - self.point))
 
     def __call__(self, z: Float64Array) -> float:
+        """Cost at `z`."""
         step = z - self.point
         return float(self.gradient @ step + 0.5 * step @ self.hessian @ step)
 
