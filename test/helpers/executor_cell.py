@@ -92,7 +92,7 @@ class Cell(Node):
         self._publish_once(OccupancyGrid, "objects/box/cells", cells)
         self._publish_once(PolygonStamped, "objects/box/outline", outline)
         self._states = self.create_publisher(JointState, "joint_states", 10)
-        self._poses = self.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
+        self.poses = self.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
         self._wrenches = self.create_publisher(WrenchStamped, "pusher/wrench", qos_profile_sensor_data)
         self._hand = self.create_publisher(HandStatus, "Robotiq3FGripper/InputRegisters", 10)
         self.recording = self.create_publisher(DiagnosticStatus, "recording", LATCHED)
@@ -184,7 +184,7 @@ class Cell(Node):
         if self._n_ticks % 10 == 0:
             self._hand.publish(HandStatus(**self.fist))
         if self._n_ticks % 3 == 0:
-            self._poses.publish(planar_pose_to_msg(stamp, self.box, np.eye(3) * self.pose_variance))
+            self.poses.publish(planar_pose_to_msg(stamp, self.box, np.eye(3) * self.pose_variance))
 
 
 @dataclass

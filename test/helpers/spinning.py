@@ -6,18 +6,38 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.cell_node import CellNode, Component, Health
 from push_ident.nodes.base.executors import make_executor
 
 AnyNode = TypeVar("AnyNode", bound=Node)
 AnyCellNode = TypeVar("AnyCellNode", bound=CellNode)
+
+
+class BareComponent(Component):
+    """One that is always well."""
+
+    def health(self) -> Health:
+        return Health(DiagnosticStatus.OK, "")
+
+
+class BareNode(CellNode):
+    """A node of the suite that has what `build` adds to it."""
+
+    def __init__(self, build: Callable[[CellNode], object] = lambda node: None, **kwargs: Any) -> None:
+        self._build = build
+        super().__init__("bare_node", (), **kwargs)
+
+    def make_component(self) -> Component:
+        self._build(self)
+        return BareComponent()
 
 
 @contextmanager
@@ -40,7 +60,9 @@ def spinning(make: Callable[[Context], AnyNode], domain: int | None = None, *, n
 
 
 @contextmanager
-def running(kind: type[AnyCellNode], domain: int, *parameters: str, file: Path | None = None, n_threads: int = 1) -> Iterator[AnyCellNode]:
+def running(
+    kind: Callable[..., AnyCellNode], domain: int, *parameters: str, file: Path | None = None, n_threads: int = 1
+) -> Iterator[AnyCellNode]:
     """A node of the suite in this process, with parameters as `name:=value` and those of a file; closed at the end."""
     arguments = ["--ros-args", *(("--params-file", str(file)) if file else ()), *(word for given in parameters for word in ("-p", given))]
     with spinning(lambda context: kind(context=context, cli_args=arguments), domain, n_threads=n_threads) as node:

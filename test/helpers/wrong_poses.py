@@ -43,4 +43,5 @@ def wrong_poses() -> dict[str, PoseWithCovarianceStamped]:
     add("negative stamp", lambda m: setattr(m.header.stamp, "sec", -1))
     add("too many nanoseconds", lambda m: setattr(m.header.stamp, "nanosec", 2**32 - 1))
     add("wrong frame", lambda m: setattr(m.header, "frame_id", "[/x]\x00" * 1000))
+    add("tilted against the table", lambda m: setattr(m.pose.pose, "orientation", type(m.pose.pose.orientation)(x=0.6, w=0.8)))
     return found

@@ -135,35 +135,8 @@ def test_object_is_pushed_out_over_the_edge_and_held(tmp_path: Path, domain: Non
     assert "edge of the table" in (tmp_path / "out" / "report.html").read_text()
 
 
-LENGTH = 0.08
-"""Of a line that an object is pushed along [m]."""
-
-
 @pytest.mark.alone
-@pytest.mark.long  # quicker: nodes/test_goal_pushing.py
-def test_object_is_pushed_along_a_line_in_the_live_simulated_cell(tmp_path: Path, domain: None) -> None:
-    cell = {"object": "book", "seed": 3, "camera_rate": 0.0, "truth_as_perception": True}
-    parameters: dict[str, dict[str, object]] = {"sim_cell_node": cell, "push_executor_node": {"hand": "none"}}
-    unused = ("perception_node", "gap_diagnosis_node")
-    commands = [c for c in node_commands("sim", parameters=parameters, log_level="warn") if c.name not in unused]
-    with Supervisor(commands) as supervisor, CellClient(check=supervisor.check) as client:
-        object_id = client.wait_for_object()
-        succeeded("push", "--random", 2, "--seed", 1)
-        client.wait_for_map(object_id, 2, 60.0)
-        # From where it lies, in its heading, to the other side of the middle: the error of the way is then that of following.
-        x, y, yaw = client.pose_at_rest(object_id, after=-np.inf)
-        ahead = -np.copysign(LENGTH, x * np.cos(yaw) + y * np.sin(yaw))
-        line = tmp_path / "line.csv"
-        line.write_text(f"# x, y, yaw\n{x}, {y}, {yaw}\n{x + ahead * np.cos(yaw)}, {y + ahead * np.sin(yaw)}, {yaw}\n")
-        succeeded("push-to", "--path", line, "--explore", 0, "--json", tmp_path / "path.json", "--time-limit", 250, timeout=320.0)
-    content = json.loads((tmp_path / "path.json").read_text())
-    assert content["reached"] and content["kind"] == "path" and content["done"] == 1.0
-    # One contact or two hold the object for the whole way, where straight pushes need some five; one or two more end at the last pose.
-    assert content["n_corrections"] > 20 and content["n_pushes"] <= 4
-    assert content["rms_position_m"] < 0.003 and content["rms_yaw_rad"] < np.radians(2.0)
-
-
-@pytest.mark.alone
+@pytest.mark.long  # quicker: pushing/robot/test_checks.py and nodes/test_refused_starts.py
 def test_ur5e_of_its_file_pushes_the_object_in_the_simulated_cell(tmp_path: Path, domain: None) -> None:
     """Six joints instead of seven."""
     simulated, executor = (robot_for(kind, robot_path("ur5e")).parameters(tmp_path, ()) for kind in ("sim", "arm"))

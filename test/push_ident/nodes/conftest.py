@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+import rclpy
+from rclpy.context import Context
 
 from helpers.executor_cell import Cell
 from helpers.spinning import spinning
@@ -14,6 +16,14 @@ from push_ident.nodes.base.network import own_domain
 @pytest.fixture(scope="module")
 def domain() -> int:
     return own_domain()
+
+
+@pytest.fixture(scope="module")
+def context(domain: int) -> Iterator[Context]:
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    yield context
+    context.try_shutdown()
 
 
 @pytest.fixture(scope="module")

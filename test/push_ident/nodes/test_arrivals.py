@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import qos_profile_sensor_data
 from std_msgs.msg import String
 
 from helpers.node_process import Talker
-from helpers.spinning import running
+from helpers.spinning import BareNode, running
 from push_ident.nodes.base.arrivals import Arrivals
-from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.cell_node import CellNode
 from push_ident.nodes.base.network import own_domain
 
 
@@ -40,37 +40,21 @@ def test_no_loss_is_known_of_a_new_publisher_of_several_and_without_numbers(numb
     assert arrivals.n_lost == 0 and arrivals.n_taken == len(numbers)
 
 
-class Slow(Component):
-    """Takes 30 ms for a message."""
-
-    def __init__(self, node: CellNode) -> None:
-        self.arrivals = node.arrivals_of("words")
-        node.create_subscription(String, "words", lambda msg: time.sleep(0.03), qos_profile_sensor_data, arrivals=self.arrivals)
-
-    def health(self) -> Health:
-        return Health(DiagnosticStatus.OK, "")
-
-
-class SlowNode(CellNode):
-    """A node whose input is faster than its callback."""
-
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__("slow_node", (), **kwargs)
-
-    def make_component(self) -> Component:
-        self.slow = Slow(self)
-        return self.slow
-
-
 @pytest.mark.live
 def test_node_counts_what_its_queue_drops() -> None:
-    domain = own_domain()
-    with running(SlowNode, domain) as node, Talker(domain) as talker:
+    domain, found = own_domain(), list[Arrivals]()
+
+    def listen(node: CellNode) -> None:
+        found.append(node.arrivals_of("words"))
+        node.create_subscription(String, "words", lambda msg: time.sleep(0.03), qos_profile_sensor_data, arrivals=found[0])
+
+    with running(partial(BareNode, listen), domain), Talker(domain) as talker:
+        (arrivals,) = found
         words = talker.node.create_publisher(String, "words", qos_profile_sensor_data)
         talker.until(words.get_subscription_count)
-        talker.until(lambda: node.slow.arrivals.n_taken, lambda: words.publish(String(data="first")))
-        before = node.slow.arrivals.n_taken + node.slow.arrivals.n_lost
+        talker.until(lambda: arrivals.n_taken, lambda: words.publish(String(data="first")))
+        before = arrivals.n_taken + arrivals.n_lost
         for _ in range(100):
             words.publish(String(data="more"))
-        talker.until(lambda: node.slow.arrivals.n_taken + node.slow.arrivals.n_lost >= before + 100)
-        assert node.slow.arrivals.n_lost > 50  # the queue holds five
+        talker.until(lambda: arrivals.n_taken + arrivals.n_lost >= before + 100)
+        assert arrivals.n_lost > 50  # the queue holds five

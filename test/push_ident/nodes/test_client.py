@@ -6,24 +6,23 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
-import rclpy
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.action import ActionClient, ActionServer
+from rclpy.action import ActionServer
 from rclpy.action.server import ServerGoalHandle
 from rclpy.context import Context
-from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from helpers.fuzzing import fuzzed
 from helpers.fuzzing.messages import messages_like
 from helpers.fuzzing.right import OBJECT, right_messages
-from push_ident.nodes.base.guard import is_guarded
+from helpers.spinning import spinning
+from push_ident.nodes.base.guard import Guard, is_guarded
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.client.cell_client import CellClient, CellTimeout
 from push_ident_msgs.action import ExecutePush
@@ -58,6 +57,7 @@ class Executor(Node):
         super().__init__("executor", context=context)
         self._closing, self._idle = threading.Event(), threading.Event()
         self._idle.set()
+        self.guard = Guard(self.get_logger)
         self._server = ActionServer(self, ExecutePush, "execute_push", self._execute)
 
     def _execute(self, goal: ServerGoalHandle) -> ExecutePush.Result:
@@ -79,21 +79,11 @@ class Executor(Node):
 
 @contextmanager
 def serving() -> Iterator[Executor]:
-    context = Context()
-    rclpy.init(context=context)
-    node = Executor(context)
-    spinning = MultiThreadedExecutor(2, context=context)
-    spinning.add_node(node)
-    thread = threading.Thread(target=spinning.spin, daemon=True)
-    thread.start()
-    try:
-        yield node
-    finally:
-        node.close()
-        spinning.shutdown(timeout_sec=1.0)
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
-        thread.join(timeout=2.0)
+    with spinning(Executor, n_threads=2) as node:
+        try:
+            yield node
+        finally:
+            node.close()
 
 
 @pytest.fixture(autouse=True)
@@ -121,22 +111,6 @@ def test_client_waits_for_a_long_push_while_feedback_comes(client: CellClient) -
     result = client.execute_push(goal, silence=silence, on_feedback=lambda feedback: progress.append(feedback.progress))
     assert time.monotonic() - started > 2.3 * silence
     assert result.push_id == 7 and len(progress) > 8
-
-
-def test_feedback_that_comes_after_the_result_is_not_heard(client: CellClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both come on topics of their own: a command would print the state of a push that is over, and take it for its outcome."""
-    progress: list[float] = []
-    callbacks: list[Callable[[object], None]] = []
-    send = ActionClient.send_goal_async
-
-    def noting(action: ActionClient, goal: object, feedback_callback: Callable[[object], None], **others: object) -> object:
-        callbacks.append(feedback_callback)
-        return send(action, goal, feedback_callback=feedback_callback, **others)
-
-    monkeypatch.setattr(ActionClient, "send_goal_async", noting)
-    client.execute_push(ExecutePush.Goal(speed=0.2, distance=2.0), on_feedback=lambda feedback: progress.append(feedback.progress))
-    callbacks[0](ExecutePush.Impl.FeedbackMessage(feedback=ExecutePush.Feedback(progress=1.0)))
-    assert len(callbacks) == 1 and 1.0 not in progress
 
 
 def test_executor_that_falls_silent_is_given_up(client: CellClient) -> None:

@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from helpers.fuzzing import fuzzed
-from helpers.fuzzing.messages import TEXTS, messages_like
+from helpers.fuzzing.messages import messages_like
 from helpers.fuzzing.right import OBJECT, right_goals, right_messages
 from push_ident.errors import PushIdentError
 from push_ident.limits import LIMITS
@@ -139,20 +139,3 @@ def test_any_message_is_converted_or_refused(changed: tuple[str, Any]) -> None:
 
 def test_the_messages_themselves_are_converted() -> None:
     assert [name for name, (base, convert, keeps) in CONVERSIONS.items() if not keeps(convert(base))] == []
-
-
-def test_changed_messages_are_wrong_in_every_way() -> None:
-    seen: list[Any] = []
-
-    @fuzzed(2000)
-    @given(messages_like(POSE))
-    def collect(msg: Any) -> None:
-        seen.append(msg)
-
-    collect()
-    positions, covariances = [msg.pose.pose.position.x for msg in seen], [np.array(msg.pose.covariance) for msg in seen]
-    assert any(np.isnan(x) for x in positions) and any(np.isinf(x) for x in positions) and any(0.0 < x < 1e-300 for x in positions)
-    assert any(np.isnan(c).any() for c in covariances) and any((c == 0).all() for c in covariances)
-    assert any(msg.header.stamp.sec < 0 for msg in seen) and any(msg.header.stamp.nanosec >= 10**9 for msg in seen)
-    assert any(msg.pose.pose.orientation.w == msg.pose.pose.orientation.z == 0.0 for msg in seen)
-    assert any(msg.header.frame_id in TEXTS for msg in seen)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -16,8 +15,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
-from helpers.executor_cell import QUICK, Cell, Stalls, ask, start_node, wait_for, wait_until_ready
-from push_ident.cli.supervisor import node_command
+from helpers.executor_cell import Cell, Stalls, start_node, wait_for, wait_until_ready
 
 pytestmark = pytest.mark.alone
 
@@ -45,11 +43,6 @@ with CellClient() as client:
     client.execute_push(contact_goal(np.array([0.05, 0.0]), np.pi, object_id="box", in_object=True, distance=0.12, speed=0.03))
 """
 """A client whose thread is stuck as soon as there is a file."""
-SUPERVISOR = """
-import json, sys
-from push_ident.cli.supervisor import NodeCommand, Supervisor
-sys.exit(Supervisor([NodeCommand("executor", tuple(json.loads(sys.argv[1])), is_node=True)]).run())
-"""
 
 
 @pytest.fixture(scope="module")
@@ -114,25 +107,23 @@ def test_arm_stands_soon_after_the_client_was_killed(cell: Cell, domain: int) ->
     wait_for(lambda: any(text in value.value for msg in list(cell.diagnostics) for value in msg.status[0].values))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
-def test_message_that_cannot_be_used_does_not_keep_a_client_from_its_end(cell: Cell, domain: int, number: signal.Signals) -> None:
-    poses = cell.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
+def test_message_that_cannot_be_used_does_not_keep_a_client_from_its_end(cell: Cell, domain: int) -> None:
     wrong = PoseWithCovarianceStamped()
     wrong.header.frame_id = "map"
     with client(domain, *COMMAND) as process:
         wait_until_it_pushes(cell, process)
         for _ in range(3):
-            poses.publish(wrong)
+            cell.poses.publish(wrong)
             time.sleep(0.1)
         with Stalls() as stalls:
-            process.send_signal(number)
+            process.send_signal(signal.SIGINT)
             stands = stands_after(cell, time.monotonic())
         output = process.communicate()[0]
-    ask(cell, lambda: cell.destroy_publisher(poses))
     assert stands < 2 * REACTION + 4 * stalls.worst
     assert output.count("\n") == 1 and "refused: objects/box/pose" in output, output
 
 
+@pytest.mark.long  # quicker: the client that was killed
 def test_client_whose_thread_is_stuck_leaves_no_moving_arm(cell: Cell, domain: int, tmp_path: Path) -> None:
     flag = tmp_path / "stuck"
     with client(domain, "-c", STUCK, str(flag)) as process:
@@ -153,27 +144,3 @@ def test_client_hears_soon_that_the_executor_was_killed(cell: Cell, domain: int,
             heard = time.monotonic() - gone
     assert process.returncode == 1 and "push_executor_node has not answered for 3 s" in output and "Traceback" not in output
     assert heard < 4.5 + 4 * stalls.worst  # and the end of its process
-
-
-@pytest.mark.long
-def test_client_hears_soon_of_a_supervisor_terminated_twice(the_cell: Cell, domain: int, executor: subprocess.Popen[str]) -> None:
-    executor.kill()
-    executor.wait()
-    the_cell.reset()
-    the_cell.box[0] = 0.06
-    the_cell.diagnostics.clear()
-    argv = json.dumps(node_command("push_executor_node", QUICK).argv)
-    with client(domain, "-c", SUPERVISOR, argv) as supervisor:
-        wait_until_ready(the_cell)
-        with client(domain, *COMMAND) as process:
-            wait_until_it_pushes(the_cell, process)
-            with Stalls() as stalls:
-                for _ in range(2):
-                    supervisor.terminate()
-                    time.sleep(0.1)
-                gone = time.monotonic()
-                output = process.communicate(timeout=30.0)[0]
-                heard = time.monotonic() - gone
-        supervisor.wait(10.0)
-    assert process.returncode == 1 and ("the node was stopped" in output or "has left the ROS graph" in output), output
-    assert heard < 1.5 + 4 * stalls.worst

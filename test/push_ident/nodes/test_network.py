@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -50,29 +49,3 @@ def test_a_domain_belongs_to_one_process_until_it_ends() -> None:
     for process in others:
         process.communicate("", timeout=20)
         assert process.returncode == 1  # end of file
-
-
-HOLD_ALL = "from push_ident.nodes.base.network import own_domain; print([own_domain() for _ in range(300)][-202:], flush=True); input()"
-
-
-def test_a_process_that_has_had_all_domains_gets_its_own_again_in_turn_and_others_get_none() -> None:
-    """In a network of its own, so that no other process lacks one."""
-    if subprocess.run(["unshare", "--user", "--net", "true"], capture_output=True, check=False).returncode != 0:
-        pytest.skip("this user may not make a network namespace")
-    program = (
-        "import subprocess, sys\n"
-        "from push_ident.errors import InputError\n"
-        "from push_ident.nodes.base.network import own_domain\n"
-        f"held = subprocess.Popen([sys.executable, '-c', {HOLD_ALL!r}], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)\n"
-        "print(held.stdout.readline())\n"
-        "try:\n    own_domain()\nexcept InputError as error:\n    print(error)\n"
-        "held.communicate('')\n"
-        "print(own_domain())\n"
-    )
-    done = subprocess.run(
-        ["unshare", "--user", "--net", sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
-    )
-    given, refused, free = (line for line in done.stdout.splitlines() if line)
-    first, second = json.loads(given)[:101], json.loads(given)[101:]
-    assert first == second and sorted(first) == list(range(1, 102))
-    assert "hold all ROS domains" in refused and 1 <= int(free) <= 101

@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from push_ident.errors import InputError
-from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.base.parameters import Parameter, Parameters
 from push_ident.nodes.push_executor.parameters import PARAMETERS as EXECUTOR
 from push_ident.nodes.push_executor.parameters import execution_settings
@@ -25,22 +22,14 @@ TABLE = (
 )
 
 
-@pytest.fixture(scope="module")
-def context():
-    context = Context()
-    rclpy.init(context=context, domain_id=own_domain())
-    yield context
-    context.try_shutdown()
-
-
 @pytest.fixture
 def make(context):
     nodes = []
 
-    def build(overrides=None, **kwargs):
+    def build(overrides=None, table=TABLE, **kwargs):
         overrides = [RosParameter(name, value=value) for name, value in (overrides or {}).items()]
         nodes.append(Node("tested", context=context, parameter_overrides=overrides, enable_rosout=False))
-        return nodes[-1], Parameters(nodes[-1], TABLE, **kwargs)
+        return nodes[-1], Parameters(nodes[-1], table, **kwargs)
 
     yield build
     for node in nodes:
@@ -104,30 +93,21 @@ def test_values_that_do_not_go_together_are_refused(make):
         make({"speed": 0.4}, check=check)
 
 
-def test_rows_that_follow_from_a_list_of_names_are_declared_too(context, capfd):
-    overrides = [RosParameter("tools", value=["left", "right"]), RosParameter("left.speed", value=0.2), RosParameter("up.speed", value=0.2)]
-    node = Node("tested", context=context, parameter_overrides=overrides, enable_rosout=False)
-    try:
-        parameters = Parameters(
-            node,
-            (Parameter("tools", [""], "their names", read_only=True),),
-            further=lambda values: [Parameter(f"{name}.speed", 0.1, "[m/s]", 0.0, 0.5) for name in values["tools"]],
-        )
-        assert parameters.as_dict() == {"tools": ["left", "right"], "left.speed": 0.2, "right.speed": 0.1}
-        assert not node.set_parameters([RosParameter("right.speed", value=0.9)])[0].successful
-    finally:
-        node.destroy_node()
+def test_rows_that_follow_from_a_list_of_names_are_declared_too(make, capfd):
+    node, parameters = make(
+        {"tools": ["left", "right"], "left.speed": 0.2, "up.speed": 0.2},
+        (Parameter("tools", [""], "their names", read_only=True),),
+        further=lambda values: [Parameter(f"{name}.speed", 0.1, "[m/s]", 0.0, 0.5) for name in values["tools"]],
+    )
+    assert parameters.as_dict() == {"tools": ["left", "right"], "left.speed": 0.2, "right.speed": 0.1}
+    assert not node.set_parameters([RosParameter("right.speed", value=0.9)])[0].successful
     reported = capfd.readouterr().err
     assert "up.speed is not one of tested and is ignored; did you mean" in reported and "left.speed" not in reported.split("up.speed")[0]
 
 
-def test_list_with_one_number_for_each_joint_has_any_length_but_none_outside_its_range(context):
+def test_list_with_one_number_for_each_joint_has_any_length_but_none_outside_its_range(make):
     row = Parameter("posture", [0.0] * 7, "one per joint [rad]", -6.3, 6.3, any_length=True)
-    node = Node("arm", context=context, parameter_overrides=[RosParameter("posture", value=[0.1] * 6)], enable_rosout=False)
-    try:
-        assert Parameters(node, (row,))["posture"] == [0.1] * 6
-    finally:
-        node.destroy_node()
+    assert make({"posture": [0.1] * 6}, (row,))[1]["posture"] == [0.1] * 6
     assert row.fault([]) == "expected at least one value" and row.fault([0.1] * 5 + [7.0]) == "expected -6.3 to 6.3"
 
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import rclpy
 from rclpy.context import Context
 
 from helpers.paths import CONFIG
@@ -15,7 +13,6 @@ from helpers.robots import robot_path
 from push_ident.cli.robot import robot_for
 from push_ident.errors import InputError
 from push_ident.nodes.base.cell_node import CellNode
-from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.perception.perception_node import PerceptionNode
 from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
 from push_ident.nodes.recording.bag_recorder_node import BagRecorderNode
@@ -35,14 +32,6 @@ REFUSED: tuple[tuple[type[CellNode], tuple[str, ...], str], ...] = (
     ),
     (ViewerNode, ("output:=file", "file:=view.txt"), "expected a path that ends with .rrd"),
 )
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[Context]:
-    context = Context()
-    rclpy.init(context=context, domain_id=own_domain())
-    yield context
-    context.try_shutdown()
 
 
 def refusal(node: type[CellNode], context: Context, *parameters: str) -> str:

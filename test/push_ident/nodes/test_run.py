@@ -90,30 +90,6 @@ def test_a_node_that_cannot_start_gives_the_reason_in_one_line():
     assert "speed is 9, expected 0 to 1." in output and "Traceback" not in output
 
 
-def test_interrupt_while_a_node_is_loaded_ends_it_quietly(tmp_path):
-    """At any moment: fault 59 of `make faults`."""
-    # The import times show when Python has started: before that no code of a package runs.
-    said = tmp_path / "stderr"
-
-    def listen_to_interrupts():
-        # A shell in the background lets what it starts ignore them.
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-    with said.open("w") as stderr:
-        argv = [sys.executable, "-X", "importtime", "-m", "push_ident.nodes", "perception_node"]
-        process = subprocess.Popen(argv, stdout=stderr, stderr=stderr, preexec_fn=listen_to_interrupts)
-        try:
-            # Of the imports after the table of executables the first belongs to the node.
-            while not said.read_text().partition("push_ident.nodes.executables\n")[2]:
-                time.sleep(0.005)
-            time.sleep(0.3)
-            process.send_signal(signal.SIGINT)
-            assert process.wait(timeout=30.0) == 0
-        finally:
-            process.kill()
-    assert "Traceback" not in said.read_text()
-
-
 IMPORT_ALL = """
 import importlib, os, pkgutil, signal, sys, threading
 import cv2, rclpy  # their loaders set the environment; our modules must not

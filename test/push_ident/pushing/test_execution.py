@@ -103,12 +103,16 @@ def test_arm_that_is_slow_to_begin_has_missed_nothing(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("target", "name", "code"),
-    [("client", "is_cancel_requested", PushCode.CANCELED), ("cell", "is_silent", PushCode.ARM_SILENT)],
-    ids=["canceled", "silent arm"],
+    ("target", "change", "code"),
+    [
+        ("client", {"is_cancel_requested": True}, PushCode.CANCELED),
+        ("cell", {"is_silent": True}, PushCode.ARM_SILENT),
+        ("cell", {"hand_text": "the hand is open"}, PushCode.HAND),
+        ("cell", {"fault": "the disk is full", "is_there": False}, PushCode.RECORDING),  # the fault of a force sensor, if it is there
+    ],
 )
-def test_arm_is_halted_on_its_path(bench: Bench, target: str, name: str, code: PushCode) -> None:
-    bench.when_pushing(lambda cell: setattr(getattr(bench, target), name, True))
+def test_arm_is_halted_on_its_path(bench: Bench, target: str, change: dict[str, object], code: PushCode) -> None:
+    bench.when_pushing(lambda cell: vars(getattr(bench, target)).update(change))
     assert code_of(bench.push()) == code
     (q,) = bench.cell.holds
     motion = bench.pushes[0].plan
