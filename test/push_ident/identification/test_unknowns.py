@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -153,6 +155,12 @@ def test_linear_evidence_is_that_of_a_fit_nearby_and_has_the_slope_that_differen
     # The prior of the hyperparameters is in the linear evidence only.
     prior = 0.5 * float(np.sum(((near.logs - START.logs) / [1.0, 1.0, 1.0, 0.5]) ** 2))
     assert direct == pytest.approx(evidence.cost_and_slope(START.logs)[0] - evidence.cost_and_slope(near.logs)[0] + prior, abs=0.1)
+    # An unstable motion has directions so steep that rounding makes the Hessian indefinite.
+    steep = 1e10 * np.array([1.0, 2.0, -1.0])
+    hessian = fit.end.hessian.copy()
+    hessian[-3:, -3:] += np.outer(steep, steep) - 1e5 * np.eye(3)
+    rounded = replace(fit, end=replace(fit.end, hessian=hessian))
+    assert np.isfinite(LinearEvidence(transforms, rounded, transforms.matrix(START), START.logs).minimum(START.logs)).all()
 
 
 @pytest.mark.long

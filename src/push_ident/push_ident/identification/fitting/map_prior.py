@@ -163,7 +163,7 @@ class LinearEvidence:
         unit = fit.problem.unit_prior
         hessian, slope = fit.end.hessian - np.diag(unit), fit.end.gradient - unit * fit.x
         # First poses have no hyperparameters: minimised over.
-        self._of_poses = cho_factor(hessian[n:, n:])
+        self._of_poses = _factor(hessian[n:, n:])
         self._shared, pull = hessian[:n, n:], hessian @ fit.x - slope
         self._pull_of_poses = pull[n:]
         reduced = hessian[:n, :n] - self._shared @ cho_solve(self._of_poses, self._shared.T)
@@ -212,7 +212,7 @@ class LinearEvidence:
     def _cost(self, logs: Float64Array) -> tuple[float, Float64Array, tuple[Float64Array, bool]]:
         """Negative log evidence, the transform, and a factor of its Hessian."""
         transform = self._transforms.matrix(MapPrior.of_logs(logs))
-        factor = cho_factor(np.eye(len(transform)) + transform.T @ self._hessian @ transform, lower=True)
+        factor = _factor(np.eye(len(transform)) + transform.T @ self._hessian @ transform, lower=True)
         pull = transform.T @ self._slope
         cost = float(np.sum(np.log(np.diag(factor[0])))) - 0.5 * float(pull @ cho_solve(factor, pull))
         return cost + 0.5 * float(np.sum(((logs - self._centre) / _WIDTH) ** 2)), transform, factor
@@ -231,3 +231,18 @@ class LinearEvidence:
         step[3] += difference
         gradient[3] = (self._cost(step)[0] - cost) / difference
         return cost, gradient
+
+
+def _factor(matrix: Float64Array, *, lower: bool = False) -> tuple[Float64Array, bool]:
+    """Cholesky's factor of a positive definite matrix, also where rounding makes it indefinite.
+
+    A motion that is unstable by its first pose has directions that are steeper than others by more than doubles resolve; the diagonal then
+    grows by what rounding loses.
+    """
+    added = 0.0
+    while True:
+        try:
+            factor, is_lower = cho_factor(matrix + added * np.eye(len(matrix)) if added else matrix, lower=lower)
+            return np.asarray(factor), bool(is_lower)
+        except np.linalg.LinAlgError:
+            added = max(10.0 * added, len(matrix) * float(np.finfo(float).eps * np.max(np.abs(np.diag(matrix)))))
