@@ -50,12 +50,12 @@ def test_residual_ratio_is_that_of_variances_overall_and_of_single_pushes() -> N
 def test_noise_has_no_excess_autocorrelation_and_a_missing_effect_has() -> None:
     rng = np.random.default_rng(2)
     noise, slow = rng.normal(size=(14, 30, 3)), np.sin(np.linspace(0.0, 9.0, 30))[:, None] * np.ones((14, 1, 3))
-    excess, p_value = frame_residuals(noise).excess_autocorrelation
+    excess, p_value = frame_residuals(noise).excess_autocorrelation()
     assert abs(excess) < 0.1 and p_value > 0.01
-    excess, p_value = frame_residuals(noise + 0.8 * slow).excess_autocorrelation
+    excess, p_value = frame_residuals(noise + 0.8 * slow).excess_autocorrelation()
     assert excess == pytest.approx(0.8**2 * float(np.mean(slow**2)), abs=0.1) and p_value < 0.003
     # Of two frames a push the second is the rest that ends it.
-    assert frame_residuals(noise[:, :2]).excess_autocorrelation == (0.0, 1.0)
+    assert frame_residuals(noise[:, :2]).excess_autocorrelation() == (0.0, 1.0)
 
 
 def test_groups_name_the_push_with_the_largest_residuals() -> None:

@@ -20,7 +20,7 @@ from push_ident.identification.predicting.prediction import held_out_errors, pus
 from push_ident.identification.report.result_json import result_json
 from push_ident.identification.results.identifiability import supports
 from push_ident.identification.results.result import Identification
-from push_ident.identification.unknowns.load import Feet, balanced_load, feet_load
+from push_ident.identification.unknowns.load import balanced_load, feet_load
 from push_ident.identification.unknowns.mechanics import feet_at, foot_position_unknowns
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec
@@ -65,12 +65,12 @@ def test_load_of_even_and_tilted_maps_is_the_weight_and_that_of_three_points_sta
 
 def test_three_feet_bear_what_statics_gives_them_and_feet_that_cannot_balance_still_have_a_load() -> None:
     weight = softmax(0.3 * np.random.default_rng(0).normal(size=len(CELLS)))
-    feet = feet_load(weight, CELLS, Feet(PLACES, 0.6 * 0.012, np.array([0.3, -0.5, 0.2])))
+    feet = feet_load(weight, CELLS, PLACES, 0.6 * 0.012, np.array([0.3, -0.5, 0.2]))
     assert feet.position == pytest.approx(PLACES, abs=1e-4)
     assert feet.share == pytest.approx(statics(weight @ CELLS), abs=1e-2)
     assert feet.load.sum() == pytest.approx(1.0) and np.all(feet.load > 0)
     assert feet.load @ CELLS == pytest.approx(weight @ CELLS, abs=2e-4)
-    aside = feet_load(weight, CELLS, Feet(np.array([[0.03, 0.03], [0.03, 0.02], [0.02, 0.03]]), 0.007, np.zeros(3)))
+    aside = feet_load(weight, CELLS, np.array([[0.03, 0.03], [0.03, 0.02], [0.02, 0.03]]), 0.007, np.zeros(3))
     assert np.all(np.isfinite(aside.load)) and aside.load.sum() == pytest.approx(1.0)
 
 

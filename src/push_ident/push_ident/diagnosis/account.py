@@ -27,19 +27,18 @@ import numpy as np
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.policy import AccountPolicy
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.geometry.cells import cell_displacement, cell_errors
+from push_ident.geometry.cells import cell_errors
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.observing.observation import NoiseModel, Observation
-from push_ident.identification.predicting.next_push import CHATTER
+from push_ident.identification.predicting.next_push import end_derivative
 from push_ident.identification.results.posterior import lower_root
 from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at
 from push_ident.physics.accuracy import choose_steps
 from push_ident.physics.effect_values import true_pose
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, Timeline
-from push_ident.physics.tape import Param
-from push_ident.types import Float64Array, PushRecord, SolveStatus
+from push_ident.types import Float64Array, PushRecord
 
 _UNEXPLAINED: Final = "unexplained"
 
@@ -265,9 +264,4 @@ def _end_by_unknowns(fit: Fit, problem: FitProblem, push: int) -> Float64Array |
     mechanics = fit.mechanics
     scenario = PushScenario(record.pusher, true_pose(mechanics.effects, observed.pose[0]), observed.time[-1:], record.order)
     motion = mechanics.simulate(scenario, settings=problem.settings, jacobian=True)
-    cells = record.shape.cells
-    by_body = cell_displacement(cells, motion.pose[-1, 2]) @ motion.jacobian[-1]
-    by_first = np.linalg.solve(cell_displacement(cells, observed.pose[0, 2]).T, by_body[:, :3].T).T
-    if motion.status is not SolveStatus.CONVERGED or not np.linalg.norm(by_first, 2) < CHATTER:
-        return None
-    return np.asarray(by_body[:, Param.MASS :] @ mechanics.derivative[Param.MASS :])
+    return end_derivative(mechanics, record.shape.cells, motion, observed.pose[0, 2])

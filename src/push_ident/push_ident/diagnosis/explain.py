@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from push_ident.diagnosis import wording
-from push_ident.diagnosis.next_push import check_without_a_push, competing_explanations, most_informative_push, separating_push
+from push_ident.diagnosis.next_push import competing_explanations, most_informative_push, separating_push
 from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.residuals import group_residuals
 from push_ident.diagnosis.result import Diagnosis
@@ -14,6 +14,7 @@ from push_ident.diagnosis.something_else.words import PatternWords, describe_pat
 from push_ident.diagnosis.state import Decision, DiagnosisState, Validation
 from push_ident.diagnosis.verdict import Verdict
 from push_ident.identification.predicting.next_push import PlannedPush
+from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
 
 _ANYWHERE = (-1.0, 1.0, -1.0, 1.0)
@@ -60,7 +61,7 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         pattern=words,
         base_residuals=validation.base_residuals,
         residual_ratio=validation.residuals.residual_ratio[0],
-        excess_autocorrelation=validation.residuals.excess_autocorrelation[0],
+        excess_autocorrelation=validation.residuals.excess_autocorrelation()[0],
     )
 
 
@@ -71,10 +72,11 @@ def _abstention(state: DiagnosisState) -> Diagnosis:
 
 
 def _check(validation: Validation, decision: Decision, words: PatternWords | None) -> str:
-    """What would resolve the cause without a push."""
+    """What a person at the cell can do instead of a push, for the first of the effects that has a check; empty where none has."""
     if validation.cause_is_unknown:
         return "" if words is None else f"Look for {words.look_for}."
-    return check_without_a_push([*decision.confusion_sets, decision.effects[-1].name]) if decision.effects else ""
+    names = [*decision.confusion_sets, decision.effects[-1].name] if decision.effects else []
+    return next((EFFECTS[name].check for name in names if name in EFFECTS and EFFECTS[name].check), "")
 
 
 def _sentence(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -14,6 +14,7 @@ from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.fit import AMPLITUDES, Fit, fit_amplitudes
 from push_ident.identification.fitting.levenberg_marquardt import minimise
 from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.unknowns.prior import GIVEN_STD
 from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.effects import EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array, PushRecord
@@ -55,7 +56,9 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings, earlier
     """
     # Errors of a force sensor are looked for at their own size, not at that which a tare leaves.
     effect_std = {name: [p.scale for p in EFFECTS[name].parameters] for name in FORCE_CAUSES} | settings.effect_std
-    prior = settings.base_prior.with_force_offset(records)
+    # Smooth maps, and the friction of the pusher given.
+    max_modes = min(settings.prior.max_modes, settings.max_modes)
+    prior = replace(settings.prior, max_modes=max_modes, pusher_friction_std=GIVEN_STD).without_pressure().with_force_offset(records)
     late = [name for name in BASE_WITH_FORCES if prior.force_offset_std > 0 and name not in settings.base_effects]
     unknowns = UnknownsSpec.of(records[0].shape, prior, effects=[*settings.base_effects, *late], effect_std=effect_std)
 

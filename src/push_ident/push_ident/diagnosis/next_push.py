@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -59,11 +59,6 @@ class SeparatingPush:
 def without(name: str) -> str:
     """Name of the explanation that an effect that was found is absent."""
     return f"without {name}"
-
-
-def check_without_a_push(names: Sequence[str]) -> str:
-    """What a person at the cell can do instead of a push, for the first of the effects that has a check; empty where none has."""
-    return next((EFFECTS[name].check for name in names if name in EFFECTS and EFFECTS[name].check), "")
 
 
 def competing_explanations(selection: Selection, policy: SelectionPolicy) -> dict[str, Fit]:

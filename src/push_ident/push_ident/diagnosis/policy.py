@@ -171,19 +171,9 @@ class SelectionPolicy:
         return self.discrepancy_next * self.detection_log_bayes_factor
 
     @property
-    def next_share(self) -> float:
-        """At least this share of the log Bayes factors of all approximate laws found before [1]."""
-        return self.discrepancy_next_share * self.detection_log_bayes_factor
-
-    @property
     def tie_margin(self) -> float:
         """Differences of log evidence below this are a tie [nat]: to exclude the rival could cost more than to leave it open."""
         return self.discrepancy_rivals * self.log_cost_wrong_name
-
-    @property
-    def tie_share(self) -> float:
-        """A rival with an approximate law is also in a tie within this share of the log Bayes factor of the effect that was found [1]."""
-        return self.discrepancy_rivals_share * self.log_cost_wrong_name
 
 
 @dataclass(frozen=True, slots=True)

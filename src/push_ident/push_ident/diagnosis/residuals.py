@@ -69,19 +69,11 @@ class FrameResiduals:
         """The same ratio of some frames, chosen by a mask of shape (n,)."""
         return float(np.mean(self.standardized[chosen] ** 2) / np.mean(self.null_draws[:, chosen] ** 2))
 
-    @property
-    def excess_autocorrelation(self) -> tuple[float, float]:
-        """As `excess_autocorrelation_given` where the correlation of the noise is known exactly."""
-        return self.excess_autocorrelation_given(0.0)
-
-    def excess_autocorrelation_given(self, correlation_std: float) -> tuple[float, float]:
+    def excess_autocorrelation(self, correlation_std: float = 0.0) -> tuple[float, float]:
         """Part of the residual ratio that continues from one frame of a motion to the next, beyond its expectation, and the p-value.
 
-        Noise is new in every frame, or correlated as it is at rest; a missing effect continues. (0, 1) where no push has neighbouring
-        frames in motion.
-
-        Args:
-            correlation_std: standard error of the correlation of the noise [1], which all draws have in common.
+        Noise is new in every frame, or correlated as it is at rest, with a standard error [1] that all draws have in common; a missing
+        effect continues. (0, 1) where no push has neighbouring frames in motion.
         """
         # Without the rest that ends a push.
         pairs = np.flatnonzero((self.push[:-2] == self.push[1:-1]) & (self.push[1:-1] == self.push[2:]))

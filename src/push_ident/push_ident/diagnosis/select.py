@@ -80,7 +80,7 @@ def required_log_bayes_factor(selection: Selection, policy: SelectionPolicy) -> 
     if not selection.selected:
         return policy.min_log_bayes_factor
     approximate = [c.log_bayes_factor for name, (_, c) in selection.added.items() if EFFECTS[name].law is Law.APPROXIMATE]
-    return max(policy.min_log_bayes_factor_next, policy.next_share * sum(approximate))
+    return max(policy.min_log_bayes_factor_next, policy.discrepancy_next_share * policy.detection_log_bayes_factor * sum(approximate))
 
 
 def choose_refits(scores: Sequence[EffectScore], policy: SelectionPolicy, *, required: float, is_first: bool) -> list[EffectScore]:

@@ -129,9 +129,8 @@ class Selection:
             log_bayes_factor = log_bayes_factors[rival.replaces]
             if log_bayes_factor < policy.min_log_bayes_factor_single:
                 return log_bayes_factor - policy.weak_rival_log_bayes_factor
-            return (
-                policy.tie_margin if EFFECTS[rival.name].law is Law.EXACT else max(policy.tie_margin, policy.tie_share * log_bayes_factor)
-            )
+            share = 0.0 if EFFECTS[rival.name].law is Law.EXACT else policy.discrepancy_rivals_share * policy.log_cost_wrong_name
+            return max(policy.tie_margin, share * log_bayes_factor)
 
         return tuple(rival for rival in self.rivals if rival.deficit < margin(rival))
 

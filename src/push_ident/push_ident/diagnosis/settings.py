@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from push_ident.diagnosis.policy import DecisionPolicy
 from push_ident.identification.observing.observation import NoiseModel
@@ -38,8 +38,3 @@ class DiagnosisSettings:
     outline_from_camera: bool = False
     """Whether poses and outline come from a camera, even where the shape does not state it: errors of a calibrated camera then belong to
     the base model."""
-
-    @property
-    def base_prior(self) -> Prior:
-        """Smooth maps, and the friction of the pusher given."""
-        return replace(self.prior, max_modes=min(self.prior.max_modes, self.max_modes)).without_pressure().with_pusher_friction_frozen()

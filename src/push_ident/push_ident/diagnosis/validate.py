@@ -82,7 +82,7 @@ def failed_tests(base: FrameResiduals, residuals: FrameResiduals, policy: Unknow
     ratio, p_value = residuals.residual_ratio
     if ratio > max(policy.max_residual_ratio, 1.0 + policy.residual_ratio_share * excess) and p_value < policy.max_p_value:
         failed.append(p_value)
-    autocorrelation, p_value = residuals.excess_autocorrelation_given(correlation_std)
+    autocorrelation, p_value = residuals.excess_autocorrelation(correlation_std)
     limit = policy.max_excess_autocorrelation + policy.excess_autocorrelation_share * excess
     if autocorrelation > limit and p_value < policy.max_p_value:
         failed.append(p_value)

@@ -41,7 +41,7 @@ class Belief:
         mechanics = posterior.mechanics
         camera = reported_poses(mechanics.effects, np.zeros((1, 3)))[0][0]
         weight = _share(model_at(posterior.unknowns, posterior.z))
-        return cls(_at_rest(mechanics), posterior, camera, weight, numerics or SimulationSettings())
+        return cls(replace(mechanics, effects=mechanics.effects.at_rest), posterior, camera, weight, numerics or SimulationSettings())
 
     @classmethod
     def certain(cls, model: ObjectModel, effects: EffectsLike | None = None) -> Belief:
@@ -49,7 +49,7 @@ class Belief:
         body = body_of_cells(model.shape, model.mass, model.friction)
         acting = effect_values(effects)
         derivative = np.zeros((N_BODY_PARAMETERS + len(model.shape.cells) + len(acting), 0))
-        mean = _at_rest(Mechanics(model.shape, body, model.pusher_friction, acting, derivative))
+        mean = Mechanics(model.shape, body, model.pusher_friction, acting.at_rest, derivative)
         return cls(mean, None, reported_poses(acting, np.zeros((1, 3)))[0][0], _share(model))
 
     @property
@@ -78,11 +78,6 @@ class Belief:
             BatchModel(one.body, one.pusher_friction, _surface(one.effects) + offset, weight, effects=one.effects.at_rest.beside_outline)
             for one, offset, weight in zip(drawn, surface, weights, strict=False)
         ]
-
-
-def _at_rest(mechanics: Mechanics) -> Mechanics:
-    """Mechanics without effects that vanish at rest or act on reported poses only."""
-    return replace(mechanics, effects=mechanics.effects.at_rest)
 
 
 def _share(model: ObjectModel) -> Float64Array:

@@ -21,7 +21,7 @@ from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Horiz
 from push_ident.planning.library import Strokes, Surroundings, is_possible, placed, strokes
 from push_ident.planning.path_follower import FollowerOptions, ModelWeights, PathFollower, guesses_around
 from push_ident.planning.path_goal import PathGoal
-from push_ident.planning.path_planner import PathOptions, PathStatus
+from push_ident.planning.path_planner import PATH_OPTIONS, PathStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.tool_path import Corridor
 from push_ident.types import Float64Array, ObjectShape
@@ -53,7 +53,6 @@ class CurvedPlannerOptions:
 
 
 _OPTIONS: Final = CurvedPlannerOptions()
-_COSTS: Final = PathOptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +123,9 @@ class CurvedPathPlanner:
         """The next push; arguments as those of `PathPlanner.plan`."""
         camera_in_arm = inverse(belief.camera)
         observed, path = compose(camera_in_arm, pose), path.in_frame(camera_in_arm)
-        reached, _ = path.error(observed, done, _COSTS.look_ahead)
+        reached, _ = path.error(observed, done, PATH_OPTIONS.look_ahead)
         now = max(done, float(reached))
-        if path.length - now < _COSTS.least_progress:
+        if path.length - now < PATH_OPTIONS.least_progress:
             return CurvedPush(PathStatus.ARRIVED, now)
         around = Surroundings([transform_points(camera_in_arm, outline) for outline in obstacles], failed)
         numbers = _along(self._strokes, observed, path, now)
@@ -199,7 +198,7 @@ class CurvedPathPlanner:
 def _along(contacts: Strokes, observed: Float64Array, path: PathGoal, now: float) -> np.ndarray:
     """Of each contact the stroke whose heading is nearest to the motion of that point of the object along the path; shape (n,)."""
     tool = transform_points(observed, contacts.tool)
-    step = min(_COSTS.least_progress, path.length - now)
+    step = min(PATH_OPTIONS.least_progress, path.length - now)
     here, ahead = path.at(now), path.at(now + step)
     moved = transform_points(ahead, transform_points(inverse(here), tool)) - tool
     wanted = np.arctan2(moved[:, 1], moved[:, 0])
@@ -219,7 +218,7 @@ def _rate(rolled: RolledPushes, first: int) -> Float64Array:
     progress, square = rolled.progress[:, :, 0], rolled.error[:, :, 0] ** 2
     steps = np.maximum(np.diff(progress, axis=-1, prepend=0.0), 0.0)
     integral = np.cumsum(steps * square, axis=-1)
-    rate = (_COSTS.contact_cost + integral + _COSTS.carried_length * square) / np.maximum(progress, 1e-9)
+    rate = (PATH_OPTIONS.contact_cost + integral + PATH_OPTIONS.carried_length * square) / np.maximum(progress, 1e-9)
     rate[..., :first] = np.inf
     penalty = np.sum(rolled.residual[:, :, 0, -N_LIMITS:] ** 2, axis=-1)
-    return np.where((progress > _COSTS.least_progress) & (penalty[..., None] < 1.0), rate, np.inf)
+    return np.where((progress > PATH_OPTIONS.least_progress) & (penalty[..., None] < 1.0), rate, np.inf)

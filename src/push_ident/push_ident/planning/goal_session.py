@@ -118,6 +118,9 @@ class GoalSession:
             self._learn(observed.object_id, self._ports.pushed_at(observed.object_id))
         if self._request.explore and not self._is_there(observed):
             observed = self._explore(self._certain(observed))
+        self._go_to_pose(observed)
+
+    def _go_to_pose(self, observed: TrackedObject) -> None:
         while not self._is_there(observed):
             observed = self._certain(observed)
             plan = self._plan(observed)
@@ -133,11 +136,18 @@ class GoalSession:
 
     def _check(self, observed: TrackedObject) -> None:
         """End where the goal cannot be, or nothing is known and nothing may be explored."""
-        settings = self._settings()
-        if isinstance(self._request.goal, Goal):
-            self._check_pose(self._request.goal, observed, settings)
-        else:
+        settings, goal = self._settings(), self._request.goal
+        if not isinstance(goal, Goal):
             self._check_edge(observed)
+        else:
+            at_goal, now = (settings.excess(transform_points(pose, observed.shape.outline)) for pose in (goal.pose, observed.pose))
+            # The planner accepts no push after which the outline reaches further out than before it.
+            if at_goal > max(now, 1e-6):
+                raise Ended(
+                    GoalCode.OUTSIDE_WORKSPACE,
+                    f"at the goal `{observed.object_id}` would reach {1e3 * at_goal:.0f} mm out of the workspace {settings.workspace} m; "
+                    "choose a goal further inside.",
+                )
         self._check_known(observed)
 
     def _check_known(self, observed: TrackedObject) -> None:
@@ -145,17 +155,6 @@ class GoalSession:
         is_learning = model is not None and self._ports.pushed_at(observed.object_id) > model.stamp
         if model is not None and not model.is_known and not is_learning and not self._request.explore and not self._is_there(observed):
             raise self._nothing_known(observed)
-
-    @staticmethod
-    def _check_pose(goal: Goal, observed: TrackedObject, settings: PushSettings) -> None:
-        at_goal, now = (settings.excess(transform_points(pose, observed.shape.outline)) for pose in (goal.pose, observed.pose))
-        # The planner accepts no push after which the outline reaches further out than before it.
-        if at_goal > max(now, 1e-6):
-            raise Ended(
-                GoalCode.OUTSIDE_WORKSPACE,
-                f"at the goal `{observed.object_id}` would reach {1e3 * at_goal:.0f} mm out of the workspace {settings.workspace} m; "
-                "choose a goal further inside.",
-            )
 
     def _check_edge(self, observed: TrackedObject) -> None:
         """End where the object can be at no edge, by the present model."""
@@ -190,23 +189,17 @@ class GoalSession:
             self._check_pushes()
             self.progress.plan = None
             self._enter(GoalState.EXPLORE)
-            report = self._push_at_random(observed, seed)
+            try:
+                report = self._carry_out(self._ports.begin_push(observed.object_id, self._choice.random_push(observed, seed)))
+            except PlanningError as error:
+                report = PushReport(PushCode.UNREACHABLE, str(error))
             seed += 1
-            if report.code is PushCode.NONE:
-                made, self._refusals = made + 1, 0
-            else:
-                self._take_failure(report, None)
+            made += report.code is PushCode.NONE
+            self._take_report(report, None)
             observed = self._after_push(observed, report)
             if self._is_there(observed):
                 break
         return observed
-
-    def _push_at_random(self, observed: TrackedObject, seed: int) -> PushReport:
-        try:
-            push = self._choice.random_push(observed, seed)
-        except PlanningError as error:
-            return PushReport(PushCode.UNREACHABLE, str(error))
-        return self._carry_out(self._ports.begin_push(observed.object_id, push))
 
     def _settle(self, model: KnownModel, observed: TrackedObject) -> None:
         """Choose the target, or judge it anew with a newer model."""
@@ -263,14 +256,10 @@ class GoalSession:
     def _push_to_goal(self, observed: TrackedObject, plan: GoalPush) -> TrackedObject:
         """Make a planned push, learn from it, and observe the object."""
         assert plan.plan is not None, "the planner proposes a push"
-        self.progress.plan = plan
+        self.progress.plan, self.progress.step, self.progress.tool = plan, None, None
         self._enter(GoalState.PUSH)
         report = self._carry_out(self._ports.begin_push(observed.object_id, plan.plan))
-        if report.code is PushCode.NONE:
-            self._failed.clear()
-            self._refusals = 0
-        else:
-            self._take_failure(report, plan.plan)
+        self._take_report(report, plan.plan)
         return self._after_push(observed, report)
 
     def _after_push(self, before: TrackedObject, report: PushReport) -> TrackedObject:
@@ -293,8 +282,13 @@ class GoalSession:
         if self._wait(learned, self._limits.learn_timeout) is None:
             self._say(f"identification did not learn the push within {self._limits.learn_timeout:g} s; going on with what was known")
 
-    def _take_failure(self, report: PushReport, push: PushPlan2D | None) -> None:
-        """Go on after a failed push with another one, or end."""
+    def _take_report(self, report: PushReport, push: PushPlan2D | None) -> None:
+        """Go on after a push, after a failed one with another contact, or end. `push`: None where it was a random one."""
+        if report.code is PushCode.NONE:
+            self._refusals = 0
+            if push is not None:
+                self._failed.clear()
+            return
         text = f"the push failed ({report.code.name}): {report.text}"
         if report.code is PushCode.ARM_SILENT:
             raise Ended(GoalCode.ARM_SILENT, f"{text} Is the arm's driver running, and push_executor_node active?")

@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Final
 
 import numpy as np
 
@@ -51,6 +52,9 @@ class PathOptions:
     """After a steered push with less progress a straight one comes first [m]."""
 
 
+PATH_OPTIONS: Final = PathOptions()
+
+
 class PathStatus(Enum):
     """How planning ended."""
 
@@ -74,18 +78,11 @@ class PathPush:
 class PathPlanner:
     """Plans pushes of one object along paths at one speed; what it has simulated it keeps until the belief changes.
 
-    Args:
-        shape: of the object.
-        settings: limits of pushes and the pusher.
-        speed: of the pushes [m/s].
-        seed: of the models that are drawn.
-        options: costs, and size of the search.
+    `settings`: limits of pushes and the pusher; `speed`: of the pushes [m/s].
     """
 
-    def __init__(
-        self, shape: ObjectShape, settings: PushSettings, speed: float, seed: int = 0, *, options: PathOptions | None = None
-    ) -> None:
-        self._shape, self._seed, self._options = shape, seed, options or PathOptions()
+    def __init__(self, shape: ObjectShape, settings: PushSettings, speed: float) -> None:
+        self._shape = shape
         self._settings = replace(settings, speed_range=(speed, max(speed, settings.speed_range[1])))
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
@@ -94,9 +91,7 @@ class PathPlanner:
     def _library_of(self, belief: Belief, pose: Float64Array) -> Library:
         if self._library is None or belief is not self._belief or not self._library.holds_at(belief, pose):
             self._belief = belief
-            self._library = Library.of(
-                belief, self._strokes, self._settings, pose, self._options.n_models, np.random.default_rng(self._seed)
-            )
+            self._library = Library.of(belief, self._strokes, self._settings, pose, PATH_OPTIONS.n_models, np.random.default_rng(0))
         return self._library
 
     def plan(
@@ -119,9 +114,9 @@ class PathPlanner:
             failed: pushes from this pose that did not move the object, or could not be made.
         """
         camera_in_arm = inverse(belief.camera)
-        reached, _ = path.error(pose, done, self._options.look_ahead)
+        reached, _ = path.error(pose, done, PATH_OPTIONS.look_ahead)
         now = max(done, float(reached))
-        if path.length - now < self._options.least_progress:
+        if path.length - now < PATH_OPTIONS.least_progress:
             return PathPush(PathStatus.ARRIVED, now)
         in_arm = compose(camera_in_arm, pose)
         library = self._library_of(belief, in_arm)
@@ -140,7 +135,7 @@ class PathPlanner:
         near = wanted + np.clip(error, -path.tolerance, path.tolerance)
         cost, reached, _ = self._cost(library.motion[:1], near, path, now)
         progress = reached - now
-        useful = progress >= min(self._options.least_progress, path.length - now)
+        useful = progress >= min(PATH_OPTIONS.least_progress, path.length - now)
         return float(np.min(cost[useful] / progress[useful])) if useful.any() else 0.0
 
     def _ranked(self, library: Library, pose: Float64Array, path: PathGoal, now: float) -> list[tuple[int, int, float]]:
@@ -148,7 +143,7 @@ class PathPlanner:
         rate = self._rate(library, pose, path, now)
         worth, _ = self._worth(library.motion[:1], pose, path, now, rate)
         n_lengths = len(library.lengths)
-        first = np.argsort(worth[0].ravel())[: self._options.screened]
+        first = np.argsort(worth[0].ravel())[: PATH_OPTIONS.screened]
         first = first[np.isfinite(worth[0].ravel()[first])]
         numbers = np.unique(first // n_lengths)
         worth, reached = self._worth(library.motion[:, numbers], pose, path, now, rate)
@@ -162,10 +157,10 @@ class PathPlanner:
         """J of each motion, infinite where it is no use, and the length of path that is behind after it [m]: each of shape (n_models,
         n_strokes, n_lengths)."""
         cost, reached, square = self._cost(motion, pose, path, now)
-        here = _square(path, path.error(pose, now, self._options.look_ahead)[1])
+        here = _square(path, path.error(pose, now, PATH_OPTIONS.look_ahead)[1])
         progress = reached - now
-        is_use = (progress >= min(self._options.least_progress, path.length - now)) | (
-            self._options.contact_cost + self._options.carried_length * square < self._options.carried_length * here
+        is_use = (progress >= min(PATH_OPTIONS.least_progress, path.length - now)) | (
+            PATH_OPTIONS.contact_cost + PATH_OPTIONS.carried_length * square < PATH_OPTIONS.carried_length * here
         )
         return np.where(is_use, cost - rate * progress, np.inf), reached
 
@@ -174,12 +169,12 @@ class PathPlanner:
     ) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Cost of each motion [m], the length of path that is behind after it [m], and the square error then [tolerances^2]: each of shape
         (n_models, n_strokes, n_lengths)."""
-        reached, error = path.error(compose(pose, motion), now, self._options.look_ahead)
+        reached, error = path.error(compose(pose, motion), now, PATH_OPTIONS.look_ahead)
         square, reached = _square(path, error), np.maximum(reached, now)
         steps = np.maximum(np.diff(reached, axis=2, prepend=now), 0.0)
         # A motion whose simulation failed is infinitely far from the path, also without progress.
         integral = np.cumsum(np.multiply(steps, square, out=np.zeros_like(square), where=steps > 0.0), axis=2)
-        return self._options.contact_cost + integral + self._options.carried_length * square, reached, square
+        return PATH_OPTIONS.contact_cost + integral + PATH_OPTIONS.carried_length * square, reached, square
 
 
 def _square(path: PathGoal, error: Float64Array) -> Float64Array:

@@ -12,11 +12,9 @@ from push_ident.planning.goal_ports import GoalProgress, GoalRequest, GoalState,
 from push_ident.planning.goal_session import Ended, GoalSession
 from push_ident.planning.path_follower import FollowerOptions
 from push_ident.planning.path_goal import PathGoal, check_path
-from push_ident.planning.path_planner import PathOptions, PathStatus
+from push_ident.planning.path_planner import PATH_OPTIONS, PathStatus
 from push_ident.planning.path_steps import PathStep, may_steer_after
-from push_ident.planning.planner import PlanStatus
 from push_ident.pushing.ports import TrackedObject
-from push_ident.pushing.push import PushCode
 
 
 class PathSession(GoalSession):
@@ -49,7 +47,7 @@ class PathSession(GoalSession):
             raise Ended(error.code, str(error)) from None
 
     def _is_there(self, observed: TrackedObject) -> bool:
-        at_end = self._arrived or self._path.length - self._done < PathOptions().least_progress
+        at_end = self._arrived or self._path.length - self._done < PATH_OPTIONS.least_progress
         return at_end and self._target.is_reached(observed.pose, observed.covariance)
 
     def _compare(self, observed: TrackedObject) -> None:
@@ -67,19 +65,10 @@ class PathSession(GoalSession):
             step = self._next_step(observed)
             if step.status is PathStatus.ARRIVED:
                 self._arrived, self.progress.done = True, 1.0
-                self._end_at_pose(observed)
+                # The end of a path is a pose: an object that is not there is pushed there as to any goal.
+                self._go_to_pose(observed)
                 return
             observed = self._make(observed, step)
-
-    def _end_at_pose(self, observed: TrackedObject) -> None:
-        """The end of a path is a pose: an object that is not there is pushed there as to any goal."""
-        while not self._is_there(observed):
-            observed = self._certain(observed)
-            plan = self._plan(observed)
-            if plan.status is PlanStatus.ARRIVED:
-                return
-            self.progress.step = self.progress.tool = None
-            observed = self._push_to_goal(observed, plan)
 
     def _next_step(self, observed: TrackedObject) -> PathStep:
         self._check_pushes()
@@ -112,11 +101,7 @@ class PathSession(GoalSession):
             self.progress.corrections += steered.n_corrections
         else:
             report = self._carry_out(self._ports.begin_push(observed.object_id, contact), self._look)
-        if report.code is PushCode.NONE:
-            self._failed.clear()
-            self._refusals = 0
-        else:
-            self._take_failure(report, contact)
+        self._take_report(report, contact)
         self._steers = may_steer_after(step, before, self._done)
         return self._after_push(observed, report)
 

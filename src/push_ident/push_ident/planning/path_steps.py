@@ -13,7 +13,7 @@ from push_ident.planning.belief import Belief
 from push_ident.planning.curved_planner import CurvedPathPlanner, CurvedPush
 from push_ident.planning.path_follower import PathFollower
 from push_ident.planning.path_goal import PathGoal
-from push_ident.planning.path_planner import PathOptions, PathPlanner, PathPush, PathStatus
+from push_ident.planning.path_planner import PATH_OPTIONS, PathPlanner, PathPush, PathStatus
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.types import Float64Array, ObjectShape
 
@@ -75,7 +75,7 @@ class PathSteps:
         curved = self._curved.plan(belief, pose, path, done, obstacles, failed) if steers else CurvedPush(PathStatus.UNREACHABLE, done)
         if curved.status is PathStatus.ARRIVED:
             return PathStep(curved.status, curved.done)
-        if curved.status is not PathStatus.PUSH or curved.expected_error > PathOptions().bearable_error:
+        if curved.status is not PathStatus.PUSH or curved.expected_error > PATH_OPTIONS.bearable_error:
             straight = self._planner(path.speed).plan(belief, pose, path, done, obstacles, failed)
             if straight.status is PathStatus.PUSH or curved.status is not PathStatus.PUSH:
                 return PathStep(straight.status, straight.done, straight=straight if straight.status is PathStatus.PUSH else None)
@@ -97,4 +97,4 @@ def may_steer_after(step: PathStep, before: float, done: float) -> bool:
         before: length of path that was behind then [m].
         done: and that is behind now [m].
     """
-    return step.steered is None or done > before + PathOptions().stuck_progress
+    return step.steered is None or done > before + PATH_OPTIONS.stuck_progress

@@ -68,6 +68,9 @@ class PlannerOptions:
     """Poses along a push at which the margin of an overhanging object is computed."""
 
 
+_OPTIONS: Final = PlannerOptions()
+
+
 class PlanStatus(Enum):
     """How planning ended."""
 
@@ -98,18 +101,10 @@ class GoalPush:
 
 
 class GoalPlanner:
-    """Plans pushes of one object; simulations are kept until the belief changes.
+    """Plans pushes of one object; simulations are kept until the belief changes. `settings`: limits of pushes and the pusher."""
 
-    Args:
-        shape: of the object.
-        settings: limits of pushes and the pusher.
-        seed: of the models that are drawn.
-        options: size of the search, and costs.
-    """
-
-    def __init__(self, shape: ObjectShape, settings: PushSettings, seed: int = 0, *, options: PlannerOptions | None = None) -> None:
-        self._shape, self._settings, self._seed = shape, settings, seed
-        self._options = options or PlannerOptions()
+    def __init__(self, shape: ObjectShape, settings: PushSettings) -> None:
+        self._shape, self._settings = shape, settings
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
         self._library: Library | None = None
@@ -118,11 +113,9 @@ class GoalPlanner:
     def _library_of(self, belief: Belief, pose: Float64Array) -> Library:
         if belief is not self._belief:
             self._belief, self._library = belief, None
-            self._judges = belief.models(self._options.n_final_models, np.random.default_rng(self._seed + 1))
+            self._judges = belief.models(_OPTIONS.n_final_models, np.random.default_rng(1))
         if self._library is None or not self._library.holds_at(belief, pose):
-            self._library = Library.of(
-                belief, self._strokes, self._settings, pose, self._options.n_models, np.random.default_rng(self._seed)
-            )
+            self._library = Library.of(belief, self._strokes, self._settings, pose, _OPTIONS.n_models, np.random.default_rng(0))
         return self._library
 
     def plan(
@@ -165,8 +158,8 @@ class GoalPlanner:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
         library = self._library_of(belief, pose)
         wanted = Goal(compose(inverse(pose), goal.pose), goal.position, goal.yaw)
-        further = _FurtherPushes(library, goal, self._options)
-        ranked = _ranked(library, further, wanted, self._options)
+        further = _FurtherPushes(library, goal)
+        ranked = _ranked(library, further, wanted)
         strokes_of = library.strokes
         risks = _EdgeRisk(around.hold, self._shape, library.centres, pose)
         candidates: list[tuple[Strokes, int, float]] = []
@@ -178,12 +171,12 @@ class GoalPlanner:
             if is_possible(self._shape, self._settings, plan, pose, motion, around) and risks.allows(every, around.n_poses):
                 candidates.append((strokes_of, number, float(library.lengths[k])))
                 motions.append(motion)
-            if len(candidates) == self._options.judged:
+            if len(candidates) == _OPTIONS.judged:
                 break
         if not candidates:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
         for (_, number, length), motion in zip(list(candidates), motions, strict=True):
-            if wanted.relative_error(motion) > self._options.near:
+            if wanted.relative_error(motion) > _OPTIONS.near:
                 continue
             better = refine(belief, strokes_of.picked(number), length, wanted, self._settings, pose)
             if better is not None:
@@ -207,13 +200,13 @@ class GoalPlanner:
         pushes = [(group.picked(number), length) for group, number, length in candidates]
         if hold is None:
             # A few models choose the pushes that all of them judge.
-            ends, _ = self._ends(belief, models[: 1 + self._options.n_models], pushes, pose, hold)
-            most = np.argsort(np.nan_to_num(_value(further, ends, goal), nan=np.inf))[: self._options.finalists]
+            ends, _ = self._ends(belief, models[: 1 + _OPTIONS.n_models], pushes, pose, hold)
+            most = np.argsort(np.nan_to_num(_value(further, ends, goal), nan=np.inf))[: _OPTIONS.finalists]
             candidates, pushes = [candidates[k] for k in most], [pushes[k] for k in most]
         ends, margins = self._ends(belief, models, pushes, pose, hold)
         risks = _EdgeRisk(hold, self._shape, np.array([model.body.centre for model in models]), pose)
         risk = risks.risk(margins)
-        value, allowed = _value(further, ends, goal) + self._options.fall_cost * risk, risk <= risks.allowed
+        value, allowed = _value(further, ends, goal) + _OPTIONS.fall_cost * risk, risk <= risks.allowed
         if not np.any(allowed):
             return GoalPush(PlanStatus.UNHELD, goal.chance(pose, covariance), risk=float(np.min(risk)))
         value = np.where(allowed, value, np.nan)
@@ -233,7 +226,7 @@ class GoalPlanner:
     def _displaced_judges(self, pose: Float64Array, covariance: Float64Array) -> list[BatchModel]:
         """The mean model at the observed pose, then posterior models, each with an object displaced by an error of that pose."""
         root = np.linalg.cholesky(covariance + 1e-18 * np.eye(3))
-        errors = np.random.default_rng(self._seed + 2).normal(size=(self._options.n_final_models, 3)) @ root.T
+        errors = np.random.default_rng(2).normal(size=(_OPTIONS.n_final_models, 3)) @ root.T
         displacements = compose(inverse(pose), pose + np.vstack([np.zeros(3), errors]))
         # A model that is known to be true judges alone.
         models = self._judges * (len(displacements) // len(self._judges))
@@ -249,7 +242,7 @@ class GoalPlanner:
     ) -> tuple[Float64Array, Float64Array]:
         """Ends of pushes of an object that is observed at a pose, under models, shape (n_models, n_pushes, 3), and the least margin during
         them [m], shape (n_models, n_pushes)."""
-        settings, frames = self._settings, 1 if hold is None else self._options.frames
+        settings, frames = self._settings, 1 if hold is None else _OPTIONS.frames
         speed, batch = settings.speed_range[0], []
         for stroke, length in pushes:
             path = path_of(stroke.tool[0], stroke.heading()[0], length, speed, settings)
@@ -275,11 +268,11 @@ def _in_arm_frame(
     return compose(arm_from_camera, pose), turn @ covariance @ turn.T, goal_in_arm
 
 
-def _ranked(library: Library, further: _FurtherPushes, wanted: Goal, options: PlannerOptions) -> list[tuple[int, int]]:
+def _ranked(library: Library, further: _FurtherPushes, wanted: Goal) -> list[tuple[int, int]]:
     """Strokes and lengths by the pushes that are expected from now on, the best first: by the mean model, then by all models."""
     mean = library.motion[0]
     value = _value(further, mean.reshape(1, -1, 3), wanted)
-    first = np.argsort(np.where(np.isfinite(value), value, np.inf))[: options.screened]
+    first = np.argsort(np.where(np.isfinite(value), value, np.inf))[: _OPTIONS.screened]
     motion = library.motion.reshape(len(library.motion), -1, 3)[:, first]
     value = _value(further, motion, wanted)
     order = np.argsort(np.where(np.isfinite(value), value, np.inf))
@@ -299,8 +292,7 @@ def _value(further: _FurtherPushes, motion: Float64Array, wanted: Goal) -> Float
 class _FurtherPushes:
     """Pushes that are expected to make a motion within the tolerances of a goal, looked up in the motions of the mean model."""
 
-    def __init__(self, library: Library, goal: Goal, options: PlannerOptions) -> None:
-        self._options = options
+    def __init__(self, library: Library, goal: Goal) -> None:
         flat, variance = library.motion[0].reshape(-1, 3), library.variance.reshape(-1, 3)
         known = np.all(np.isfinite(flat), axis=1)
         self._goal, self._tree = goal, KDTree(flat[known] / goal.tolerance)
@@ -312,9 +304,9 @@ class _FurtherPushes:
         finite = np.all(np.isfinite(wanted), axis=1)
         query = np.where(finite[:, None], wanted, 0.0)
         query[:, 2] = wrap_angle(query[:, 2])
-        distance, index = self._tree.query(query / self._goal.tolerance, k=self._options.neighbours)
+        distance, index = self._tree.query(query / self._goal.tolerance, k=_OPTIONS.neighbours)
         chance = _probability_within_tolerance(np.hypot(distance, self._spread[index]))
-        beyond = np.maximum(distance - 1.0, 0.0) * self._goal.position / self._options.push_travel
+        beyond = np.maximum(distance - 1.0, 0.0) * self._goal.position / _OPTIONS.push_travel
         return np.where(finite, np.min(1.0 + (1.0 - chance) * (1.0 + beyond), axis=1), np.nan)
 
 

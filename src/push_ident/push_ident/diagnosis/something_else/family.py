@@ -8,6 +8,7 @@ from enum import Enum
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from push_ident.types import Float64Array
 
@@ -93,17 +94,7 @@ def separate(responses: Sequence[dict[str, Rows]], name: str) -> tuple[Float64Ar
     """The same with columns of each push for itself, and which those are."""
     ends = np.cumsum([0, *(response[name][0].shape[1] for response in responses)]).tolist()
     columns = tuple(slice(first, last) for first, last in pairwise(ends))
-    return np.concatenate([_block_diagonal([response[name][kind] for response in responses]) for kind in (0, 1)]), columns
-
-
-def _block_diagonal(blocks: Sequence[Float64Array]) -> Float64Array:
-    """Of each push its own columns."""
-    full = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
-    row = column = 0
-    for block in blocks:
-        full[row : row + block.shape[0], column : column + block.shape[1]] = block
-        row, column = row + block.shape[0], column + block.shape[1]
-    return full
+    return np.concatenate([block_diag(*(response[name][kind] for response in responses)) for kind in (0, 1)]), columns
 
 
 def all_of() -> tuple[Member, ...]:

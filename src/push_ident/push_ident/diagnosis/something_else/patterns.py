@@ -214,7 +214,7 @@ def _blocks_of(path: _Path, positions: Float64Array, with_forces: bool) -> dict[
     heading = np.arctan2(path.along[:, 1], path.along[:, 0])
     first = np.column_stack([after * np.exp(-np.maximum(path.since, 0.0) / t) for t in PATTERNS.decay_times])
     first_travel = np.column_stack([np.exp(-path.travel / w) for w in PATTERNS.decay_lengths])
-    by_speed = _hats(np.log(path.speed), np.log(PATTERNS.speeds))
+    by_speed = np.column_stack([np.interp(np.log(path.speed), np.log(PATTERNS.speeds), row) for row in np.eye(len(PATTERNS.speeds))])
     bells = _bells(path)
     pusher_path = np.zeros((len(bells), 2, 2)) + 1e-3 * np.eye(2)
     blocks = {
@@ -238,11 +238,6 @@ def _blocks_of(path: _Path, positions: Float64Array, with_forces: bool) -> dict[
         for name, function in (("since", first), ("travel", first_travel), ("speed", by_speed)):
             blocks[f"friction_{name}"] = _Block.forces(_times(friction, function))
     return blocks
-
-
-def _hats(at: Float64Array, knots: Float64Array) -> Float64Array:
-    """Hat functions of the knots, constant outside, shape (len(at), n_knots)."""
-    return np.column_stack([np.interp(at, knots, row) for row in np.eye(len(knots))])
 
 
 def waves(angle: Float64Array) -> Float64Array:

@@ -100,11 +100,6 @@ class Meter:
         )
 
     @property
-    def seconds_left(self) -> float:
-        """Time until the budget is spent [s]; infinite without a limit."""
-        return np.inf if self.budget.max_seconds is None else self.budget.max_seconds - self.seconds
-
-    @property
     def best(self) -> Sample | None:
         """The best point so far."""
         return self.history[-1] if self.history else None

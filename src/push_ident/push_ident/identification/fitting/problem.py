@@ -68,19 +68,6 @@ class Evaluation:
 
 
 @dataclass(frozen=True, slots=True)
-class PushTerms:
-    """Contribution of one push to the cost, by the unknowns of the object and its own."""
-
-    cost: float
-    gradient: Float64Array
-    """Shape (unknowns.size + unknowns_of_push,)."""
-    hessian: Float64Array
-    """Gauss-Newton approximation, shape (unknowns.size + unknowns_of_push, unknowns.size + unknowns_of_push)."""
-    residual: Float64Array
-    """Whitened, shape (n_frames, 3)."""
-
-
-@dataclass(frozen=True, slots=True)
 class Linearisation:
     """Whitened residuals at one point with their derivative by all unknowns, poses and forces apart."""
 
@@ -417,11 +404,11 @@ class FitProblem:
         rows[:, self.slice_of_push(push)] = by_push[:, self.unknowns.size :]
         return rows
 
-    def evaluate_push(self, x: Float64Array, push: int) -> PushTerms | None:
-        """Contribution of one push to `evaluate`; None where its simulation fails."""
+    def evaluate_push(self, x: Float64Array, push: int) -> Evaluation | None:
+        """Contribution of one push to `evaluate`, by the unknowns of the object and its own; None where its simulation fails."""
         return self._push_terms(self.mechanics_at(x), x, push)
 
-    def _push_terms(self, mechanics: Mechanics, x: Float64Array, push: int) -> PushTerms | None:
+    def _push_terms(self, mechanics: Mechanics, x: Float64Array, push: int) -> Evaluation | None:
         motion = self._simulate_push(mechanics, x, push, jacobian=True)
         if motion.status is SolveStatus.SIMULATION_FAILED:
             return None
@@ -439,7 +426,7 @@ class FitProblem:
         in_plane = x[self.slice_of_push(push)][_POSE:]
         gradient[displaced] += in_plane
         hessian[displaced, displaced] += 1.0
-        return PushTerms(cost + 0.5 * float(in_plane @ in_plane), gradient, hessian, residual)
+        return Evaluation(cost + 0.5 * float(in_plane @ in_plane), gradient, hessian, residual)
 
     def _force_jacobian(self, mechanics: Mechanics, x: Float64Array, motion: Motion, push: int) -> Float64Array:
         """Derivative of `force_residual` by the unknowns of the object and those of the push, shape (2 n_windows, unknowns.size +

@@ -184,20 +184,14 @@ def descend(
     x0: Float64Array,
     cost: Callable[[Float64Array], float],
     gradient: Callable[[Float64Array, float], Float64Array | None],
-    *,
-    first_step: float = 0.3,
-    least_step: float = 1e-6,
 ) -> tuple[Float64Array, SolveStatus]:
-    """Follow the negative gradient with a step that doubles on success and shrinks to a quarter on failure.
+    """Follow the negative gradient from `x0`, shape (problem.size,), with a step that doubles on success and falls to a quarter on failure.
 
-    Args:
-        problem: what to fit.
-        x0: start, shape (problem.size,).
-        cost: at a point.
-        gradient: of the cost at a point, given the cost there; None where the budget ended first.
-        first_step, least_step: lengths, in prior standard deviations; at the least one the descent has stalled.
+    `cost`: at a point; `gradient`: of it there, given the cost, or None where the budget ended first.
     """
+    first_step, least_step = 0.3, 1e-6  # in prior standard deviations; at the least one the descent has stalled
     x, meter = np.array(x0), problem.meter
+    limit = np.inf if meter.budget.max_seconds is None else meter.budget.max_seconds
     best = cost(x)
     if not np.isfinite(best):
         return x, SolveStatus.SIMULATION_FAILED
@@ -205,7 +199,7 @@ def descend(
     step, slowest = first_step, meter.seconds  # time of an evaluation: none starts that the budget would not let end
 
     def spent() -> bool:
-        return meter.spent or meter.seconds_left < slowest
+        return meter.spent or limit - meter.seconds < slowest
 
     while True:
         began = meter.seconds

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.geometry.outline import signed_distance
+from push_ident.geometry.outline import outline_distance
 from push_ident.physics.effect_values import EffectValues, force_times, measured_forces
 from push_ident.physics.simulation import Motion
 from push_ident.types import BoolArray, Float64Array, ObjectShape, PoseTrack, PushRecord
@@ -100,11 +100,6 @@ class NoiseModel:
         return np.diag([self.floor_position**2, self.floor_position**2, self.floor_yaw**2])
 
     @property
-    def fit_discrepancy(self) -> Float64Array:
-        """Model discrepancy of a frame in a fit, by travel [1, 1, rad/m], shape (3,)."""
-        return np.array([self.fit_discrepancy_position, self.fit_discrepancy_position, self.fit_discrepancy_yaw])
-
-    @property
     def model_discrepancy(self) -> Float64Array:
         """Model discrepancy of a predicted pose, by travel [1, 1, rad/m], shape (3,)."""
         return np.array([self.model_discrepancy_position, self.model_discrepancy_position, self.model_discrepancy_yaw])
@@ -159,7 +154,8 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1))])
     # A turn by a radian counts as half the size of a usual object.
     travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + 0.05 * np.abs(pose[:, 2] - pose[0, 2]))
-    growth = noise.fit_discrepancy**2 * max(1.0, len(moving) / _SHARING)
+    fit_discrepancy = np.array([noise.fit_discrepancy_position, noise.fit_discrepancy_position, noise.fit_discrepancy_yaw])
+    growth = fit_discrepancy**2 * max(1.0, len(moving) / _SHARING)
     scatter = _scatter(record, before, after)
     inflation = UNCHECKED if noise.single_frame_inflation is None else noise.single_frame_inflation
     neighbours = min(max(noise.correlation, 0.0), _MAX_CORRELATION) ** stride
@@ -297,10 +293,7 @@ def pusher_gaps(record: PushRecord) -> Float64Array:
     """Gap between pusher and outline at every pusher sample, from the observed poses [m], shape (n_samples,)."""
     poses, pusher = record.poses, record.pusher
     pose = np.column_stack([np.interp(pusher.time, poses.time, poses.pose[:, axis]) for axis in range(3)])
-    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    offset = pusher.position - pose[:, :2]
-    in_object = np.column_stack([cos * offset[:, 0] + sin * offset[:, 1], -sin * offset[:, 0] + cos * offset[:, 1]])
-    return np.asarray(signed_distance(in_object, record.shape.outline), dtype=np.float64) - pusher.radius
+    return outline_distance(pusher.position, pose, record.shape.outline) - pusher.radius
 
 
 # --- measured forces

@@ -32,11 +32,11 @@ from push_ident.identification.results.posterior import ModelPosterior, lower_ro
 from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at
 from push_ident.pages.tables import html_table
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import SimulationSettings
+from push_ident.physics.simulation import Motion, SimulationSettings
 from push_ident.physics.tape import Param
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import sample_push
-from push_ident.types import Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, short_repr
+from push_ident.types import CellGrid, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, SolveStatus, short_repr
 
 CHATTER = 10.0
 """Largest derivative of the last pose by the first one [-]. It is 1 to 8 in ordinary pushes. Where it is larger, the motion chatters
@@ -308,21 +308,24 @@ def _sensitivity(mechanics: Mechanics, push: PlannedPush, observation: Observati
 
 def _reference_rows(mechanics: Mechanics, reference: Iterable[PlannedPush], options: RankingOptions) -> Float64Array:
     """d(cell displacement at the end) / dz of the reference pushes that move the object of a model, shape (n_moved, 3, n_unknowns)."""
-    cells = mechanics.shape.cells
 
     def rows_of(push: PlannedPush) -> Float64Array | None:
-        motion = mechanics.simulate(
-            PushScenario(push.pusher, push.pose_object_in_table, push.pusher.time[-1:]), settings=options.numerics, jacobian=True
-        )
-        if motion.status is not SolveStatus.CONVERGED:
-            return None
-        by_body = cell_displacement(cells, motion.pose[-1, 2]) @ motion.jacobian[-1]
-        by_first = np.linalg.solve(cell_displacement(cells, push.pose_object_in_table[2]).T, by_body[:, :3].T).T
-        if not np.linalg.norm(by_first, 2) < CHATTER:
-            return None
-        return np.asarray(by_body[:, Param.MASS :] @ mechanics.derivative[Param.MASS :])
+        scenario = PushScenario(push.pusher, push.pose_object_in_table, push.pusher.time[-1:])
+        motion = mechanics.simulate(scenario, settings=options.numerics, jacobian=True)
+        return end_derivative(mechanics, mechanics.shape.cells, motion, push.pose_object_in_table[2])
 
     return np.array([rows for rows in options.run_all(rows_of, reference) if rows is not None])
+
+
+def end_derivative(mechanics: Mechanics, cells: CellGrid, motion: Motion, first_yaw: float) -> Float64Array | None:
+    """d(cell displacement at the end of a push) / dz [m], shape (3, n_unknowns); None where no derivative predicts the end."""
+    if motion.status is not SolveStatus.CONVERGED:
+        return None
+    by_body = cell_displacement(cells, motion.pose[-1, 2]) @ motion.jacobian[-1]
+    by_first = np.linalg.solve(cell_displacement(cells, first_yaw).T, by_body[:, :3].T).T
+    if not np.linalg.norm(by_first, 2) < CHATTER:
+        return None
+    return np.asarray(by_body[:, Param.MASS :] @ mechanics.derivative[Param.MASS :])
 
 
 def _freeze(owner: PlannedPush | PoseSensor, name: str, shape: tuple[int, ...]) -> None:

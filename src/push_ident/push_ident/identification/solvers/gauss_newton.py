@@ -23,7 +23,7 @@ from push_ident.identification.results.known_effects import effects_cost
 from push_ident.identification.results.posterior import ModelPosterior, with_total_mass
 from push_ident.identification.results.result import Candidate
 from push_ident.identification.unknowns.mechanics import foot_position_unknowns, model_at
-from push_ident.identification.unknowns.prior import MapPrior
+from push_ident.identification.unknowns.prior import GIVEN_STD, MapPrior
 from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import Float64Array, ObjectModel, SolveStatus
@@ -183,7 +183,7 @@ class _Candidates:
         """Without maps: with the frictions free, and with nominal ones."""
         task, full, equal = self._task, self._unknowns, self._task.unknowns.equal_cells()
         start, full_maps = task.scalar.x, np.arange(full.size)[full.maps]
-        for name, prior in ((_EQUAL, equal.prior), (_NOMINAL, equal.prior.with_frictions_frozen())):
+        for name, prior in ((_EQUAL, equal.prior), (_NOMINAL, replace(equal.prior, friction_std=GIVEN_STD, pusher_friction_std=GIVEN_STD))):
             unknowns = replace(equal, prior=prior)
             transform = np.zeros((full.size, unknowns.size))
             for key, block in unknowns.blocks.items():

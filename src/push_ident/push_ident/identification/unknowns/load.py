@@ -76,34 +76,13 @@ def balanced_load_derivative(
 
 
 @dataclass(frozen=True, slots=True)
-class Feet:
-    """Where an object stands."""
-
-    position: Float64Array
-    """p [m], shape (n_feet, 2)."""
-    width: float
-    """h [m] > 0."""
-    preference: Float64Array
-    """g, shape (n_feet,)."""
-
-
-@dataclass(frozen=True, slots=True)
-class FeetDerivative:
-    """Derivative of `Feet` by unknowns."""
-
-    position: Float64Array
-    """Shape (n_feet, 2, n_unknowns)."""
-    log_width: Float64Array
-    """Shape (n_unknowns,)."""
-    preference: Float64Array
-    """Shape (n_feet, n_unknowns)."""
-
-
-@dataclass(frozen=True, slots=True)
 class FeetLoad:
     """A load on feet."""
 
-    feet: Feet
+    place: Float64Array
+    """p [m], shape (n_feet, 2)."""
+    width: float
+    """h [m]."""
     weight: Float64Array
     """Share of the mass of each cell, shape (n_cells,), sum 1."""
     cells: Float64Array
@@ -124,46 +103,40 @@ class FeetLoad:
     """t, shape (2,)."""
 
 
-def feet_load(weight: Float64Array, cells: Float64Array, feet: Feet) -> FeetLoad:
-    """Load of an object on feet.
-
-    Args:
-        weight: share of the mass of each cell, shape (n_cells,), sum 1.
-        cells: their positions [m], shape (n_cells, 2).
-        feet: where it stands.
-    """
-    exponent = -np.sum((cells[:, None] - feet.position[None]) ** 2, axis=2) / (2.0 * feet.width**2)
+def feet_load(weight: Float64Array, cells: Float64Array, place: Float64Array, width: float, preference: Float64Array) -> FeetLoad:
+    """Load of an object on feet, with the preferences g of shape (n_feet,); the others as in `FeetLoad`."""
+    exponent = -np.sum((cells[:, None] - place[None]) ** 2, axis=2) / (2.0 * width**2)
     spread = np.exp(exponent - exponent.max(axis=0))
     spread /= spread.sum(axis=0)
     effective = spread.T @ cells
     radius = float(np.sqrt(np.mean((cells - cells.mean(axis=0)) ** 2)))
     arms = (effective - weight @ cells) / radius
-    share, tilt = _balance(feet.preference, arms, _SOFTNESS)
+    share, tilt = _balance(preference, arms, _SOFTNESS)
     load = (1.0 - _FLOATING) * (spread @ share) + _FLOATING * weight
-    return FeetLoad(feet, weight, cells, load, share, effective, spread, arms, radius, tilt)
+    return FeetLoad(place, width, weight, cells, load, share, effective, spread, arms, radius, tilt)
 
 
-def feet_load_derivative(at: FeetLoad, d_weight: Float64Array, d_feet: FeetDerivative) -> Float64Array:
+def feet_load_derivative(
+    at: FeetLoad, d_weight: Float64Array, d_place: Float64Array, d_width: Float64Array, d_preference: Float64Array
+) -> Float64Array:
     """Derivative of the logarithm of the load of each cell by unknowns, shape (n_cells, n_unknowns).
 
-    Args:
-        at: the load.
-        d_weight: derivative of the logarithm of the weights, shape (n_cells, n_unknowns).
-        d_feet: of the feet.
+    From those of the logarithm of the weights, shape (n_cells, n_unknowns), of the places, shape (n_feet, 2, n_unknowns), of the logarithm
+    of the width, shape (n_unknowns,), and of the preferences, shape (n_feet, n_unknowns).
     """
-    cells, weight, width = at.cells, at.weight, at.feet.width
+    cells, weight, width = at.cells, at.weight, at.width
     share, spread, arms = at.share, at.spread, at.arms
-    offset = cells[:, None] - at.feet.position[None]
+    offset = cells[:, None] - at.place[None]
     # d log T_ik = (x_i - p_k)' dp_k / h^2 + |x_i - p_k|^2 / h^2 dlog h, less its mean over the cells.
     by_position = offset / width**2
     by_position = spread[:, :, None] * (by_position - np.einsum("ik,ikd->kd", spread, by_position)[None])
     by_width = np.sum(offset**2, axis=2) / width**2
     by_width = spread * (by_width - np.sum(spread * by_width, axis=0)[None])
-    d_spread = np.einsum("ikd,kdz->ikz", by_position, d_feet.position) + by_width[:, :, None] * d_feet.log_width
+    d_spread = np.einsum("ikd,kdz->ikz", by_position, d_place) + by_width[:, :, None] * d_width
     d_centre = (cells * weight[:, None]).T @ d_weight
     d_arms = (np.einsum("ia,ikz->kaz", cells, d_spread) - d_centre[None]) / at.radius
     # The slope of the potential stays zero: this determines the derivative of the tilt.
-    direct = d_feet.preference + np.einsum("kaz,a->kz", d_arms, at.tilt)
+    direct = d_preference + np.einsum("kaz,a->kz", d_arms, at.tilt)
     centre = share @ arms
     curvature = (arms * share[:, None]).T @ arms - np.outer(centre, centre) + 2.0 * _SOFTNESS * np.eye(2)
     drift = (arms * share[:, None]).T @ (direct - share @ direct) + np.einsum("k,kaz->az", share, d_arms)

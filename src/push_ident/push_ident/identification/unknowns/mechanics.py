@@ -28,15 +28,7 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.identification.unknowns.load import (
-    Feet,
-    FeetDerivative,
-    FeetLoad,
-    balanced_load,
-    balanced_load_derivative,
-    feet_load,
-    feet_load_derivative,
-)
+from push_ident.identification.unknowns.load import FeetLoad, balanced_load, balanced_load_derivative, feet_load, feet_load_derivative
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.effect_values import EffectValues, effect_values
@@ -88,7 +80,8 @@ def mechanics_at(spec: UnknownsSpec, z: Float64Array) -> Mechanics:
     weight = model.mass / body.mass
     arms = spec.shape.cells.centres - body.centre
     moment = np.sum(arms**2, axis=1) + spec.shape.cells.size**2 / 6
-    effects, d_values, mass_factor = effects_at(spec, z), effect_values_at(spec, z)[1], _mass_factor(spec, z)
+    effects, d_values = effects_at(spec, z), effect_values_at(spec, z)[1]
+    mass_factor = float(np.exp(spec.blocks["total_mass"].std @ z[spec.slices["total_mass"]]))
     d_mass, d_friction = log_derivatives_at(spec, z, model)
     shown = np.array([not effect.needs_forces for effect in spec.effects.effects for _ in effect.parameters], dtype=bool)
     n_cells, n_values = len(weight), int(np.sum(shown))
@@ -188,17 +181,15 @@ def _feet(spec: UnknownsSpec, z: Float64Array, weight: Float64Array) -> FeetLoad
     cells = spec.shape.cells
     offset = z[spec.slices["foot_positions"]].reshape(-1, 2) @ _base_root(cells).T
     preference = spec.blocks["foot_preferences"].std * z[spec.slices["foot_preferences"]]
-    return feet_load(weight, cells.centres, Feet(cells.centres.mean(axis=0) + offset, _foot_width(spec, z)[0], preference))
+    return feet_load(weight, cells.centres, cells.centres.mean(axis=0) + offset, _foot_width(spec, z)[0], preference)
 
 
 def _feet_derivative(spec: UnknownsSpec, z: Float64Array, weight: Float64Array, d_mass: Float64Array) -> Float64Array:
     unit, at = np.eye(spec.size), spec.slices
-    d_feet = FeetDerivative(
-        position=np.einsum("ab,kbz->kaz", _base_root(spec.shape.cells), unit[at["foot_positions"]].reshape(spec.prior.feet, 2, -1)),
-        log_width=_foot_width(spec, z)[1] * unit[at["foot_width"]][0],
-        preference=spec.blocks["foot_preferences"].std[:, None] * unit[at["foot_preferences"]],
-    )
-    return feet_load_derivative(_feet(spec, z, weight), d_mass, d_feet)
+    d_place = np.einsum("ab,kbz->kaz", _base_root(spec.shape.cells), unit[at["foot_positions"]].reshape(spec.prior.feet, 2, -1))
+    d_width = _foot_width(spec, z)[1] * unit[at["foot_width"]][0]
+    d_preference = spec.blocks["foot_preferences"].std[:, None] * unit[at["foot_preferences"]]
+    return feet_load_derivative(_feet(spec, z, weight), d_mass, d_place, d_width, d_preference)
 
 
 def _foot_width(spec: UnknownsSpec, z: Float64Array) -> tuple[float, float]:
@@ -220,7 +211,7 @@ def foot_position_unknowns(spec: UnknownsSpec, positions: Float64Array) -> Float
     return np.asarray(np.linalg.solve(_base_root(cells), offset.T).T.ravel())
 
 
-# --- effects and total mass
+# --- effects
 
 
 def effects_at(spec: UnknownsSpec, z: Float64Array) -> EffectValues:
@@ -234,11 +225,6 @@ def effect_values_at(spec: UnknownsSpec, z: Float64Array) -> tuple[Float64Array,
     std = spec.blocks["effects"].std
     free = spec.effects.values + std * z[spec.slices["effects"]]
     return np.clip(free, low, high), np.where((free >= low) & (free <= high), std, 0.0)
-
-
-def _mass_factor(spec: UnknownsSpec, z: Float64Array) -> float:
-    """Total mass over the nominal one, 1 where no forces are measured."""
-    return float(np.exp(spec.blocks["total_mass"].std @ z[spec.slices["total_mass"]]))
 
 
 # --- unknowns of given maps

@@ -25,7 +25,7 @@ _LARGEST: Final = {
     "max_modes": LIMITS.CELLS,
     "feet": LIMITS.CELLS,
 }
-_MAP_STDS: Final = ("mass_map_std", "pressure_map_std", "friction_map_std")
+MAP_STDS: Final = ("mass_map_std", "pressure_map_std", "friction_map_std")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class Prior:
 
     def __post_init__(self) -> None:
         positive = ("total_mass", "friction", "pusher_friction", "friction_std", "pusher_friction_std", "correlation_length")
-        for name in (*positive, "total_mass_std", "camera_position_std", "camera_heading_std", "force_offset_std", *_MAP_STDS):
+        for name in (*positive, "total_mass_std", "camera_position_std", "camera_heading_std", "force_offset_std", *MAP_STDS):
             value = getattr(self, name)
             if not (np.isfinite(value) and (value > 0 or (value == 0 and name not in positive))):
                 raise InputError(f"Prior.{name} is {value}, expected a {'positive number' if name in positive else 'number >= 0'}.")
@@ -121,10 +121,6 @@ class Prior:
             return self
         return replace(self, force_offset_std=std)
 
-    def at_amplitude(self, amplitude: float) -> Prior:
-        """The same prior with the standard deviations of the maps multiplied by `amplitude`."""
-        return replace(self, **{name: amplitude * getattr(self, name) for name in _MAP_STDS})
-
     def without_pressure(self) -> Prior:
         """The same prior where each cell bears its own weight: one map fewer, and the same products of mass and friction."""
         return replace(self, pressure_map_std=0.0)
@@ -135,11 +131,3 @@ class Prior:
         `mass_std` moves the centre of mass by a hundredth of the object; all feet slide on one table, hence `friction_std`.
         """
         return replace(self, feet=number, mass_map_std=mass_std, friction_map_std=friction_std) if number else self
-
-    def with_pusher_friction_frozen(self) -> Prior:
-        """The same prior with the friction coefficient of the pusher given."""
-        return replace(self, pusher_friction_std=GIVEN_STD)
-
-    def with_frictions_frozen(self) -> Prior:
-        """The same prior with the friction coefficients of the support and of the pusher given."""
-        return replace(self, friction_std=GIVEN_STD, pusher_friction_std=GIVEN_STD)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
-from push_ident.identification.unknowns.prior import GIVEN_STD, Prior
+from push_ident.identification.unknowns.prior import GIVEN_STD, MAP_STDS, Prior
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS, SENSOR_ERRORS
 from push_ident.types import Float64Array, ObjectShape
@@ -169,7 +169,7 @@ class UnknownsSpec:
 
     def at_amplitude(self, amplitude: float) -> UnknownsSpec:
         """The same unknowns with the prior standard deviations of the maps multiplied by `amplitude`."""
-        return replace(self, prior=self.prior.at_amplitude(amplitude))
+        return replace(self, prior=replace(self.prior, **{name: amplitude * getattr(self.prior, name) for name in MAP_STDS}))
 
     def slice_of_effect(self, name: str) -> slice:
         """Position of the parameters of one effect in `z`. Raises InputError for an effect that is no unknown."""
