@@ -42,11 +42,7 @@ class EarlierFits:
     def start(self, fit: Fit, fold: Sequence[int]) -> Float64Array | None:
         """Unknowns at which a fit without some pushes may start, None where no earlier fit is like it.
 
-        It knows nothing of these pushes: the earlier fit did not use them either.
-
-        Args:
-            fit: to all present pushes.
-            fold: numbers of the pushes that are held out.
+        It knows nothing of these pushes, the `fold`: the earlier fit did not use them either. `fit`: to all present pushes.
         """
         previous = self.fits.get((fit.names, frozenset(push for push in fold if push < self.n_pushes)))
         n_new = sum(push not in fold for push in range(self.n_pushes, len(fit.problem.records)))

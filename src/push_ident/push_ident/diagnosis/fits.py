@@ -110,12 +110,7 @@ def without_pushes(fit: Fit, pushes: Sequence[int], start: Float64Array | None =
     """Fit of the same model to all pushes but some.
 
     It starts at some distance from the fit to all: the cost has kinks (stick and slip), and from that fit it would stay in those that the
-    held-out pushes selected, and predict them too well.
-
-    Args:
-        fit: converged.
-        pushes: numbers of the pushes in its problem.
-        start: unknowns to start at, which know nothing of these pushes either, shape (size,).
+    held-out pushes selected, and predict them too well. `start`: unknowns that know nothing of these pushes either, shape (size,).
     """
     problem = fit.problem.without(pushes)
     x0 = (

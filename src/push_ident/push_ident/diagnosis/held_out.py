@@ -68,11 +68,9 @@ class Gap:
         return no_more_probable and float(np.mean(self.after)) >= float(np.mean(self.before))
 
     def mean_interval(self, values: Float64Array, shared_std: float = 0.0) -> tuple[float, float]:
-        """Contains the mean with the probability of the policy, by bootstrap over the pushes.
+        """Contains the mean of values, one for each push, shape (n,), with the probability of the policy, by bootstrap over the pushes.
 
-        Args:
-            values: one for each push, shape (n,).
-            shared_std: standard deviation of an error that all of them have in common, in their unit.
+        `shared_std`: standard deviation of an error that all of them have in common, in their unit.
         """
         rng, n = np.random.default_rng(0), len(values)
         drawn = values[rng.integers(n, size=(self.policy.bootstrap_draws, n))].mean(axis=1)
@@ -116,11 +114,7 @@ class _HeldOutFold:
 
 
 class HeldOutFits:
-    """Fits without some pushes, and what they predict of these pushes; each is made once.
-
-    Args:
-        earlier: where they start, where an earlier diagnosis of the first of the pushes made such fits.
-    """
+    """Fits without some pushes, and what they predict of these pushes; each is made once, from an earlier one where there is one."""
 
     def __init__(self, earlier: EarlierFits | None = None) -> None:
         self._earlier = earlier or EarlierFits()
@@ -152,13 +146,8 @@ def measure_gap(
 ) -> Gap:
     """Hold each push out of both fits once, and predict it.
 
-    Args:
-        base: without the effects.
-        fit: with them; may be `base` itself.
-        policy: number of folds and draws.
-        on_progress: called with what is under way.
-        between: fits with some of the effects, by their names, for the `stages` of the gap.
-        held_out: fits without some pushes that are known, to which those of this gap are added.
+    `base`: without the effects; `fit`: with them, may be `base` itself; `between`: with some of them, by their names, for the `stages` of
+    the gap; `held_out`: known fits without some pushes, to which those of this gap are added.
     """
     report = on_progress or (lambda text: None)
     n = len(base.problem.records)

@@ -81,13 +81,8 @@ def competing_explanations(selection: Selection, policy: SelectionPolicy) -> dic
 def separating_push(fits: Mapping[str, Fit], pose: Float64Array, settings: PushSettings, policy: NextPushPolicy) -> SeparatingPush | None:
     """The best of some safe candidate pushes: it has the largest distance between the two explanations that it separates least.
 
-    None where no push is safe, or none would distinguish any two explanations beyond the noise.
-
-    Args:
-        fits: explanations by name, at least two, all of one object.
-        pose: where the object lies, table frame, shape (3,).
-        settings: limits and ranges of pushes.
-        policy: number of candidates, and what counts.
+    None where no push is safe, or none would distinguish any two explanations beyond the noise. `fits`: explanations by name, at least two,
+    all of one object; `pose`: where it lies, table frame, shape (3,).
     """
     problem = next(iter(fits.values())).problem
     candidates = _candidates(problem.unknowns.shape, pose, settings, policy)

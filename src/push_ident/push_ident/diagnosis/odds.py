@@ -114,11 +114,7 @@ def explanations_of(
 ) -> tuple[Explanation, ...]:
     """All explanations that were considered, with their weights.
 
-    Args:
-        selection: effects that were found step by step, with their rivals.
-        outside: evidence of something else.
-        policy: prior probabilities and discrepancies.
-        rejected: log Bayes factors [nat] of effects in the pushes that do not support them: no effect that was not added has more.
+    `rejected`: log Bayes factors [nat] of effects in the pushes that do not support them: no effect that was not added has more.
     """
     names: list[str] = []
     weight = 0.0

@@ -69,13 +69,9 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
 
 def failed_tests(base: FrameResiduals, residuals: FrameResiduals, policy: UnknownPolicy, *, correlation_std: float) -> tuple[float, ...]:
     """P-values of those tests in which residuals beside all named effects are larger than noise, or continue from frame to frame as noise
-    does not.
+    does not. What the base model leaves in excess widens the limits.
 
-    Args:
-        base: residuals of the base model; what it leaves in excess widens the limits.
-        residuals: beside all effects that were named.
-        policy: limits.
-        correlation_std: standard error of the correlation of the pose errors [1]; infinite where correlated residuals may be noise.
+    `correlation_std`: standard error of the correlation of the pose errors [1]; infinite where correlated residuals may be noise.
     """
     excess = max(base.residual_ratio[0] - 1.0, 0.0)
     failed = []

@@ -28,13 +28,7 @@ def cell_displacement(cells: CellGrid, yaw: float) -> Float64Array:
 
 
 def cell_error_std(cells: CellGrid, pose: Float64Array, covariance: Float64Array) -> float:
-    """Expected cell error of a pose of this covariance, root mean square [m].
-
-    Args:
-        cells: of the object.
-        pose: mean (x, y, yaw), shape (3,).
-        covariance: shape (3, 3).
-    """
+    """Expected cell error of a mean pose, shape (3,), of this covariance, shape (3, 3): root mean square [m]."""
     arms = transform_points(np.array([0.0, 0.0, pose[2]]), cells.centres)
     moment = float(np.mean(np.sum(arms**2, axis=1)))
     mean = arms.mean(axis=0)

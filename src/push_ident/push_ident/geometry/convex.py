@@ -13,13 +13,8 @@ def convex_pieces(polygon: ArrayLike) -> list[Float64Array]:
     """Convex polygons without overlap whose union is `polygon`.
 
     Ears are clipped, the best shaped first; then every diagonal is removed that no reflex corner needs (Hertel and Mehlhorn, 1983). The
-    result has at most four times the minimal number of pieces. All corners are corners of `polygon`, so that no side of it is split.
-
-    Args:
-        polygon: simple, counter-clockwise, not closed [m], shape (n_vertices, 2).
-
-    Returns:
-        The pieces, counter-clockwise, not closed, each shape (n, 2).
+    result has at most four times the minimal number of pieces. All corners are corners of `polygon`, so that no side of it is split. It is
+    simple, shape (n_vertices, 2); it and the pieces, each of shape (n, 2), are counter-clockwise and not closed [m].
 
     Raises:
         InputError: the polygon crosses itself, so that no ear remains; or it has no area.

@@ -45,11 +45,7 @@ _LIMITS: Final = ShapeLimits()
 
 
 def check_shape(shape: ObjectShape, *, remedy: str = "") -> ObjectShape:
-    """The same shape, if it can be one of an object.
-
-    Args:
-        shape: as it was given.
-        remedy: where to look, for the text of an error.
+    """The same shape, if it can be one of an object. `remedy`: where to look, for the text of an error.
 
     Raises:
         InputError: the size is none of an object that an arm pushes, the outline crosses itself, cells overlap, or cells and outline do

@@ -211,13 +211,7 @@ class _Prepared:
 
 
 class CurvedPushes:
-    """Simulates and optimises pushes of one object along one path.
-
-    Args:
-        settings: limits of the tool.
-        path: to be followed.
-        corridor: that the tool must not leave; None: the workspace alone.
-    """
+    """Simulates and optimises pushes of one object along one path, with limits of the tool; no corridor: the workspace alone."""
 
     def __init__(self, settings: PushSettings, path: PathGoal, corridor: Corridor | None = None) -> None:
         self._settings, self._path, self._corridor = settings, path, corridor
@@ -335,15 +329,10 @@ class CurvedPushes:
         n_iterations: int,
         is_late: Callable[[], bool] = lambda: False,
     ) -> tuple[Float64Array, RolledPushes]:
-        """Better unknowns, shape (n_starts, N_SEGMENTS, 2), and what they do (one variant).
+        """Better unknowns, shape (n_starts, N_SEGMENTS, 2), and what they do (one variant), after some iterations of Gauss-Newton.
 
-        Args:
-            models: of the cost.
-            horizon: times of the pushes.
-            starts: where they begin.
-            first: guesses, shape (n_starts, n_guesses, N_SEGMENTS, 2); of each start the best is improved.
-            n_iterations: of Gauss-Newton, at most.
-            is_late: called before each iteration; the best so far is returned when it is true.
+        `first`: guesses, shape (n_starts, n_guesses, N_SEGMENTS, 2), of which the best of each start is improved; `is_late`: called before
+        each iteration, the best so far is returned when it is true.
         """
         n_starts, prepared = len(first), self._prepared(horizon, starts)
         number, n_unknowns = np.arange(n_starts), 2 * N_SEGMENTS

@@ -55,14 +55,9 @@ def edges_of(table: Table) -> list[TableEdge]:
 
 
 def edge_target(goal: EdgeGoal, edges: Sequence[TableEdge], belief: Belief, pose: Float64Array, settings: PushSettings) -> Target:
-    """The nearest pre-grasp pose at the edge of the goal, else at the nearest of `edges` where there is one.
+    """The nearest pre-grasp pose at the edge of the goal, else at the nearest of the known `edges` where there is one.
 
-    Args:
-        goal: at an edge.
-        edges: known edges, table frame.
-        belief: about the object.
-        pose: of it, shape (3,), table frame.
-        settings: limits of pushes.
+    All in the table frame, the pose of the object of shape (3,).
 
     Raises:
         GoalRefusedError: no edge is known; else as `pregrasp` for the nearest one.

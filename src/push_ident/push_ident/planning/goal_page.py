@@ -29,16 +29,8 @@ _ENDED = {
 
 
 def write_goal_page(path: Path, content: Mapping[str, Any], sections: Sequence[FigureSection] = ()) -> None:
-    """Write the page.
-
-    Args:
-        path: HTML file.
-        content: what `push-ident push-to --json` writes, of one goal or of goals in a row along a path; also of one that was broken off.
-        sections: further figures.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write the page of what `push-ident push-to --json` writes, of one goal or of goals in a row along a path; also of one that was broken
+    off. `sections`: further figures. Raises InputError where the file cannot be written."""
     goals: Sequence[Mapping[str, Any]] = content.get("goals", [content])
     n_goals = int(content.get("n_goals", 1))
     last = goals[-1]

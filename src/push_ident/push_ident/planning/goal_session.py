@@ -55,14 +55,7 @@ _ANOTHER_CONTACT: Final = frozenset({PushCode.NO_CONTACT, PushCode.UNREACHABLE, 
 
 
 class GoalSession:
-    """One goal.
-
-    Args:
-        request: the goal.
-        ports: of the cell.
-        limits: of waiting.
-        on_progress: called with the progress at each change and every 0.1 s.
-    """
+    """One goal; `on_progress` is called with the progress at each change and every 0.1 s."""
 
     def __init__(
         self,
@@ -498,17 +491,9 @@ def push_on_table(
 ) -> PushPlan2D:
     """A random push after which the object, moved along all of it, is on the table; where it is not now, nearer to that.
 
-    The outline may turn out over the edge; the centre of mass may not: no push moves it further than the tool goes.
-
-    Args:
-        shape: of the object.
-        pose: of it, shape (3,), table frame.
-        seed: of the push.
-        settings: limits of pushes.
-        edges: of the table.
-        obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
-        n_draws: random pushes that are tried.
-        clearance: least distance of the outline from the edge after the push [m]: it slides on by up to 2.5 mm, and poses have errors.
+    The outline may turn out over the edge; the centre of mass may not: no push moves it further than the tool goes. `pose`: of the object,
+    shape (3,), table frame; `obstacles`: outlines of other objects, table frame [m], each of shape (n_vertices, 2); `clearance`: least
+    distance of the outline from the edge after the push [m]: it slides on by up to 2.5 mm, and poses have errors.
 
     Raises:
         PlanningError: UNREACHABLE where no such push is found.
@@ -528,14 +513,7 @@ class TargetChoice:
     """The target of one goal.
 
     At an edge it is chosen once, and again only after `forget`; what holds the object there is judged anew with each newer model.
-
-    Args:
-        goal: as requested.
-        ports: of the cell.
-
-    Attributes:
-        target: None before it was chosen.
-        tolerance: the tolerances of the goal, about any pose.
+    `target` is None before it was chosen; `tolerance` has the tolerances of the goal, about any pose.
     """
 
     def __init__(self, goal: Goal | EdgeGoal, ports: GoalPorts) -> None:

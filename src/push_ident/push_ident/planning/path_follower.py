@@ -78,13 +78,9 @@ _OPTIONS: Final = FollowerOptions()
 
 
 class ContactTracker:
-    """Tracks the pose of an object that a tool pushes.
+    """Tracks the pose of an object that a tool of a radius [m] pushes, by the most probable model.
 
-    Args:
-        model: the most probable one, alone.
-        radius: of the tool [m].
-        pose: of the object at rest, table frame of the arm, shape (3,).
-        covariance: of it, shape (3, 3).
+    `pose`: of the object at rest, table frame of the arm, shape (3,), with its covariance, shape (3, 3).
     """
 
     def __init__(self, model: ModelBatch, radius: float, pose: Float64Array, covariance: Float64Array) -> None:
@@ -240,13 +236,9 @@ class PathFollower:
         self._tracker = ContactTracker(model, radius, compose(self._camera_in_arm, pose), covariance)
 
     def correct(self, time: float, pose: Float64Array, covariance: Float64Array, is_late: Callable[[], bool] = lambda: False) -> Correction:
-        """The motion from a frame on.
+        """The motion from a frame on, later than the last one [s], by the pose of the object, shape (3,), and its covariance, shape (3, 3).
 
-        Args:
-            time: of the frame [s], later than the last one.
-            pose: of the object, shape (3,).
-            covariance: of it, shape (3, 3).
-            is_late: whether an answer is due: the last plan is then not improved further.
+        `is_late`: whether an answer is due: the last plan is then not improved further.
         """
         tracker = self._tracker
         lead = time + self._period + self._horizon.lead
@@ -366,14 +358,9 @@ class ModelWeights:
         return self._models.picked([int(k) for k in np.argsort(-self.log_weight, kind="stable")[:n]])
 
     def observe(self, time: Float64Array, tool: Float64Array, pose: Float64Array, velocity: Float64Array, face: Face) -> None:
-        """A frame of an object in contact.
+        """A frame of an object in contact, with its pose, shape (3,), its velocity [m/s, m/s, rad/s], shape (3,), and the face touched.
 
-        Args:
-            time: since the frame before [s], shape (n,), ascending, the frame's last.
-            tool: axis of the tool then [m], shape (n, 2).
-            pose: of the object at the frame, shape (3,).
-            velocity: of its frame then [m/s, m/s, rad/s], shape (3,).
-            face: that the tool touches.
+        `time`: since the frame before [s], shape (n,), ascending, the frame's last; `tool`: axis of the tool then [m], shape (n, 2).
         """
         self.work()
         if self._begun is not None:

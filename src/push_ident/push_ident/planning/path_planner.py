@@ -103,15 +103,10 @@ class PathPlanner:
         obstacles: Sequence[Float64Array] = (),
         failed: Sequence[PushPlan2D] = (),
     ) -> PathPush:
-        """The next push.
+        """The next push of an object at a pose in the table frame, shape (3,).
 
-        Args:
-            belief: what is known of the object.
-            pose: of the object in the table frame, shape (3,).
-            path: to be followed.
-            done: length of path that was behind before the latest push [m]; 0 at first.
-            obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
-            failed: pushes from this pose that did not move the object, or could not be made.
+        `done`: length of path that was behind before the latest push [m], 0 at first; `obstacles`: outlines of other objects, table frame
+        [m], each of shape (n_vertices, 2); `failed`: pushes from this pose that did not move the object, or could not be made.
         """
         camera_in_arm = inverse(belief.camera)
         reached, _ = path.error(pose, done, PATH_OPTIONS.look_ahead)

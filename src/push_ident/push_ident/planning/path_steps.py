@@ -47,13 +47,7 @@ class PathStep:
 
 
 class PathSteps:
-    """Plans pushes of one object along paths, of either kind.
-
-    Args:
-        shape: of the object.
-        settings: limits of pushes and the pusher.
-        half_width: of the corridor of a steered push [m].
-    """
+    """Plans pushes of one object along paths, of either kind; `half_width`: of the corridor of a steered push [m]."""
 
     def __init__(self, shape: ObjectShape, settings: PushSettings, half_width: float) -> None:
         self._shape, self._settings = shape, settings
@@ -92,9 +86,6 @@ class PathSteps:
 def may_steer_after(step: PathStep, before: float, done: float) -> bool:
     """Whether the push after this one may be steered: where steering brought nothing, a straight push comes first.
 
-    Args:
-        step: the push that was made.
-        before: length of path that was behind then [m].
-        done: and that is behind now [m].
+    Lengths of path behind [m]: `before` the push that was made, and `done` now.
     """
     return step.steered is None or done > before + PATH_OPTIONS.stuck_progress

@@ -128,16 +128,10 @@ class GoalPlanner:
         failed: Sequence[PushPlan2D] = (),
         hold: EdgeHold | None = None,
     ) -> GoalPush:
-        """The next push.
+        """The next push of an object at a pose in the table frame, shape (3,), of a covariance, shape (3, 3).
 
-        Args:
-            belief: about the object.
-            pose: of the object in the table frame, shape (3,).
-            covariance: of that pose, shape (3, 3).
-            goal: pose with tolerances.
-            obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
-            failed: pushes from this pose that did not move the object, or could not be made.
-            hold: an edge of the table near the goal, and by how much the object must be held there.
+        `obstacles`: outlines of other objects, table frame [m], each of shape (n_vertices, 2); `failed`: pushes from this pose that did not
+        move the object, or could not be made; `hold`: an edge of the table near the goal, and by how much the object must be held there.
         """
         hold_in_arm = None if hold is None else hold.in_frame(belief.camera)
         in_arm = _in_arm_frame(belief.camera, pose, covariance, goal)
@@ -377,15 +371,9 @@ def refine(
     the inverse one and then everything by that motion, so the same derivative tells what another contact and another direction do; the
     velocity at the end tells what another length does. Three numbers of the push for three of the pose: Gauss-Newton.
 
-    Args:
-        belief: about the object.
-        stroke: one.
-        length: travel after contact [m]; at least 3 mm.
-        wanted: motion, in the frame of the object before it.
-        settings: limits of pushes.
-        pose: of the object before it, table frame of the arm, shape (3,).
-        n_evaluations: simulations with their derivative.
-        damping: weight of a change of the push by its whole range, in tolerances [1]: changes that hardly move the end are not made.
+    `length`: travel after contact [m], at least 3 mm; `wanted`: motion, in the frame of the object before it; `pose`: of the object then,
+    table frame of the arm, shape (3,); `n_evaluations`: simulations with their derivative; `damping`: weight of a change of the push by its whole
+    range, in tolerances [1]: changes that hardly move the end are not made.
     """
     best: RefinedStroke | None = None
     first = least = np.inf

@@ -120,12 +120,9 @@ def frames_at_rest(
 
 
 def survey_frames(frames: Sequence[DepthFrame], camera_in_table: Float64Array | None = None, notes: Sequence[str] = ()) -> Survey:
-    """Look at frames at rest.
+    """Look at frames at rest: one or more of a camera that does not move, in the order of their stamps [s].
 
-    Args:
-        frames: One or more of a camera that does not move, in the order of their stamps [s].
-        camera_in_table: Known pose of the optical frame in the table frame, shape (4, 4); the plane of the table corrects it.
-        notes: Goes before the notes of the result.
+    `camera_in_table`: known pose of the optical frame in the table frame, shape (4, 4), which the plane of the table corrects.
 
     Raises:
         FrameError: There are no frames, or the image does not belong to its intrinsics.

@@ -95,13 +95,8 @@ def describe(
 ) -> ObjectDescription:
     """Describe an object for a simulator.
 
-    Args:
-        model: the maps.
-        object_id: gives the frame its name, `object_<id>`; invalid characters become `_`.
-        source: file of the model, for the comment.
-        height: height of the object [m]; a push in the plane does not depend on it.
-        sliding: whether each cell has its own vertical joint; else the object is one rigid body.
-        effects: the identified effects.
+    Invalid characters of its id become `_` in the name of its frame. A push in the plane does not depend on the height [m]. `source` is
+    named in a comment.
 
     Raises:
         InputError: a height within the clearance of the outline, or an outline that is no simple polygon.
@@ -131,12 +126,7 @@ def describe(
 
 
 def effect_notes(description: ObjectDescription, carried: Mapping[ExportAs, str]) -> list[str]:
-    """One line for each effect.
-
-    Args:
-        description: the object.
-        carried: place in the file of each part that represents an effect. The file represents no other effects.
-    """
+    """One line for each effect. `carried`: place in the file of each part that represents an effect; it represents no other effects."""
     lines = []
     for name, values in description.effects.items():
         effect = EFFECTS[name]

@@ -19,15 +19,9 @@ SUFFIXES = {"sdf": ".sdf", "urdf": ".urdf", "mjcf": ".xml"}
 
 
 def write_description(path: Path, description: ObjectDescription, format_name: str) -> list[Path]:
-    """Write an object for a simulator. The same object gives the same bytes.
+    """Write an object for a simulator, in a format of `SUFFIXES`; the files written. The same object gives the same bytes.
 
-    Args:
-        path: file to write. SDF and URDF have no polyhedra: their outline is written to a mesh file, `path` with .obj added.
-        description: the object.
-        format_name: one of `SUFFIXES`.
-
-    Returns:
-        The files written.
+    SDF and URDF have no polyhedra: their outline is written to a mesh file, `path` with .obj added.
 
     Raises:
         InputError: unknown format.

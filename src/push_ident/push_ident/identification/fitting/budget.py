@@ -47,12 +47,7 @@ class Sample:
 
 
 class Meter:
-    """Counts simulations and seconds, and keeps the best point of each moment.
-
-    Args:
-        budget: when to stop.
-        on_progress: called with every better point.
-    """
+    """Counts simulations and seconds, and keeps the best point of each moment; `on_progress` is called with every better point."""
 
     def __init__(self, budget: Budget | None = None, on_progress: Progress | None = None) -> None:
         self.budget = budget or Budget()

@@ -57,11 +57,7 @@ class EvidenceFit:
 
 
 class MapTransforms:
-    """Unknowns under other priors of the maps, with as many modes, and how they lead to those under the caller's prior.
-
-    Args:
-        spec: unknowns under the caller's prior.
-    """
+    """Unknowns under other priors of the maps, with as many modes, and how they lead to those under the caller's prior, `spec`."""
 
     def __init__(self, spec: UnknownsSpec) -> None:
         self.spec = spec

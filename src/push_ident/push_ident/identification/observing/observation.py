@@ -320,12 +320,9 @@ class ForceObservation:
         return np.asarray((simulated - self.force) / self.std[:, None])
 
     def simulated(self, impulse: Float64Array, factor: float, effects: EffectValues) -> Float64Array:
-        """Forces that a sensor would measure [N], shape (n, 2).
+        """Forces that a sensor would measure [N], shape (n, 2), from impulses of the pusher until each of `times` [N s], shape (n + 1, 2).
 
-        Args:
-            impulse: of the pusher until each of `times` [N s], shape (n + 1, 2).
-            factor: of the total mass over that of the simulation.
-            effects: those on forces act.
+        `factor`: of the total mass over that of the simulation. Of the effects, those on forces act.
         """
         return measured_forces(effects, factor * np.diff(impulse, axis=0) / np.diff(self.edges)[:, None])[0]
 

@@ -196,12 +196,7 @@ class OnlineIdentifier:
 
 
 def running_record(records: Sequence[PushRecord], prior: Prior | None = None) -> list[PushScore]:
-    """Score every push that touches the object, in order, by the model of those before it; the first by the prior.
-
-    Args:
-        records: pushes of one object, at least one.
-        prior: nominal values and their standard deviations.
-    """
+    """Score every push of one object that touches it, in order, by the model of those before it; the first by the prior."""
     online = OnlineIdentifier(OnlineIdentifier.new(records[0].shape, prior))
     scores: list[PushScore] = []
     for record in records:

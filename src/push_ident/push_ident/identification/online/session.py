@@ -55,12 +55,7 @@ class SessionOptions:
 
 
 class ObjectSession:
-    """The estimate of one object, kept on disk after every push.
-
-    Args:
-        object_id: of the object; part of the file name.
-        shape: of the object.
-        options: how it is identified.
+    """The estimate of one object, kept on disk after every push; its id is part of the file name.
 
     Raises:
         ModelFileError: a file of this object exists but cannot be used, or the state cannot be written.
@@ -277,13 +272,8 @@ class ObjectSession:
     ) -> tuple[PlannedPush, Prediction] | None:
         """The push to make next, with its prediction; None where no safe push would add information, or it is no longer wanted.
 
-        Args:
-            pose: present pose of the object, table frame, shape (3,).
-            push_settings: limits and ranges of pushes.
-            obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
-            n_candidates: pushes to choose from.
-            n_references: pushes that are to be predicted well.
-            is_wanted: asked before each simulation.
+        `pose`: of the object now, table frame, shape (3,); `obstacles`: outlines of other objects, table frame [m], each of shape
+        (n_vertices, 2); `n_references`: pushes that are to be predicted well; `is_wanted`: asked before each simulation.
         """
         rng = np.random.default_rng(self.n_pushes)
         try:

@@ -122,17 +122,10 @@ def candidate_pushes(
     *,
     acceleration: float = np.inf,
 ) -> list[PlannedPush]:
-    """Random safe pushes of an object at its present pose.
+    """`n` random safe pushes of an object at its present pose, shape (3,).
 
-    Args:
-        shape: of the object.
-        pose_object_in_table: present pose, shape (3,).
-        rng: of the draws.
-        n: how many.
-        settings: limits and ranges of the pushes.
-        obstacles: outlines of other objects, table frame [m], each of shape (n_vertices, 2).
-        acceleration: of the pusher at both ends of its path [m/s^2]; by default it has its speed at once, which makes no difference where
-            only friction decides.
+    `obstacles`: outlines of other objects, table frame [m], each of shape (n_vertices, 2); `acceleration`: of the pusher at both ends of
+    its path [m/s^2], by default it has its speed at once, which makes no difference where only friction decides.
 
     Raises:
         PlanningError: UNREACHABLE where no push is safe.
@@ -180,18 +173,10 @@ def rank_pushes(
     options: RankingOptions | None = None,
     is_wanted: Callable[[], bool] = lambda: True,
 ) -> RankedPushes:
-    """Order pushes by what they are expected to add to the knowledge of an object.
+    """The candidates by what they are expected to add to the knowledge of an object; last those that would fail or touch nothing.
 
-    Args:
-        posterior: of the object.
-        candidates: pushes to choose from.
-        reference: pushes that are to be predicted well, see `reference_pushes`.
-        rng: of the draws from the posterior.
-        options: draws, sensor and numerics.
-        is_wanted: asked before each push is simulated, so that the processor is free at once for more urgent work.
-
-    Returns:
-        The candidates; last those that would fail or touch nothing.
+    `reference`: pushes that are to be predicted well, see `reference_pushes`; `rng`: of the draws from the posterior; `is_wanted`: asked
+    before each push is simulated, so that the processor is free at once for more urgent work.
 
     Raises:
         InputError: no candidate, or no reference push that moves the object.
@@ -226,13 +211,7 @@ def imagine_push(
 ) -> tuple[PushRecord | None, SolveStatus]:
     """The record of a push without noise if a model were true; no record where the object would not move.
 
-    Args:
-        mechanics: the model.
-        push: to imagine.
-        first: true pose of the object before it, shape (3,), where that is not the planned one.
-        sensor: that observes it.
-        settings: numerics.
-        order: number of pushes made before.
+    `first`: true pose of the object before it, shape (3,), where that is not the planned one; `order`: number of pushes made before.
     """
     pusher, sensor = push.pusher, sensor or PoseSensor()
     time = np.arange(pusher.time[0], pusher.time[-1] + 1e-9, 1.0 / sensor.rate)

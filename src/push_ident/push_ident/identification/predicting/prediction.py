@@ -175,13 +175,7 @@ class PushErrors:
 
 
 def push_errors(result: Identification, records: Sequence[PushRecord], pushes: Sequence[int]) -> PushErrors:
-    """Cell errors of some of the pushes under equal cells, fitted equal cells and the identified model.
-
-    Args:
-        result: of the identification.
-        records: all pushes of the object.
-        pushes: numbers of those that are asked for, from 0.
-    """
+    """Cell errors of some pushes of an object, by their numbers from 0, under equal cells, fitted equal cells and the identified model."""
     chosen = [records[i] for i in pushes]
     observed = [observe_push(record) for record in chosen]
     uniform, scalar = (held_out_errors(m, chosen, observed=observed) for m in (result.uniform, result.scalar))

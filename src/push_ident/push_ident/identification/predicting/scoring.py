@@ -89,14 +89,7 @@ class RunningRecord:
 
 
 def score_push(before: ModelPosterior, record: PushRecord, number: int, *, noise: NoiseModel | None = None) -> PushScore:
-    """Predict a finished push with the model of the pushes before it, and compare.
-
-    Args:
-        before: the posterior before the push.
-        record: the push.
-        number: of the push, from 1.
-        noise: of observed poses.
-    """
+    """Predict a finished push, with its number from 1, by the model of the pushes before it, and compare."""
     observed = observe_push(record, before.noise(noise))
     scenario = PushScenario(record.pusher, observed.pose[0], observed.time[-1:], record.order)
     prediction = predict(before, scenario, first_covariance=observed.first_covariance, noise=noise)

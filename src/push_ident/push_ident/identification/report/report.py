@@ -67,19 +67,10 @@ def report_text(
     record: Sequence[PushScore] = (),
     sections: Sequence[FigureSection] = (),
 ) -> str:
-    """The page of an identification.
+    """The page of an identification, HTML in one file.
 
-    Args:
-        result: of the identification.
-        train: errors of the pushes of the fit.
-        test: errors of the held-out pushes; may be empty.
-        provenance: sources of the data.
-        pusher_radius: of the pusher that would make the next push [m].
-        record: predictions made before each push, in order.
-        sections: further figures.
-
-    Returns:
-        HTML, all in one file.
+    `train`, `test`: errors of the pushes of the fit, and of those held out, which may be none; `pusher_radius`: of the pusher that would
+    make the next push [m]; `record`: predictions made before each push, in order; `sections`: further figures.
     """
     posterior = result.posterior
     known = identifiability(posterior)

@@ -16,12 +16,7 @@ from push_ident.identification.results.result import Candidate, Identification
 def result_json(result: Identification, object_id: str, train: PushErrors, test: PushErrors, notes: Sequence[str] = ()) -> dict[str, Any]:
     """The outcome in the form of the command-line contract.
 
-    Args:
-        result: of the identification.
-        object_id: of the object.
-        train: errors of the pushes of the fit.
-        test: errors of the others, which are held out.
-        notes: what was missing, dropped or assumed.
+    `train`: errors of the pushes of the fit; `test`: of the others, which are held out; `notes`: what was missing, dropped or assumed.
     """
     posterior, model = result.posterior, result.model
     x, y = model.shape.cells.centres.T

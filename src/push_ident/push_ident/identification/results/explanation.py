@@ -175,13 +175,7 @@ class Explanation:
 
 
 def explain(posterior: ModelPosterior, records: Sequence[PushRecord], *, settings: SimulationSettings | None = None) -> Explanation:
-    """Compare the mean model of a fit with the pushes that it was fitted to.
-
-    Args:
-        posterior: of the fit.
-        records: its training pushes, at least one.
-        settings: numerics of the simulation.
-    """
+    """Compare the mean model of a fit with the pushes that it was fitted to, at least one."""
     mechanics = mechanics_at(posterior.unknowns, posterior.z)
     return Explanation(tuple(_evidence(mechanics, record, settings) for record in records))
 

@@ -58,14 +58,8 @@ def balanced_load(weight: Float64Array, excess: Float64Array, positions: Float64
 def balanced_load_derivative(
     weight: Float64Array, load: Float64Array, positions: Float64Array, d_weight: Float64Array, d_excess: Float64Array
 ) -> Float64Array:
-    """Derivative of the logarithm of a balanced load by unknowns, shape (n_cells, n_unknowns).
-
-    Args:
-        weight, positions: as in `balanced_load`.
-        load: its result.
-        d_weight: derivative of the logarithm of the weights, shape (n_cells, n_unknowns).
-        d_excess: derivative of the excess, shape (n_cells, n_unknowns).
-    """
+    """Derivative of the logarithm of a balanced load by unknowns, from those of the logarithm of the weights and of the excess, each of
+    shape (n_cells, n_unknowns); the others as in `balanced_load`, of which `load` is the result."""
     arms = positions - weight @ positions
     untilted = d_weight + d_excess
     # The centre of the load moves as that of mass: this determines the derivative of the tilt.
@@ -154,12 +148,7 @@ def _balance(exponent: Float64Array, arms: Float64Array, softness: float = 0.0) 
         log sum_k exp(e_k + t' a_k) + f |t|^2
 
     a convex function, whose slope is the centre of the load plus 2 f t. With f = 0 the balance is exact; with f > 0 there is an answer
-    where none balances.
-
-    Args:
-        exponent: e, shape (n,).
-        arms: a, relative to the size of the object [-], shape (n, 2).
-        softness: f [-].
+    where none balances. Shapes: `exponent` e (n,), `arms` a, relative to the size of the object [-], (n, 2); `softness` is f [-].
     """
     tilt = np.zeros(2)
     share, potential = _shares(exponent)

@@ -131,15 +131,10 @@ class UnknownsSpec:
         effects: Sequence[str] = (),
         effect_std: Mapping[str, ArrayLike] | None = None,
     ) -> UnknownsSpec:
-        """The unknowns of an object.
+        """The unknowns of an object, with the parameters of effects among them.
 
-        Args:
-            shape: outline and cells of the object.
-            prior: nominal values and standard deviations.
-            maps: False leaves equal cells, with only the scales free.
-            modes: of a map, where they are known already (from a file), shape (n_cells, n_modes).
-            effects: names of effects whose parameters are unknown too.
-            effect_std: see `given_effect_std`.
+        Without `maps` cells are equal, with only the scales free; `modes`: of a map, where they are known already (from a file), shape
+        (n_cells, n_modes); `effect_std`: see `given_effect_std`.
         """
         if modes is None:
             modes = leading_modes(shape, prior) if maps else np.zeros((len(shape.cells), 0))
