@@ -31,7 +31,9 @@ def decide(state: DiagnosisState) -> DiagnosisState:
         last = effects[-1].name
         sets = {**sets, last: (*sets.get(last, ()), SOMETHING_ELSE)}
     verdict = Verdict.UNKNOWN if is_unknown else verdict_of(effects, sets)
-    negligible = () if is_unknown else _negligible_effects(selection, (*settings.base_effects, *BASE_WITH_FORCES))
+    # Those that joined the base model because they are below the accuracy of a cell; their evidence is not reported.
+    names = [] if is_unknown else [n for n in selection.base.names if n not in (*settings.base_effects, *BASE_WITH_FORCES)]
+    negligible = tuple(_sized(selection.fit, selection.fit.posterior.effects_std, name, np.nan) for name in names)
     return replace(state, decision=Decision(verdict, effects, negligible, sets))
 
 
@@ -62,12 +64,6 @@ def verdict_of(effects: Sequence[FoundEffect], sets: Mapping[str, Sequence[str]]
     if len(effects) > 1:
         return Verdict.SEVERAL
     return Verdict.ONE_OF if sets else Verdict.NAMED
-
-
-def _negligible_effects(selection: Selection, base_effects: Sequence[str]) -> tuple[FoundEffect, ...]:
-    """Effects that joined the base model because they are below the accuracy of a cell; their evidence is not reported."""
-    names = [name for name in selection.base.names if name not in base_effects]
-    return tuple(_sized(selection.fit, selection.fit.posterior.effects_std, name, np.nan) for name in names)
 
 
 def _sized(fit: Fit, std: Float64Array, name: str, log_bayes_factor: float) -> FoundEffect:

@@ -76,12 +76,9 @@ def fit_effects(
 ) -> Fit:
     """Fit other effects to the same pushes under the same prior, precisely enough for a comparison with other fits; see `polished`.
 
-    Args:
-        base: an earlier fit, whose maps are the start.
-        names: of all effects of the fit.
-        start: unknowns of the effects to start from, shape (n_values,); those of `base`, else zero.
-        expected: gain of log evidence [nat]. A second start, nearer to zero, is tried where the first gains nothing although it should.
-        required: least gain at which the fit matters [nat]; a fit that cannot reach it ends early.
+    The maps start at those of `base`; the effects, all `names`, at `start`, shape (n_values,), else at those of `base`, else at zero.
+    `expected`: gain of log evidence [nat]; a second start, nearer to zero, is tried where the first gains nothing although it should.
+    `required`: least gain at which the fit matters [nat]; a fit that cannot reach it ends early.
     """
     unknowns = base.unknowns.with_effects(names)
     guess = _effects_of({name: base for name in names if name in base.names}, unknowns)

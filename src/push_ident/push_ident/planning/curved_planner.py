@@ -79,19 +79,14 @@ class CurvedPush:
 class CurvedPathPlanner:
     """Chooses contacts for pushes along paths, and makes what corrects them.
 
-    Args:
-        shape: of the object.
-        settings: limits of pushes and the pusher.
-        n_models: models of the posterior, the most probable one among them.
-        n_asked: models of the largest weight that a correction is computed for. Twice as many judge contacts.
-        seed: of the models that are drawn.
-        half_width: of the corridor along the path [m].
+    `n_models`: of the posterior, the most probable one among them; `n_asked`: models of the largest weight that a correction is computed
+    for, twice as many judge contacts; `half_width`: of the corridor along the path [m].
     """
 
     def __init__(
-        self, shape: ObjectShape, settings: PushSettings, *, n_models: int = 32, n_asked: int = 6, seed: int = 0, half_width: float = 0.08
+        self, shape: ObjectShape, settings: PushSettings, *, n_models: int = 32, n_asked: int = 6, half_width: float = 0.08
     ) -> None:
-        self._shape, self._settings, self._seed = shape, settings, seed
+        self._shape, self._settings = shape, settings
         self._n_models, self._n_asked, self._n_judging, self._half_width = n_models, n_asked, 2 * n_asked, half_width
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
@@ -99,7 +94,7 @@ class CurvedPathPlanner:
 
     def _weights_of(self, belief: Belief) -> ModelWeights:
         if self._weights is None or belief is not self._belief:
-            models = belief.models(self._n_models - 1, np.random.default_rng(self._seed))
+            models = belief.models(self._n_models - 1, np.random.default_rng(0))
             self._belief, self._weights = belief, ModelWeights(self._shape, models, self._settings.pusher_radius)
         return self._weights
 

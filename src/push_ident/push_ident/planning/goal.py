@@ -168,10 +168,7 @@ class EdgeHold:
     def margins(self, cells: Float64Array, centre: Float64Array, poses: Float64Array) -> Float64Array:
         """Distance of the centre of mass from the border of its support [m], negative outside: shape (...).
 
-        Args:
-            cells: centres [m], shape (n_cells, 2), object frame.
-            centre: of mass [m], shape (..., 2), object frame.
-            poses: of the object in the table frame, shape (..., 3).
+        Centres of the cells, shape (n_cells, 2), and of mass, shape (..., 2), in the object frame [m]; poses in the table frame, (..., 3).
         """
         n_directions = 32  # the distance is exact to 0.5 %
         angle = 2 * np.pi * np.arange(n_directions) / n_directions
@@ -198,13 +195,9 @@ class EdgeHold:
         return np.asarray(np.where(finite, ndtr((self.margin - np.mean(safe, axis=0)) / spread), 1.0))
 
     def chance(self, cells: Float64Array, centres: Float64Array, pose: Float64Array, covariance: Float64Array) -> float:
-        """Probability that the object is held by the margin [1].
+        """Probability that the object is held by the margin [1], at an observed pose, shape (3,), with its covariance, shape (3, 3).
 
-        Args:
-            cells: centres [m], shape (n_cells, 2), object frame.
-            centres: of mass, by models that may be true [m], shape (n_models, 2), object frame.
-            pose: as observed, shape (3,).
-            covariance: of it, shape (3, 3).
+        `cells` as in `margins`; `centres`: of mass, by models that may be true [m], shape (n_models, 2), object frame.
         """
         # Poses and models are paired. Mean and deviation of 64 samples are known to an eighth of the deviation.
         n = max(64, len(centres))

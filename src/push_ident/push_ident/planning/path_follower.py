@@ -181,16 +181,11 @@ def guesses_around(unknowns: Float64Array) -> Float64Array:
 
 
 class PathFollower:
-    """Corrects the motion of a tool that pushes one object along a path.
+    """Corrects the motion of a tool that pushes one object along a path (table frame of the camera), within a corridor (that of the arm).
 
-    Args:
-        settings: limits of the tool.
-        weights: of the models that may be true; the push changes them while it is made.
-        path: to be followed, table frame of the camera.
-        corridor: that the tool must not leave, table frame of the arm.
-        camera: the table frame of the arm in that of the camera, shape (3,).
-        n_asked: how many models a correction is made for: those that explain the push best.
-        period: from a frame to the motion that it corrects, at least that of the camera [s].
+    The push changes the weights of the models while it is made. `camera`: the table frame of the arm in that of the camera, shape (3,);
+    `n_asked`: models that a correction is made for, those that explain the push best; `period`: from a frame to the motion that it
+    corrects, at least that of the camera [s].
     """
 
     def __init__(
@@ -220,13 +215,9 @@ class PathFollower:
     ) -> None:
         """A push begins that is corrected later.
 
-        Args:
-            time: [s], shape (n,), of the tool's motion as it is planned.
-            tool: axis of the tool then [m], shape (n, 2), table frame of the arm.
-            pose: of the object at rest, table frame of the camera, shape (3,).
-            covariance: of it, shape (3, 3).
-            done: length of path that is behind [m].
-            expected_error: of the contact [tolerances]: it is not given up for another of no less error.
+        `time` [s], shape (n,), and `tool`: axis of the tool then, as planned [m], shape (n, 2), table frame of the arm; `pose`: of the
+        object at rest, that of the camera, shape (3,), with its covariance, shape (3, 3); `done`: length of path that is behind [m];
+        `expected_error`: of the contact [tolerances], it is not given up for another of no less error.
         """
         self._bearable = max(_OPTIONS.bearable_error, _OPTIONS.bearable_ratio * expected_error)
         self._time, self._tool, self._done, self._now = time, tool, done, float(time[0])
@@ -321,12 +312,8 @@ class ModelWeights:
 
         log w_m <- log w_m - 1/2 min(sum ((x_m - x) / sigma)^2, c)
 
-    A stretch is simulated model by model during the frames of the next one: a frame has no time for all models.
-
-    Args:
-        shape: of the object.
-        models: the most probable one, then others; equally likely at first.
-        radius: of the tool [m].
+    A stretch is simulated model by model during the frames of the next one: a frame has no time for all models. Of the models the most
+    probable one comes first; all are equally likely at first. `radius`: of the tool [m].
     """
 
     stretch: ClassVar[float] = 0.025

@@ -99,16 +99,10 @@ class PathGoal:
         return self if not np.any(frame) else replace(self, poses=compose(frame, self.poses))
 
     def error(self, pose: Float64Array, done: float, ahead: float) -> tuple[Float64Array, Float64Array]:
-        """Nearest points of the path to poses, and their errors.
+        """Of poses, shape (..., 3), the length of path of the nearest point, shape (...), and distance [m] and angle [rad] from it.
 
-        Args:
-            pose: shape (..., 3).
-            done: length of path that is behind [m].
-            ahead: how far beyond that poses may have come [m].
-
-        Returns:
-            Length of path of the nearest point, shape (...), and distance [m] and angle [rad] from it, shape (..., 2). NaN poses are at
-            the start and infinitely far.
+        `done`: length of path that is behind [m]; `ahead`: how far beyond that poses may have come [m]. NaN poses are at the start and
+        infinitely far.
         """
         # Errors of poses may go back along the path by a centimetre.
         window = (self.along >= done - 0.01) & (self.along <= done + ahead)

@@ -372,8 +372,8 @@ def refine(
     velocity at the end tells what another length does. Three numbers of the push for three of the pose: Gauss-Newton.
 
     `length`: travel after contact [m], at least 3 mm; `wanted`: motion, in the frame of the object before it; `pose`: of the object then,
-    table frame of the arm, shape (3,); `n_evaluations`: simulations with their derivative; `damping`: weight of a change of the push by its whole
-    range, in tolerances [1]: changes that hardly move the end are not made.
+    table frame of the arm, shape (3,); `n_evaluations`: simulations with their derivative; `damping`: weight of a change of the push by its
+    whole range, in tolerances [1]: changes that hardly move the end are not made.
     """
     best: RefinedStroke | None = None
     first = least = np.inf

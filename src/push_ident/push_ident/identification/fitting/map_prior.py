@@ -111,17 +111,12 @@ def fit_by_evidence(
     n_rounds: int = 4,
     no_gain: float = 0.1,
 ) -> EvidenceFit | None:
-    """Fit the unknowns and the prior of their maps; None where the pushes cannot be simulated.
+    """Fit the unknowns and the prior of their maps, from `prior` on; None where the pushes cannot be simulated.
 
-    Args:
-        name: of the start in `STARTS`, whose prior of the hyperparameters holds.
-        spec: unknowns under the caller's prior.
-        problem_of: the problem of unknowns under another prior of the maps, and the matrix that leads from them to the caller's.
-        prior: where the search begins.
-        start: of the unknowns and first poses, in the units of the caller's prior, shape (problem.size,).
-        max_iterations: of each fit.
-        n_rounds: changes of the hyperparameters, at most.
-        no_gain: expected gain of log evidence at which the search ends [nat].
+    `name`: of the start in `STARTS`, whose prior of the hyperparameters holds; `spec`: unknowns under the caller's prior; `problem_of`: the
+    problem of unknowns under another prior of the maps, and the matrix that leads from them to the caller's; `start`: of the unknowns and
+    first poses, in the units of the caller's prior, shape (problem.size,); `n_rounds`: changes of the hyperparameters, at most; `no_gain`:
+    expected gain of log evidence at which the search ends [nat].
     """
     centre, n, transforms = STARTS[name].logs, spec.size, MapTransforms(spec)
     logs, best = prior.logs, None

@@ -89,10 +89,7 @@ def check_poses(record: PushRecord) -> CheckedPoses:
 def why_no_object_ends_there(record: PushRecord, known: ModelPosterior, prior: Prior) -> str:
     """Why no object of this outline can have been pushed to where this push ends; empty where one can, or no simulation succeeds.
 
-    Args:
-        record: the push, after `check_poses`.
-        known: model of this object, or of the prior; an end near its prediction is possible.
-        prior: of the objects that are drawn.
+    The push comes from `check_poses`. An end near the prediction of `known`, the model of this object or of the prior, is possible.
     """
     before, after, _ = rest_frames(record)
     poses, shape, camera = record.poses, record.shape, record.poses.camera

@@ -18,7 +18,6 @@ from push_ident.identification.predicting.prediction import PushErrors
 from push_ident.identification.predicting.scoring import PushScore, summarise_scores
 from push_ident.identification.results.identifiability import (
     Identifiability,
-    Quantity,
     Support,
     before_text,
     identifiability,
@@ -86,7 +85,16 @@ def report_text(
         "held_out": bool(test.pushes),
         "record": _record(record),
         "sections": sections,
-        "quantities": [_quantity(q) for q in known.quantities],
+        "quantities": [
+            {
+                "name": q.name,
+                "value": value_text(q),
+                "before": before_text(q),
+                "short": q.knowledge.value.partition(":")[0],
+                "verdict": q.knowledge.value,
+            }
+            for q in known.quantities
+        ],
         "legend": dict.fromkeys(q.knowledge.value for q in known.quantities),
         "priors": _candidates(result.candidates),
         "n_combinations": len(known.combinations),
@@ -161,16 +169,6 @@ def _record(scores: Sequence[PushScore]) -> dict[str, Any] | None:
         "expected": summary.mean_expected_cell_error,
         "uniform": summary.mean_uniform_cell_error,
         "share": f"{summary.share_within_90:.0%}",
-    }
-
-
-def _quantity(quantity: Quantity) -> dict[str, str]:
-    return {
-        "name": quantity.name,
-        "value": value_text(quantity),
-        "before": before_text(quantity),
-        "short": quantity.knowledge.value.partition(":")[0],
-        "verdict": quantity.knowledge.value,
     }
 
 
