@@ -17,7 +17,6 @@ from push_ident.diagnosis.policy import CameraPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, standardized_residuals
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.state import DiagnosisState
-from push_ident.identification.observing.observation import NoiseModel
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS
 from push_ident.types import ObjectShape
 
@@ -32,6 +31,7 @@ def camera_settings(settings: DiagnosisSettings, shape: ObjectShape) -> Diagnosi
 
     The outline is as accurate as its own deviations say; without them, as that of a calibrated camera.
     """
+    noise, policy = settings.noise, settings.policy.camera
     camera_errors = [name for name in CAMERA_ERRORS if name not in settings.base_effects]
     accuracy = {name: tuple(p.camera_std or p.scale for p in EFFECTS[name].parameters) for name in CAMERA_ERRORS}
     if shape.outline_error is not None:
@@ -40,7 +40,17 @@ def camera_settings(settings: DiagnosisSettings, shape: ObjectShape) -> Diagnosi
         settings,
         base_effects=(*settings.base_effects, *camera_errors),
         effect_std=settings.effect_std | accuracy,
-        noise=_camera_noise(settings.noise, settings.policy.camera),
+        # Errors of a perceived pose depend on place and view, so that no mean over frames removes them. These numbers hold the errors of
+        # the outline push by push as well; that of the whole outline is an effect of the base model.
+        noise=replace(
+            noise,
+            floor_position=max(noise.floor_position, policy.floor_position),
+            floor_yaw=max(noise.floor_yaw, policy.floor_yaw),
+            fit_discrepancy_position=max(noise.fit_discrepancy_position, policy.fit_discrepancy_position),
+            fit_discrepancy_yaw=max(noise.fit_discrepancy_yaw, policy.fit_discrepancy_yaw),
+            max_moving_frames=min(noise.max_moving_frames, policy.max_moving_frames),
+            outline_errors=False,
+        ),
         policy=settings.policy.for_camera(),
     )
 
@@ -89,20 +99,4 @@ def set_outliers_aside(state: DiagnosisState) -> DiagnosisState:
         records=tuple(record for push, record in enumerate(state.records) if push not in outliers),
         outliers=tuple(state.source_of(push) for push in outliers),
         earlier=EarlierFits(),
-    )
-
-
-def _camera_noise(noise: NoiseModel, policy: CameraPolicy) -> NoiseModel:
-    """Errors of a perceived pose depend on place and view, so that no mean over frames removes them.
-
-    These numbers hold the errors of the outline push by push as well; that of the whole outline is an effect of the base model.
-    """
-    return replace(
-        noise,
-        floor_position=max(noise.floor_position, policy.floor_position),
-        floor_yaw=max(noise.floor_yaw, policy.floor_yaw),
-        fit_discrepancy_position=max(noise.fit_discrepancy_position, policy.fit_discrepancy_position),
-        fit_discrepancy_yaw=max(noise.fit_discrepancy_yaw, policy.fit_discrepancy_yaw),
-        max_moving_frames=min(noise.max_moving_frames, policy.max_moving_frames),
-        outline_errors=False,
     )

@@ -150,16 +150,11 @@ def fit_amplitudes(
     max_iterations: int = MAX_ITERATIONS,
     warm_starts: Sequence[Float64Array] = (),
 ) -> list[Fit]:
-    """Fit the same pushes under several amplitudes of the maps' prior, the largest amplitude first.
+    """Fit the same pushes under several amplitudes of the maps' prior, the largest amplitude first; `start` has shape (problem.size,).
 
     Beside a fit that explains the pushes, those that cannot come near its evidence are given up (`OUT_OF_REACH`). Fits that creep may end
-    earlier where the pushes are explained badly, as in `minimise`.
-
-    Args:
-        problem_at: the problem under an amplitude.
-        start: of all fits, shape (problem.size,).
-        max_iterations: of each fit.
-        warm_starts: results of an earlier search for the first of the same pushes, one per amplitude.
+    earlier where the pushes are explained badly, as in `minimise`. `warm_starts`: results of an earlier search for the first of the same
+    pushes, one per amplitude.
     """
     fits: list[Fit] = []
     for i, amplitude in enumerate(AMPLITUDES):

@@ -147,13 +147,9 @@ class ObjectSession:
     def use_effects(self, effects: Sequence[KnownEffect], *, n_pushes: int, until: float = np.inf, keep: Collection[str] = ()) -> None:
         """Fit these effects with the maps from now on, and no others but errors of sensors and those to `keep`.
 
-        The latest pushes are fitted anew; older ones, which were summed up without these effects, count no more.
-
-        Args:
-            effects: with the values that are known of them. An error of a sensor that is an unknown already stays what it is.
-            n_pushes: behind these values.
-            until: end of the last of them [s]; pushes of the model that ended later are not among them.
-            keep: names of effects that are in use and stay.
+        The latest pushes are fitted anew; older ones, which were summed up without these effects, count no more. An error of a sensor that
+        is an unknown already stays what it is. `n_pushes`: behind the values of the effects; `until`: end of the last of them [s], pushes of
+        the model that ended later are not among them.
 
         Raises:
             InputError: the solver fits no effects, or the pushes of the model contradict these. The estimate stays what it was.

@@ -50,21 +50,13 @@ def predict(
     *,
     first_covariance: Float64Array | None = None,
     noise: NoiseModel | None = None,
-    settings: SimulationSettings | None = None,
     n_samples: int = 32,
 ) -> Prediction:
-    """Predict the motion of an object at rest.
+    """Predict the motion of an object at rest: that of the mean model, with the covariance of those of drawn models; look at `status`.
 
-    Args:
-        posterior: of the object.
-        scenario: the push; its pose is the first pose as it is observed.
-        first_covariance: of the first pose, shape (3, 3); by default of 0.5 mm and 0.3 degrees.
-        noise: its model discrepancy, which grows with travel, is added, and the errors of a traced outline are.
-        settings: numerics of the simulation.
-        n_samples: number of models drawn from the posterior, each with a first pose.
-
-    Returns:
-        The prediction: the motion of the mean model, with the covariance of the motions of the drawn models. Look at its `status`.
+    The pose of the scenario is the first one as it is observed; its covariance has shape (3, 3), by default of 0.5 mm and 0.3 degrees.
+    The model discrepancy of the noise, which grows with travel, is added, and the errors of a traced outline are. `n_samples`: models drawn
+    from the posterior, each with a first pose.
     """
     unknowns = posterior.unknowns
     noise = (noise or NoiseModel()).with_outline_of(unknowns.shape)
@@ -74,7 +66,7 @@ def predict(
     # A motion that switches (left or right of the centre of friction, stick or slip) is no linear function of the model: a few models from
     # the posterior describe it better than the derivative at the mean. The draws are the same for every push, so that the predictions of
     # two pushes can be compared.
-    settings = _settings_of(posterior, scenario, first_covariance, noise, settings)
+    settings = _settings_of(posterior, scenario, first_covariance, noise)
     draws = np.random.default_rng(0).normal(size=(n_samples, unknowns.size + unknowns_of_push(unknowns.shape, noise)))
     z_root, first_root = square_root(posterior.covariance), square_root(first_covariance)
     surface_std = noise.surface_std(unknowns.shape)
@@ -101,11 +93,7 @@ def predict(
 
 
 def _settings_of(
-    posterior: ModelPosterior,
-    scenario: PushScenario,
-    first_covariance: Float64Array,
-    noise: NoiseModel,
-    settings: SimulationSettings | None,
+    posterior: ModelPosterior, scenario: PushScenario, first_covariance: Float64Array, noise: NoiseModel
 ) -> SimulationSettings:
     """Numerics with steps short enough for the last pose of the mean model, to the accuracy of the first pose and of the model."""
     mechanics = posterior.mechanics
@@ -115,7 +103,7 @@ def _settings_of(
     def end_pose(numerics: SimulationSettings) -> Float64Array:
         return mechanics.simulate(replace(scenario, pose_object_in_table=start), settings=numerics).pose[-1]
 
-    settings = settings or SimulationSettings()
+    settings = SimulationSettings()
     travel = float(np.linalg.norm(end_pose(settings)[:2] - start[:2]))
     covariance = first_covariance + noise.floor + np.diag(travel * noise.model_discrepancy if np.isfinite(travel) else np.zeros(3)) ** 2
     return choose_steps(end_pose, settings, covariance, scenario.duration).settings
@@ -194,19 +182,13 @@ class Outcome:
 
 
 def outcomes_of(cells: CellGrid, prediction: Prediction, *, least_chance: float = 0.1, reach: float = 2.0) -> list[Outcome]:
-    """One outcome, or two where the drawn models disagree (the object turns left under some, right under others), the likelier first.
-
-    None where the prediction failed.
+    """One outcome, or two where the drawn models disagree (the object turns left under some, right under others), the likelier first; none
+    where the prediction failed.
 
     The last poses under the drawn models are cut in two along the direction in which they differ most, where the variance within both
     parts is least (Otsu's threshold, IEEE Trans. SMC 9, 1979). Distances are root mean squares over the cells;
-    outcomes that poses cannot distinguish are one.
-
-    Args:
-        cells: of the object.
-        prediction: with its draws.
-        least_chance: of an outcome that is reported [1]: a rarer one lies outside the 90 % region of the prediction.
-        reach: standard deviations about its mean to which an outcome reaches; outcomes that overlap are one.
+    outcomes that poses cannot distinguish are one. `least_chance`: of an outcome that is reported [1]: a rarer one lies outside the 90 %
+    region of the prediction; `reach`: standard deviations about its mean to which an outcome reaches; outcomes that overlap are one.
     """
     ends = prediction.ends
     if len(ends) == 0:

@@ -221,13 +221,11 @@ def draw_maps(posterior: ModelPosterior) -> list[tuple[str, str]]:
         ("Mass × friction: what pushes determine", 1e3 * product, "g"),
         ("Relative standard deviation of mass × friction", 100 * posterior.mass_friction_std / product, "%"),
     )
-    region = _centre_ellipse(posterior)
-    return [(title, _panel(posterior, title, values, unit, region)) for title, values, unit in panels]
-
-
-def _panel(posterior: ModelPosterior, title: str, values: Float64Array, unit: str, region: Float64Array) -> str:
-    shape = posterior.model.shape
-    return cell_panel(CellPanel(title, shape.cells.centres, shape.cells.size, shape.outline, values, unit, region=region))
+    region, cells, outline = _centre_ellipse(posterior), model.shape.cells, model.shape.outline
+    return [
+        (title, cell_panel(CellPanel(title, cells.centres, cells.size, outline, values, unit, region=region)))
+        for title, values, unit in panels
+    ]
 
 
 def _centre_ellipse(posterior: ModelPosterior) -> Float64Array:

@@ -86,7 +86,8 @@ def with_known_effects(posterior: ModelPosterior, effects: Sequence[KnownEffect]
         The posterior, and the matrix from its unknowns to those before, shape (size before, size).
     """
     before = posterior.unknowns
-    names = dict.fromkeys((*(effect.name for effect in effects), *(n for n in before.effects.names if n in _measured(posterior))))
+    measured = nuisance_effects(before.shape, before.prior)
+    names = dict.fromkeys((*(effect.name for effect in effects), *(n for n in before.effects.names if n in measured)))
     unknowns = before.with_effects(tuple(names))
     onto = np.zeros((before.size, unknowns.size))
     for name, block in before.blocks.items():
@@ -105,14 +106,9 @@ def with_known_effects(posterior: ModelPosterior, effects: Sequence[KnownEffect]
     return replace(posterior, unknowns=unknowns, z=z, covariance=covariance), onto
 
 
-def _measured(posterior: ModelPosterior) -> tuple[str, ...]:
-    """Effects that are unknown by how shape and poses were measured."""
-    return nuisance_effects(posterior.unknowns.shape, posterior.prior)
-
-
 def effects_in_use(posterior: ModelPosterior) -> tuple[KnownEffect, ...]:
     """The effects of a posterior but for errors of sensors, with their values."""
-    effects, measured = posterior.effects, _measured(posterior)
+    effects, measured = posterior.effects, nuisance_effects(posterior.unknowns.shape, posterior.prior)
     low, high = (np.array([getattr(parameter, bound) for parameter in effects.parameters]) for bound in ("low", "high"))
     # A file or a fit may lie beside a bound by rounding.
     value, std = np.clip(effects.values, low, high), np.maximum(posterior.effects_std, 1e-15)
