@@ -148,8 +148,8 @@ class ObjectSession:
         """Fit these effects with the maps from now on, and no others but errors of sensors and those to `keep`.
 
         The latest pushes are fitted anew; older ones, which were summed up without these effects, count no more. An error of a sensor that
-        is an unknown already stays what it is. `n_pushes`: behind the values of the effects; `until`: end of the last of them [s], pushes of
-        the model that ended later are not among them.
+        is an unknown already stays what it is. `n_pushes`: behind the values of the effects; `until`: end of the last of them [s], pushes
+        of the model that ended later are not among them.
 
         Raises:
             InputError: the solver fits no effects, or the pushes of the model contradict these. The estimate stays what it was.
