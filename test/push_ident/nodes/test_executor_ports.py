@@ -6,7 +6,6 @@ import math
 import os
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,20 +13,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import WrenchStamped
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from helpers.executor_cell import wait_for
+from helpers.spinning import BareNode, spinning
 from push_ident.errors import InputError
-from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
+from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.messages import force_to_msg
 from push_ident.nodes.push_executor.arm_port import ArmLease, ArmPort, ForcePort
@@ -41,49 +39,17 @@ from push_ident_sim.cell.sim_hand_node import SimHandNode
 pytestmark = pytest.mark.live
 
 
-class Listener(CellNode):
+@pytest.fixture
+def listener() -> Iterator[BareNode]:
     """A node that has the ports."""
-
-    def __init__(self, context: Context) -> None:
-        super().__init__("listener", (), context=context)
-
-    def make_component(self) -> Component:
-        return _Nothing()
-
-
-class _Nothing(Component):
-    def health(self) -> Health:
-        return Health(DiagnosticStatus.OK, "")
+    with spinning(lambda context: BareNode(context=context), own_domain()) as node:
+        yield node
 
 
 @pytest.fixture
-def executor() -> Iterator[SingleThreadedExecutor]:
-    """That spins whatever is added to it."""
-    context = Context()
-    rclpy.init(context=context, domain_id=own_domain())
-    executor = SingleThreadedExecutor(context=context)
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    yield executor
-    nodes = executor.get_nodes()
-    executor.shutdown()
-    thread.join(2.0)
-    for node in nodes:
-        node.destroy_node()
-    context.try_shutdown()
-
-
-@pytest.fixture
-def listener(executor: SingleThreadedExecutor) -> Listener:
-    node = Listener(executor.context)
-    executor.add_node(node)
-    return node
-
-
-@pytest.fixture
-def driver(executor: SingleThreadedExecutor) -> Node:
+def driver(listener: BareNode) -> Node:
     """What is on the other side of the topics."""
-    return Node("driver", context=executor.context)
+    return Node("driver", context=listener.context)
 
 
 class Arm:
@@ -110,7 +76,7 @@ class Arm:
 
 
 @pytest.fixture
-def arm(listener: Listener, driver: Node) -> Arm:
+def arm(listener: BareNode, driver: Node) -> Arm:
     group = listener.default_callback_group
     port = ArmPort(listener, description_file="", tip_frame="tool_tip", neutral=list(HOME), callback_group=group, on_state=lambda *_: None)
     return Arm(port, driver)
@@ -147,7 +113,7 @@ def test_description_is_used_once_the_arm_stands_unless_its_joints_are_others(ar
     assert arm.port.planner is second
 
 
-def test_force_that_cannot_be_trusted_is_infinite_and_a_stamp_that_repeats_is_silence(listener: Listener, driver: Node) -> None:
+def test_force_that_cannot_be_trusted_is_infinite_and_a_stamp_that_repeats_is_silence(listener: BareNode, driver: Node) -> None:
     port = ForcePort(listener, listener.default_callback_group)
     publisher = driver.create_publisher(WrenchStamped, "pusher/wrench", qos_profile_sensor_data)
     wait_for(publisher.get_subscription_count)
@@ -177,7 +143,7 @@ def test_force_that_cannot_be_trusted_is_infinite_and_a_stamp_that_repeats_is_si
 
 
 def test_recorder_that_promised_its_next_status_and_falls_silent_is_a_fault_until_it_writes_again(
-    listener: Listener, driver: Node, monkeypatch: pytest.MonkeyPatch
+    listener: BareNode, driver: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [100.0]
     monkeypatch.setattr(recording_port, "time", SimpleNamespace(monotonic=lambda: now[0]))
@@ -204,10 +170,11 @@ def test_recorder_that_promised_its_next_status_and_falls_silent_is_a_fault_unti
     wait_for(lambda: port.fault == "")  # a recorder that has left is not asked for any more
 
 
-def test_simulated_hand_is_activated_and_closed_to_a_fist(executor: SingleThreadedExecutor, listener: Listener) -> None:
+def test_simulated_hand_is_activated_and_closed_to_a_fist(listener: BareNode) -> None:
     times = [f"{name}:=0.3" for name in ("activation_time", "closing_time")]
     arguments = ["--ros-args", "-p", "closed:=false", *(item for time in times for item in ("-p", time))]
-    executor.add_node(SimHandNode(context=executor.context, cli_args=arguments))
+    hand = SimHandNode(context=listener.context, cli_args=arguments)
+    listener.executor.add_node(hand)
     port = RobotiqHand(listener, "simulated", timeout=2.0, callback_group=listener.default_callback_group)
     wait_for(lambda: "not activated" in port.why_no_fist())
     assert port.close_fist(5.0, lambda: False) == ""
@@ -223,12 +190,12 @@ input()
 """
 
 
-def test_one_executor_has_the_arm_and_a_killed_one_leaves_it_free(executor: SingleThreadedExecutor) -> None:
-    node = PushExecutorNode(context=executor.context)
+def test_one_executor_has_the_arm_and_a_killed_one_leaves_it_free(context: Context) -> None:
+    node = PushExecutorNode(context=context)
     with pytest.raises(InputError, match=f"process {os.getpid()}"):
-        PushExecutorNode(context=executor.context)
+        PushExecutorNode(context=context)
     node.close()
-    again = PushExecutorNode(context=executor.context)
+    again = PushExecutorNode(context=context)
     again.close()
     holder = subprocess.Popen([sys.executable, "-c", HOLD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:

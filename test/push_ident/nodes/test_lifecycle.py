@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import os
 from pathlib import Path
@@ -18,33 +19,17 @@ from helpers.spinning import running
 from push_ident.nodes.base.cell_node import CellNode
 from push_ident.nodes.base.guard import is_guarded
 from push_ident.nodes.base.network import own_domain
-from push_ident.nodes.gap_diagnosis.gap_diagnosis_node import GapDiagnosisNode
-from push_ident.nodes.goal_pushing.goal_pushing_node import GoalPushingNode
-from push_ident.nodes.identification.identification_node import IdentificationNode
-from push_ident.nodes.perception.perception_node import PerceptionNode
-from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
-from push_ident.nodes.recording.bag_player_node import BagPlayerNode
-from push_ident.nodes.recording.bag_recorder_node import BagRecorderNode
-from push_ident.nodes.viewer.viewer_node import ViewerNode
-from push_ident_sim.cell.sim_cell_node import SimCellNode
-from push_ident_sim.cell.sim_hand_node import SimHandNode
+from push_ident.nodes.executables import NODES
+from push_ident_sim.executables import NODES as SIM_NODES
 
 ROUNDS = int(os.environ.get("PUSH_IDENT_LIFECYCLE_ROUNDS", "1"))
 """Of all transitions in all states, for each node; 100 take half an hour."""
-KINDS: dict[str, type[CellNode]] = {
-    "perception_node": PerceptionNode,
-    "push_executor_node": PushExecutorNode,
-    "identification_node": IdentificationNode,
-    "gap_diagnosis_node": GapDiagnosisNode,
-    "goal_pushing_node": GoalPushingNode,
-    "bag_player_node": BagPlayerNode,
-    "bag_recorder_node": BagRecorderNode,
-    "viewer_node": ViewerNode,
-    "sim_cell_node": SimCellNode,
-    "sim_hand_node": SimHandNode,
-}
 WRONG: tuple[object, ...] = (math.nan, -math.inf, 1e308, -(2**63), True, "[/x]" * 10_000, "", [b"\xff"], [math.nan] * 3, [1], [""], None)
 """None of them is a value of more than a few parameters."""
+
+
+def kind_of(name: str) -> type[CellNode]:
+    return getattr(importlib.import_module({**NODES, **SIM_NODES}[name]), name.title().replace("_", ""))
 
 
 def raw_callbacks(node: CellNode) -> list[str]:
@@ -59,14 +44,13 @@ def raw_callbacks(node: CellNode) -> list[str]:
 
 
 @pytest.mark.live
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", [*NODES, *SIM_NODES])
 def test_any_value_for_any_parameter_and_every_transition_in_every_state_are_answered(
     name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     domain, commands = own_domain(), node_commands(tmp_path)
-    assert set(commands) == set(KINDS)
     parameters = [f"{key}:={value}" for key, value in commands[name][1].items()]
-    with running(KINDS[name], domain, *parameters, n_threads=3) as node, Lifecycle(name, domain) as lifecycle:
+    with running(kind_of(name), domain, *parameters, n_threads=3) as node, Lifecycle(name, domain) as lifecycle:
         assert lifecycle.state() == "active"
         assert len(list(node.subscriptions)) + len(list(node.services)) + len(list(node.timers)) > 10
         assert raw_callbacks(node) == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from shape_msgs.msg import SolidPrimitive
 
 from helpers.executor_cell import wait_for
-from helpers.objects import hammer, random_records
+from helpers.objects import random_records, square, uniform
 from helpers.spinning import running, spinning
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.base.network import own_domain
@@ -29,7 +30,6 @@ from push_ident.types import PushRecord
 from push_ident_msgs.msg import MassFrictionMap
 from push_ident_msgs.msg import PushRecord as PushRecordMsg
 
-TRAIN = random_records(hammer(3), 3, 3)
 pytestmark = pytest.mark.live
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -37,12 +37,17 @@ PATIENCE = 14.0
 """Longer than a record is waited for, by the stamps [s]."""
 
 
+@cache
+def pushes() -> list[PushRecord]:
+    return random_records(uniform(square(5, 0.02)), 3, 3)
+
+
 class Cell(Node):
     """Plays pushes of one object after the other, each at a time of its own."""
 
     def __init__(self, context: Context) -> None:
         super().__init__("cell", context=context)
-        self.create_publisher(SolidPrimitive, "pusher/shape", LATCHED).publish(cylinder_to_msg(TRAIN[0].pusher.radius, 0.08))
+        self.create_publisher(SolidPrimitive, "pusher/shape", LATCHED).publish(cylinder_to_msg(pushes()[0].pusher.radius, 0.08))
         self.pusher = self.create_publisher(PoseStamped, "pusher/pose", 100)
         self.values: dict[str, str] = {}
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
@@ -51,7 +56,7 @@ class Cell(Node):
     def begin(self, object_id: str) -> None:
         """Go on with another object of the same shape; counts are from now on."""
         self.object_id, self._before = object_id, dict(self.values)
-        for name, msg in zip(("cells", "outline"), shape_to_msgs(TRAIN[0].shape, object_id, stamp_to_msg(1.0)), strict=True):
+        for name, msg in zip(("cells", "outline"), shape_to_msgs(pushes()[0].shape, object_id, stamp_to_msg(1.0)), strict=True):
             self.create_publisher(type(msg), f"objects/{object_id}/{name}", LATCHED).publish(msg)
         self.poses = self.create_publisher(PoseWithCovarianceStamped, f"objects/{object_id}/pose", 100)
         self.n_pushes: list[int] = []
@@ -104,15 +109,15 @@ def displaced(push: PushRecord, frames: slice) -> PushRecord:
 
 def test_push_whose_pose_jumps_is_left_out_and_said_and_an_excursion_is_not_learned(cell: Cell) -> None:
     cell.begin("o1")
-    middle = len(TRAIN[0].poses.time) // 2
-    cell.play(displaced(TRAIN[0], slice(middle, None)))
+    middle = len(pushes()[0].poses.time) // 2
+    cell.play(displaced(pushes()[0], slice(middle, None)))
     wait_for(lambda: cell.count("pushes with impossible poses, left out") == 1, 60.0)
     assert "no push can have made its poses: its pose moves by 25" in cell.values["last error"]
     # What was estimated before the jump is given up, too.
     wait_for(lambda: cell.n_pushes and cell.n_pushes[-1] == 0, 60.0)
     assert cell.count("pushes") == cell.count("impossible poses, left out") == 0
 
-    cell.play(displaced(TRAIN[1], slice(middle, middle + 12)))
+    cell.play(displaced(pushes()[1], slice(middle, middle + 12)))
     wait_for(lambda: cell.count("pushes") == 1, 60.0)
     assert cell.count("impossible poses, left out") == 12 and "12 of" in cell.values["last error"]
     assert cell.count("pushes not explained") == 0 and cell.count("pushes with impossible poses, left out") == 1
@@ -120,33 +125,33 @@ def test_push_whose_pose_jumps_is_left_out_and_said_and_an_excursion_is_not_lear
 
 def test_push_over_an_edge_that_only_a_goal_gave_is_left_out_and_said(cell: Cell) -> None:
     cell.begin("o2")
-    reach = transform_points(TRAIN[0].poses.pose, TRAIN[0].shape.outline).reshape(-1, 2)[:, 0].max()
+    reach = transform_points(pushes()[0].poses.pose, pushes()[0].shape.outline).reshape(-1, 2)[:, 0].max()
     edge = TableEdge(np.array([1.0, 0.0]), float(reach) - 0.02, (-0.5, 0.5))
     latched = cell.create_publisher(PolygonStamped, EDGE_TOPIC, LATCHED)
     latched.publish(edge_to_msg(edge, stamp_to_msg(1.0)))
-    cell.play(TRAIN[0])
+    cell.play(pushes()[0])
     wait_for(lambda: cell.count("pushes refused") == 1, 60.0)
     assert "overhung the edge of the table by 20 mm" in cell.values["last error"] and cell.count("pushes") == 0
     # A later goal with another edge: the same push is on the table.
     latched.publish(edge_to_msg(TableEdge(edge.outward, edge.offset + 1.0, edge.span), stamp_to_msg(1.0)))
-    cell.play(TRAIN[0])
+    cell.play(pushes()[0])
     wait_for(lambda: cell.count("pushes") == 1, 60.0)
 
 
 def test_push_without_an_end_record_is_not_learned_where_an_executor_is(cell: Cell) -> None:
     """The last one: from now on there is an executor."""
     cell.begin("o3")
-    cell.play(TRAIN[0])
+    cell.play(pushes()[0])
     wait_for(lambda: cell.n_pushes and cell.n_pushes[-1] == 1 and cell.count("pushes") == 1, 60.0)
 
     records = cell.create_publisher(PushRecordMsg, "push_record", 10)
     wait_for(records.get_subscription_count)
     time.sleep(1.0)
-    cell.play(TRAIN[1])
+    cell.play(pushes()[1])
     wait_for(lambda: cell.count("pushes without an end record, left out") == 1, 60.0)
     assert cell.count("pushes") == 1 and "the executor ended in the middle" in cell.values["last error"]
     # What was estimated during that push is given up, too.
     wait_for(lambda: cell.n_pushes[-1] == 1, 60.0)
 
-    cell.play(TRAIN[2], records)
+    cell.play(pushes()[2], records)
     wait_for(lambda: cell.count("pushes") == 2, 60.0)
