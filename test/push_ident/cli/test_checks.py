@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import typing
 from collections.abc import Iterator
 from pathlib import Path
@@ -53,17 +50,13 @@ def refusal(command: Any, option: Any, value: str) -> str:
     return ""
 
 
-def test_numbers_that_mean_nothing_are_refused_by_every_command() -> None:
+def test_numbers_that_mean_nothing_and_results_that_cannot_be_written_are_refused_by_every_command(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
     for name, command, option in OPTIONS:
         least = 0 if option.name in NEVER_NEGATIVE else 1 if option.name in AT_LEAST_ONE else None
         values = ("nan", "inf") if kind_of(option) is float else () if least is None else (str(least - 1),)
         for value in values:
             assert refusal(command, option, value) and not refusal(command, option, "1"), f"{name} {option.name} {value}"
-
-
-def test_results_that_cannot_be_written_are_refused_by_every_command(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    for name, command, option in OPTIONS:
         if option.name in RESULTS and kind_of(option) is Path:
             assert "Cannot write to" in refusal(command, option, str(tmp_path / "file" / "below" / "x")), f"{name} {option.name}"
             assert not refusal(command, option, str(tmp_path / "new")), f"{name} {option.name}"
@@ -96,12 +89,3 @@ def test_pushes_are_named_by_numbers_and_ranges() -> None:
             parse_numbers(wrong, "--train")
     with pytest.raises(InputError, match="twice"):
         parse_numbers("0-2,1", "--train")
-
-
-def test_shells_can_complete_commands_and_options() -> None:
-    def completed(*words: str) -> list[str]:
-        asked = {"_PUSH_IDENT_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
-        program = "import sys; sys.argv[0] = 'push-ident'; from push_ident.cli.entry import main; main()"
-        return subprocess.run([sys.executable, "-c", program], env=os.environ | asked, capture_output=True, text=True).stdout.split()
-
-    assert completed("push-ident", "import", "csv", "--rad") == ["--radius"]

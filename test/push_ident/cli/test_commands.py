@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from helpers.commands import run_here
+from helpers.commands import check_refused, run_here
+from helpers.damaged_models import DAMAGE, DAMAGED_TEXT, right_model, unreadable_paths
 from helpers.objects import hammer, random_records
+from helpers.paths import EXAMPLE_BAG
 from push_ident import __version__
 from push_ident.bags.raw import raw_messages
 from push_ident.bags.records import write_records
@@ -41,50 +40,53 @@ def test_identify_writes_what_the_contract_names_and_predicts_pushes_on_request(
     assert json.loads((tmp_path / "p.json").read_text())["cell_error_m"] < 0.004
 
 
-@pytest.fixture
-def cut(bag: Path, tmp_path: Path) -> Path:
-    """Half a bag, written in small chunks as a long recording is."""
-    path = tmp_path / "cut"
-    with BagWriter(path, chunk_size=4096) as writer:
+def test_bag_cut_in_half_is_refused_until_it_is_salvaged_and_what_cannot_be_done_is_said_in_one_line(bag: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut"
+    with BagWriter(cut, chunk_size=4096) as writer:  # small chunks, as a long recording has them
         for message in raw_messages(bag):
             writer.write_raw(message.topic, message.msgtype, message.stamp_ns, message.data)
-    file = next(path.glob("*.mcap"))
+    (file,) = cut.glob("*.mcap")
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    return path
-
-
-def test_bag_cut_in_half_can_be_salvaged_and_identified(cut: Path, tmp_path: Path) -> None:
-    saved = run_here("salvage", cut, "--out", tmp_path / "saved")
-    assert saved.returncode == 0, saved.stderr
-    assert run_here("identify", tmp_path / "saved").returncode == 0
-
-
-def test_what_cannot_be_done_ends_in_one_line(bag: Path, cut: Path, tmp_path: Path) -> None:
     for command, reason in (
         (("identify", cut), "salvage"),
         (("replay", cut), "salvage"),
         (("diagnose", tmp_path / "absent"), "no such bag"),
         (("identify", bag, "--train", "0,17"), "names push 17"),
     ):
-        done = run_here(*command)
-        assert done.returncode == 1 and reason in done.stderr and "Traceback" not in done.stdout + done.stderr
-        assert len(done.stderr.strip().splitlines()) == 1
+        check_refused(reason, *command)
+    assert run_here("salvage", cut, "--out", tmp_path / "saved").returncode == 0
+    assert run_here("identify", tmp_path / "saved").returncode == 0
 
 
 def test_version_is_that_of_the_package() -> None:
     assert run_here("--version").stdout.split() == ["push-ident", __version__]
 
 
-@pytest.mark.parametrize(
-    ("module", "chosen", "used"),
-    [
-        ("push_ident.cli.entry", {}, "1"),
-        ("push_ident.nodes.executables", {}, "1"),
-        ("push_ident.cli.entry", {"OPENBLAS_NUM_THREADS": "3"}, "3"),
-    ],
-)
-def test_linear_algebra_has_one_thread_before_numpy_is_loaded(module: str, chosen: dict[str, str], used: str) -> None:
-    program = f"import {module}, os, sys; assert 'numpy' not in sys.modules; print(os.environ['OPENBLAS_NUM_THREADS'])"
-    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"} | chosen
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=60)
-    assert done.stdout.strip() == used, done.stderr
+@pytest.mark.parametrize(("command", "more"), [("predict", (EXAMPLE_BAG,)), ("export", ("--format", "mjcf"))], ids=["predict", "export"])
+def test_damaged_models_and_paths_that_are_none_are_refused(command: str, more: tuple[object, ...], tmp_path: Path) -> None:
+    """All damages: `identification/test_damaged_files.py`."""
+    content = right_model()
+    DAMAGE["cell twice"][0](content)
+    texts = (json.dumps(content), *(DAMAGED_TEXT[name][0]() for name in ("NaN", "control characters in a name", "text")))
+    for number, text in enumerate(texts):
+        (tmp_path / f"text{number}.json").write_text(text)
+    for path in (*unreadable_paths(tmp_path).values(), *tmp_path.glob("text*.json")):
+        check_refused("push-ident: ", command, path, *more)
+
+
+def test_names_that_are_too_long_and_exports_over_the_model_are_one_line_and_a_link_is_replaced(tmp_path: Path) -> None:
+    long, model, link = tmp_path / ("n" * 253), tmp_path / "model.xml", tmp_path / "other.xml"
+    long.write_text(json.dumps(right_model()))
+    model.write_text(long.read_text())
+    link.hardlink_to(model)
+    for command, reason in (
+        (("export", long, "--format", "mjcf"), "File name too long"),
+        (("export", model, "--format", "mjcf", "--out", tmp_path / ("o" * 300)), "File name too long"),
+        (("predict", model, tmp_path / ("b" * 300)), "there is no such bag"),
+        (("export", model, "--format", "mjcf"), "is the model itself"),
+        (("export", model, "--format", "mjcf", "--out", link), "is the model itself"),
+    ):
+        check_refused(reason, *command)
+    loop = unreadable_paths(tmp_path)["loop of links"]
+    done = run_here("export", model, "--format", "mjcf", "--out", loop)
+    assert done.returncode == 0 and loop.read_text().startswith("<?xml")  # a link is replaced, not followed

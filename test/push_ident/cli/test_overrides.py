@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from helpers.commands import run_here
+from helpers.commands import check_refused
 from push_ident.cli.overrides import Overrides, overrides_of
 from push_ident.cli.supervisor import node_commands, node_names
 
@@ -44,11 +44,6 @@ def test_files_and_remappings_that_are_none_are_told_at_once(tmp_path: Path) -> 
     ):
         if content is not None:
             file.write_text(content)
-        check_refused(("--params", file), reason)
+        check_refused(reason, "up", "arm", "--params", file)
     for text, reason in (("a=b", "FROM:=TO"), (":=b", "FROM:=TO"), ("a:=b c", "FROM:=TO"), ("nobody:a:=b", "names the node nobody")):
-        check_refused(("--remap", text), reason)
-
-
-def check_refused(options: tuple[object, ...], reason: str) -> None:
-    done = run_here("up", "arm", *options)
-    assert done.returncode == 1 and reason in done.stderr and done.stderr.count("\n") == 1
+        check_refused(reason, "up", "arm", "--remap", text)

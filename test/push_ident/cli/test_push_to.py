@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.commands import run_here
+from helpers.commands import check_refused
 from push_ident.cli.goal_report import GoalReport, PathReport, edge_message, goal_message, last_feedback, path_message
 from push_ident.cli.push_to import goals_of, parse_edge, parse_goal
 from push_ident.errors import InputError
@@ -30,11 +30,9 @@ def ended(**result: object) -> GoalReport:
 
 
 def test_report_names_its_code() -> None:
-    report = ended(error_code=-11, error_text="not at the goal", pushes=15)
-    assert not report.is_reached and report.content()["code"] == "MAX_PUSHES"
-    broken_off = GoalReport(goal_message(np.zeros(3))).content()
-    assert broken_off["code"] == "CANCELED" and not broken_off["reached"]
-    assert ended(error_code=-99).content()["code"] == "-99"
+    reports = ended(error_code=-11), GoalReport(goal_message(np.zeros(3))), ended(error_code=-99)
+    assert [report.content()["code"] for report in reports] == ["MAX_PUSHES", "CANCELED", "-99"]
+    assert not any(report.content()["reached"] for report in reports)
     content = ended().content()
     assert content["reached"] and content["tolerance_m"] == pytest.approx(0.01) and content["start"] is None and content["outline"] is None
     np.testing.assert_allclose(content["goal"], [0.05, 0.06, 0.6])
@@ -58,14 +56,10 @@ def test_goal_of_the_command_line_becomes_that_of_the_action() -> None:
     assert msg.position_tolerance == pytest.approx(0.01) and msg.yaw_tolerance == pytest.approx(np.radians(9.0))
     assert (msg.goal.pose.position.x, msg.goal.pose.position.y) == (0.05, -0.1)
     assert 2 * np.arctan2(msg.goal.pose.orientation.z, msg.goal.pose.orientation.w) == pytest.approx(1.5)
-
-
-def test_goal_that_is_no_pose_is_refused() -> None:
     for text in ("", "1,2", "1,2,3,4", "a,b,c", "nan,0,0"):
         with pytest.raises(InputError, match="X,Y,YAW"):
             parse_goal(text)
-    done = run_here("demo", "--goal", "1,2")
-    assert done.returncode == 1 and "X,Y,YAW" in done.stderr
+    check_refused("X,Y,YAW", "demo", "--goal", "1,2")
 
 
 def test_goals_are_one_pose_or_lie_in_a_row_along_a_path(tmp_path: Path) -> None:
@@ -111,13 +105,11 @@ def test_path_becomes_a_goal_of_the_action_and_its_report_says_how_closely_it_wa
 
 
 def test_options_and_files_that_make_no_goal_are_refused_before_the_cell_is_looked_for(tmp_path: Path) -> None:
-    files = {"words.csv": "1, 2\n", "short.csv": "0, 0, 0\n", "still.csv": "0, 0, 0\n0, 0, 0\n"}
-    for name, text in files.items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
+    file = tmp_path / "path.csv"
+    for text, word in (("1, 2\n", "Line 1"), ("0, 0, 0\n", "no path"), ("0, 0, 0\n0, 0, 0\n", "0.0 mm long")):
+        file.write_text(text, encoding="utf-8")
+        check_refused(word, "push-to", "--path", file)
     for options, word in (
-        (("--path", tmp_path / "words.csv"), "Line 1"),
-        (("--path", tmp_path / "short.csv"), "no path"),
-        (("--path", tmp_path / "still.csv"), "0.0 mm long"),
         (("--edge-line", "0,0,0,1"), "without --edge"),
         (("--overhang-mm", 30), "without --edge"),
         (("--edge", "--x", 0.1), "--x"),
@@ -125,16 +117,14 @@ def test_options_and_files_that_make_no_goal_are_refused_before_the_cell_is_look
         (("--edge", "--edge-line", "0,0,1"), "X1,Y1,X2,Y2"),
         (("--edge", "--edge-line", "0,0,0,0.001"), "two finite points"),
     ):
-        done = run_here("push-to", *options)
-        assert done.returncode == 1 and word in done.stderr and len(done.stderr.splitlines()) == 1
+        check_refused(word, "push-to", *options)
 
 
 def test_report_of_a_path_says_how_near_its_goals_the_object_came() -> None:
     good = [ended(position_error=e, yaw_error=0.1, pushes=2) for e in (0.003, 0.004)]
-    whole = PathReport(good, 2)
+    failed = ended(error_code=-4, position_error=0.1)
+    whole, part = PathReport(good, 2), PathReport([*good, failed], 5)
     assert whole.is_reached and whole.content()["rms_position_m"] == pytest.approx(np.sqrt(12.5) * 1e-3)
     assert whole.content()["n_pushes"] == 4
-    failed = ended(error_code=-4, position_error=0.1)
-    part = PathReport([*good, failed], 5)
     assert not part.is_reached and part.content()["n_reached"] == 2 and not PathReport(good, 3).is_reached
     assert PathReport([failed], 1).content()["rms_position_m"] is None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from helpers.commands import run_here
+from helpers.commands import check_refused, run_here
 from helpers.robots import changed, robot_path
 from helpers.spinning import spinning
 from push_ident.cli.overrides import overrides_of
@@ -54,24 +54,13 @@ class Driver(Node):
         self._images.publish(image)
 
 
-@pytest.fixture(scope="module")
-def domain() -> int:
-    return own_domain()
-
-
 @pytest.fixture
-def on_domain(domain: int, monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-    return domain
+def domain(monkeypatch: pytest.MonkeyPatch) -> int:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(number := own_domain()))
+    return number
 
 
-@pytest.fixture
-def driver(on_domain: int) -> Iterator[Driver]:
-    with spinning(Driver, on_domain) as node:
-        yield node
-
-
-def test_right_file_ends_well_says_that_no_cell_runs_and_leaves_picture_and_files_for_the_nodes(on_domain: int, tmp_path: Path) -> None:
+def test_right_file_ends_well_says_that_no_cell_runs_and_leaves_picture_and_files_for_the_nodes(domain: int, tmp_path: Path) -> None:
     done = run_here("doctor", "--robot", robot_path("ur5e"), *COARSE, "--out", tmp_path / "out", "--json", tmp_path / "found.json")
     assert done.returncode == 0, done.stdout + done.stderr
     content = json.loads((tmp_path / "found.json").read_text())
@@ -87,17 +76,25 @@ def test_right_file_ends_well_says_that_no_cell_runs_and_leaves_picture_and_file
     assert values["robot_description_file"] == str(tmp_path / "out" / "robot.urdf")
 
 
-def test_wrong_file_ends_with_status_1_and_all_that_is_wrong(on_domain: int, tmp_path: Path) -> None:
+def test_wrong_file_ends_with_status_1_and_all_that_is_wrong_and_that_the_nodes_would_refuse(domain: int, tmp_path: Path) -> None:
     def change(content: dict[str, Any]) -> None:
         content["joints"]["home"][1] = 0.5
         content["joints"]["velocity"][0] = 9.0
+        content["tool"]["pusher_height"] = 0.7
+        content["parameters"]["push_executor_node"] = {"push_sped": 0.1, "free_speed": 1}
 
-    done = run_here("doctor", "--robot", changed(tmp_path, change), *COARSE, "--json", tmp_path / "found.json")
+    file = changed(tmp_path, change)
+    done = run_here("doctor", "--robot", file, *COARSE, "--json", tmp_path / "found.json")
     assert done.returncode == 1
     findings = json.loads((tmp_path / "found.json").read_text())["findings"]
     wrong = [finding["what"] for finding in findings if finding["level"] == "wrong" and finding["about"] == "limits"]
     assert len(wrong) == 2 and "joints.velocity of shoulder_pan_joint" in wrong[0] and "joints.home has shoulder_lift_joint" in wrong[1]
     assert any(finding["about"] == "reach" and finding["level"] == "not checked" for finding in findings)
+    texts = [finding.text for finding in check_parameters(read_robot(file))]
+    assert len(texts) == 3, texts
+    assert any("push_executor_node.pusher_height is 0.7" in text and "expected 0.001 to 0.5" in text for text in texts)
+    assert any("no parameter push_sped; did you mean push_speed?" in text for text in texts)
+    assert any("free_speed is 1" in text and "expected float, write 1.0" in text for text in texts)
 
 
 def test_command_that_cannot_be_meant_is_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,21 +108,7 @@ def test_command_that_cannot_be_meant_is_told_at_once(tmp_path: Path, monkeypatc
             "the node push_executer_node",
         ),
     ):
-        done = run_here(*command)
-        assert done.returncode == 1 and reason in done.stderr and done.stderr.count("\n") == 1
-
-
-def test_values_that_the_nodes_would_refuse_are_found(tmp_path: Path) -> None:
-    def change(content: dict[str, Any]) -> None:
-        content["tool"]["pusher_height"] = 0.7
-        content["parameters"]["push_executor_node"] = {"push_sped": 0.1, "free_speed": 1}
-
-    assert [finding.level for finding in check_parameters(read_robot(robot_path("ur5e")))] == [Level.OK]
-    texts = [finding.text for finding in check_parameters(read_robot(changed(tmp_path, change)))]
-    assert len(texts) == 3, texts
-    assert any("push_executor_node.pusher_height is 0.7" in text and "expected 0.001 to 0.5" in text for text in texts)
-    assert any("no parameter push_sped; did you mean push_speed?" in text for text in texts)
-    assert any("free_speed is 1" in text and "expected float, write 1.0" in text for text in texts)
+        check_refused(reason, *command)
 
 
 def test_nodes_of_a_real_cell_get_description_postures_and_topics_and_the_simulated_one_the_file(tmp_path: Path) -> None:
@@ -157,17 +140,17 @@ def are_wrong(findings: list[Finding], *texts: tuple[str, ...]) -> bool:
     return len(wrong) == len(texts) and all(part in text for text, parts in zip(wrong, texts, strict=True) for part in parts)
 
 
-def test_running_arm_and_camera_are_compared_with_the_file(driver: Driver) -> None:
+def test_running_arm_and_camera_are_compared_with_the_file_and_a_controller_that_does_not_listen_is_wrong(
+    domain: int, tmp_path: Path
+) -> None:
     robot = read_robot(robot_path("ur5e"))
-    well = {("arm", Level.OK), ("camera", Level.OK)}
-    await_findings(robot, lambda findings: {(finding.about, finding.level) for finding in findings} == well)
-    driver.joints = JointState(name=["A1", "A2"], position=[0.0, 0.0])
-    driver.frame = "camera_link"
-    joints = ("no joint shoulder_pan_joint", "it has A1, A2")
-    frame = ("its images are in the frame camera_link; expected camera.frame, camera_depth_optical_frame",)
-    await_findings(robot, lambda findings: are_wrong(findings, joints, frame))
-
-
-def test_controller_that_does_not_listen_is_wrong(driver: Driver, tmp_path: Path) -> None:
-    robot = read_robot(changed(tmp_path, lambda c: c["topics"].update(joint_trajectory="/another/joint_trajectory")))
-    await_findings(robot, lambda findings: are_wrong(findings, ("nobody listens to /another/joint_trajectory",)))
+    deaf = read_robot(changed(tmp_path, lambda c: c["topics"].update(joint_trajectory="/another/joint_trajectory")))
+    with spinning(Driver, domain) as driver:
+        well = {("arm", Level.OK), ("camera", Level.OK)}
+        await_findings(robot, lambda findings: {(finding.about, finding.level) for finding in findings} == well)
+        await_findings(deaf, lambda findings: are_wrong(findings, ("nobody listens to /another/joint_trajectory",)))
+        driver.joints = JointState(name=["A1", "A2"], position=[0.0, 0.0])
+        driver.frame = "camera_link"
+        joints = ("no joint shoulder_pan_joint", "it has A1, A2")
+        frame = ("its images are in the frame camera_link; expected camera.frame, camera_depth_optical_frame",)
+        await_findings(robot, lambda findings: are_wrong(findings, joints, frame))
