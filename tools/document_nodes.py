@@ -186,10 +186,10 @@ def section_of(name: str, known: dict[str, Module]) -> str:
     main = [
         module
         for module in known.values()
-        if node_name(module) == name and re.search(r"^def main\(", module.path.read_text("utf-8"), re.MULTILINE)
+        if node_name(module) == name and re.search(r"^class \w+Node\(CellNode\)", module.path.read_text("utf-8"), re.MULTILINE)
     ]
     if not main:
-        raise LookupError(f"No file with a `main` for the node {name}; expected nodes/{name}.py or nodes/{name.removesuffix('_node')}/.")
+        raise LookupError(f"No file with the node {name}; expected nodes/{name}.py or nodes/{name.removesuffix('_node')}/.")
     what = (ast.get_docstring(main[0].tree) or "").replace(f"`{name}`: ", "").split("\n\n")[0]
     lines = [f"## {name}", "", what[:1].upper() + what[1:], ""]
     found = sorted(

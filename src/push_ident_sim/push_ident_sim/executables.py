@@ -12,7 +12,7 @@ NODES: Final = {
     "sim_cell_node": "push_ident_sim.cell.sim_cell_node",
     "sim_hand_node": "push_ident_sim.cell.sim_hand_node",
 }
-"""Executable and the module whose `main` it runs. `setup.py` names the same executables."""
+"""As `push_ident.nodes.executables.NODES`."""
 
 
 def main() -> None:

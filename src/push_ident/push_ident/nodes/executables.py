@@ -22,7 +22,7 @@ NODES: Final = {
     "goal_pushing_node": "push_ident.nodes.goal_pushing.goal_pushing_node",
     "viewer_node": "push_ident.nodes.viewer.viewer_node",
 }
-"""Executable and the module whose `main` it runs. `setup.py` names the same executables."""
+"""Executable and the module with its node, `perception_node` with `PerceptionNode`. `setup.py` names the same executables."""
 
 
 def main() -> None:
@@ -41,7 +41,10 @@ def run_executable(name: str, nodes: Mapping[str, str]) -> NoReturn:
     if name not in nodes:
         sys.exit(f"there is no executable {name!r}, expected one of {', '.join(nodes)}")
     try:
-        node = importlib.import_module(nodes[name])
+        from push_ident.nodes.base.run import run_node
+
+        kind = getattr(importlib.import_module(nodes[name]), name.title().replace("_", ""))
     except ModuleNotFoundError as error:
         sys.exit(how_to_get(error.name or "") or f"{name} cannot be loaded: {error}")
-    LIFETIME.leave(node.main())
+    sys.setswitchinterval(kind.switch_interval)
+    LIFETIME.leave(run_node(kind, n_threads=kind.n_threads, yields=kind.yields))

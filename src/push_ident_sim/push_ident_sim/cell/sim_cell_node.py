@@ -34,7 +34,6 @@ from push_ident.geometry.table import Table
 from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.base.cell_node import CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
-from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.messages import (
     TABLE_FRAME,
     depth_frame_to_msgs,
@@ -187,6 +186,8 @@ class _Snapshot:
 
 class SimCellNode(CellNode):
     """The cell; simulated time stands while the node is not active, and a motion of the arm is not continued after."""
+
+    yields = False
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("sim_cell_node", PARAMETERS, **kwargs)
@@ -509,8 +510,3 @@ def _truth_json(sim_object: SimObject, seed: int) -> str:
     arrays = ("cells", "height", "mass", "friction", "outline")
     scalars = {"name": sim_object.name, "seed": seed, "cell_size": sim_object.cell_size, "pusher_friction": sim_object.pusher_friction}
     return json.dumps({**scalars, **{name: getattr(sim_object, name).tolist() for name in arrays}})
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until SIGINT."""
-    return run_node(SimCellNode, args=args, yields=False)

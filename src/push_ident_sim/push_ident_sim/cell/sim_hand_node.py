@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import Any, Final
 
@@ -11,7 +10,6 @@ from rclpy.clock import Clock, ClockType
 
 from push_ident.nodes.base.cell_node import CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
-from push_ident.nodes.base.run import run_node
 from push_ident.pushing.hand import CLOSED, HandMotion
 from push_ident_msgs.msg import HandCommand, HandStatus
 
@@ -25,6 +23,8 @@ PARAMETERS: Final = (
 
 class SimHandNode(CellNode):
     """Takes `Robotiq3FGripper/OutputRegisters`, publishes `Robotiq3FGripper/InputRegisters`."""
+
+    yields = False
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("sim_hand_node", PARAMETERS, **kwargs)
@@ -85,12 +85,3 @@ class _SimHand(Component):
                 g_pra=int(command.r_pra),
             )
         )
-
-
-def main() -> int:
-    """Run the node until SIGINT."""
-    return run_node(SimHandNode, yields=False)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

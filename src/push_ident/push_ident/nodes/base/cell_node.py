@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import State, Transition
@@ -106,6 +106,13 @@ class CellNode(LifecycleNode, ABC):
     - Every callback goes through `guard`, because the functions that make entities wrap it.
     - Its status goes to /diagnostics, with the number of refusals and the last one.
     """
+
+    n_threads: ClassVar[int] = 1
+    """Of the executor of its process."""
+    yields: ClassVar[bool] = True
+    """Whether it gives way to the nodes that move the arm, where processors are short."""
+    switch_interval: ClassVar[float] = 5e-3
+    """Longest time that a thread keeps the interpreter while others wait [s]; 5 ms are Python's default."""
 
     def __init__(
         self,

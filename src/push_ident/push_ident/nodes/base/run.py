@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -23,7 +23,7 @@ from push_ident.nodes.base.lifetime import LIFETIME, ExitCode
 from push_ident.nodes.base.settings import NODE
 
 
-def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = None, n_threads: int = 1, yields: bool = True) -> int:
+def run_node(factory: Callable[[], CellNode], *, n_threads: int = 1, yields: bool = True) -> int:
     """Run one node until SIGINT or SIGTERM, or until the process that started it is gone. To be called in the main thread.
 
     The request to stop only raises a flag: the ROS context stays valid, so the component of the node can still publish
@@ -31,7 +31,6 @@ def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = No
 
     Args:
         factory: Builds the node; an exception raised there ends the process with one line and exit code 1.
-        args: Command line for rclpy, default sys.argv.
         n_threads: Above 1 the callbacks run in a MultiThreadedExecutor of so many threads.
         yields: Whether the node gives way to the nodes that move the arm, where processors are short.
 
@@ -43,7 +42,7 @@ def run_node(factory: Callable[[], CellNode], *, args: Sequence[str] | None = No
     if yields:
         _give_way()
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)  # fails where security is enforced without keys
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # fails where security is enforced without keys
         node = factory()
     except Exception as error:
         _report(error)

@@ -21,7 +21,6 @@ from push_ident.identification.observing.observation import observe_push
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
-from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.messages import TABLE_FRAME, stamp_to_msg
 from push_ident.nodes.gap_diagnosis.diagnosis_process import DiagnosisProcess
 from push_ident.nodes.input.push_collector import PushCollector
@@ -46,6 +45,8 @@ PARAMETERS: Final = (
 
 class GapDiagnosisNode(CellNode):
     """Keeps the latest pushes of every object; action `diagnose_gap` diagnoses them, topic `gap_report` has the latest outcome."""
+
+    n_threads = 3
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("gap_diagnosis_node", PARAMETERS, check=lambda values: table_of_corners(values[CORNERS.name]), **kwargs)
@@ -259,8 +260,3 @@ def _point(push: dict[str, Any]) -> Point:
 def _number(value: float | None) -> float:
     """JSON has null where a number is not finite."""
     return math.nan if value is None else float(value)
-
-
-def main() -> int:
-    """Run the node until a signal ends it; the exit code."""
-    return run_node(GapDiagnosisNode, n_threads=3)

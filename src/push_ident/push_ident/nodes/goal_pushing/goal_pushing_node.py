@@ -22,7 +22,6 @@ from push_ident.errors import PushIdentError
 from push_ident.limits import plain_text
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.keep_alive import ClientWatch
-from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.markers import GoalDrawing, goal_markers_to_msg
 from push_ident.nodes.convert.messages import cylinder_radius_from_msg
 from push_ident.nodes.convert.table import EDGE_TOPIC, edge_to_msg
@@ -51,6 +50,9 @@ class GoalPushingNode(CellNode):
     A newer goal preempts the previous one, unless it is refused. When the node is deactivated, cleaned up or shut down, the arm
     holds.
     """
+
+    # A goal that pushes and one that waits for it keep a thread each; poses, models, answers of the executor and cancellations need theirs.
+    n_threads = 7
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("goal_pushing_node", PARAMETERS, check=check_values, **kwargs)
@@ -264,9 +266,3 @@ class _GoalPushing(Component):
 
 def _failed(why: str) -> PushToGoal.Result:
     return result_to_msg(GoalOutcome(GoalCode.INVALID_GOAL, why, GoalProgress()))
-
-
-def main() -> int:
-    """Run the node until a signal ends it; the exit code."""
-    # A goal that pushes and one that waits for it keep a thread each; poses, models, answers of the executor and cancellations need theirs.
-    return run_node(GoalPushingNode, n_threads=7)

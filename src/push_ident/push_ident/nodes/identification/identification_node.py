@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import threading
 import time
 from collections import deque
@@ -29,7 +28,7 @@ from push_ident.limits import plain_text
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.base.paths import file_to_read, file_to_write
-from push_ident.nodes.base.run import run_node, settle_memory
+from push_ident.nodes.base.run import settle_memory
 from push_ident.nodes.convert.messages import planar_pose_of, position_from_msg, stamp_from_msg
 from push_ident.nodes.convert.model import pusher_path_from_msg
 from push_ident.nodes.identification.output import ObjectOutput
@@ -81,6 +80,9 @@ class IdentificationNode(CellNode):
 
     A deactivated node keeps its models; a cleaned-up node keeps only what is in `state_directory`.
     """
+
+    # The update at a frame must not wait for results that are only displayed.
+    switch_interval = 2.5e-4
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("identification_node", PARAMETERS, check=lambda values: table_of_corners(values[CORNERS.name]), **kwargs)
@@ -489,11 +491,3 @@ class _Identification(Component):
             median, late = np.quantile(list(self._latencies), [0.5, 0.99])
             values["update latency, median [s]"], values["update latency, 99 % [s]"] = f"{median:.4f}", f"{late:.4f}"
         return Health(level, text, values)
-
-
-def main() -> int:
-    """Run the node until a signal ends it; the exit code."""
-    # Threads hand over every 0.25 ms, twenty times as often as by default: the update at a frame must not wait for results that are only
-    # displayed.
-    sys.setswitchinterval(2.5e-4)
-    return run_node(IdentificationNode)

@@ -34,7 +34,6 @@ from push_ident.limits import LIMITS
 from push_ident.nodes.base.arrivals import StampCheck
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter, description_in
-from push_ident.nodes.base.run import run_node
 from push_ident.nodes.base.settings import NODE
 from push_ident.nodes.convert.markers import refusals_to_msg
 from push_ident.nodes.convert.messages import (
@@ -514,8 +513,3 @@ def _await_subscription(publisher: Publisher) -> None:
     deadline = time.monotonic() + NODE.listener_wait
     while publisher.get_subscription_count() == 0 and time.monotonic() < deadline:
         time.sleep(0.02)
-
-
-def main() -> int:
-    """Run the node until a signal ends it; the exit code."""
-    return run_node(PerceptionNode)

@@ -22,7 +22,6 @@ from push_ident.errors import InputError
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.keep_alive import ClientWatch
-from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.messages import TABLE_FRAME, cylinder_to_msg, position_to_msg, stamp_to_msg
 from push_ident.nodes.convert.tool_path import correction_from_msg, path_request_from_goal
 from push_ident.nodes.input.objects import TrackedObjects
@@ -84,6 +83,10 @@ class PushExecutorNode(CellNode):
 
     Only an active node moves the arm: when it is deactivated, cleaned up or shut down during a push, it holds the arm first.
     """
+
+    # The watch over a moving arm keeps one thread; its cancellation, the joint states and a transition need one each.
+    n_threads = 5
+    yields = False
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("push_executor_node", PARAMETERS, check=execution_settings, **kwargs)
@@ -283,9 +286,3 @@ def _record_to_msg(made: ExecutedPush) -> PushRecord:
 
 def _point(push: PushPlan2D) -> Point:
     return Point(x=float(push.contact_point[0]), y=float(push.contact_point[1]), z=0.0)
-
-
-def main() -> int:
-    """Run the node until a signal ends it; the exit code."""
-    # The watch over a moving arm keeps one thread; its cancellation, the joint states and a transition need one each.
-    return run_node(PushExecutorNode, n_threads=5, yields=False)

@@ -23,7 +23,6 @@ from push_ident.bags.raw import RawMessage, bag_topics, raw_messages
 from push_ident.errors import BagError
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
-from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.messages import message_class
 from push_ident.nodes.recording.recording_port import RECORDING
 
@@ -257,8 +256,3 @@ class _Pace:
 def live_object_id(object_id: str) -> str:
     """The id under which a recorded object can be published: ROS refuses topic names with a part that begins with a digit."""
     return f"o{object_id}" if object_id[:1].isdigit() else object_id
-
-
-def main() -> int:
-    """Run the node until a signal ends it; the exit code."""
-    return run_node(BagPlayerNode)

@@ -20,7 +20,6 @@ from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.base.arrivals import Arrivals
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
-from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.messages import message_class
 from push_ident.nodes.recording.recording_port import RECORDING, RECORDING_TOPIC, REPEATED
 
@@ -181,8 +180,3 @@ class _BagRecorder(Component):
         if not self._failed:
             values.append(KeyValue(key=REPEATED, value=str(RECORDING.status_period)))
         return DiagnosticStatus(level=health.level, name=name, message=health.message, hardware_id="push_ident", values=values)
-
-
-def main() -> int:
-    """Run the node until a signal ends it; the exit code."""
-    return run_node(BagRecorderNode)

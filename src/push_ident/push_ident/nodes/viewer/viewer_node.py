@@ -21,7 +21,6 @@ from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_
 from push_ident.nodes.base.arrivals import StampCheck
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter, Parameters
-from push_ident.nodes.base.run import run_node
 from push_ident.nodes.convert.markers import GoalDrawing, goal_markers_from_msg, refusals_from_msg
 from push_ident.nodes.convert.messages import (
     cylinder_radius_from_msg,
@@ -313,8 +312,3 @@ class _Viewer(Component):
         if warnings:
             parts += ["## Warnings", *warnings]
         self._scene.status("\n".join(parts))
-
-
-def main() -> int:
-    """Run the node until a signal ends it; the exit code."""
-    return run_node(ViewerNode)
