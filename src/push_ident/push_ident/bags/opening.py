@@ -271,7 +271,6 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
 
 
 def _remedy(path: Path) -> str:
-    """Remedy for a bag that cannot be read."""
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     if len(files) == 1 and files[0].suffix == ".mcap":
         from push_ident.bags.salvage import count_recoverable  # only damaged bags need what writes bags

@@ -115,8 +115,6 @@ class DepthRecording:
 
 @dataclass(slots=True)
 class _Recorded:
-    """The recorded data of one topic."""
-
     stamps: list[int] = field(default_factory=list)
     """[ns]"""
     values: list[Float64Array] = field(default_factory=list)
@@ -218,7 +216,6 @@ def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list
 
 
 def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[TopicRole, _Recorded]:
-    """Read the topics of these roles."""
     role_by_topic = {connection.topic: role for role, connections in wanted.items() for connection in connections}
     connections = [connection for group in wanted.values() for connection in group]
     bag.register(connections)
@@ -306,7 +303,6 @@ def _object_track(
 
 
 def _messages(recorded: dict[TopicRole, _Recorded], role: Role, object_id: str = "") -> list[Any]:
-    """Of a role that has no stamped samples."""
     return recorded.get(TopicRole(role, object_id), _Recorded()).messages
 
 

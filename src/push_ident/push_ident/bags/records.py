@@ -45,7 +45,6 @@ def write_records(path: Path, records: Sequence[PushRecord]) -> None:
 
 
 def _by_push(records: Sequence[PushRecord]) -> list[list[PushRecord]]:
-    """Records grouped by push."""
     pushes: list[list[PushRecord]] = []
     for record in records:
         same = pushes[-1] if pushes else []

@@ -122,7 +122,6 @@ class DemoPushes:
         return is_near_edge(self._client.shape(self._object_id), pose + motion, PushSettings())
 
     def _push(self, planned: ExecutePush.Result) -> None:
-        """Predict a planned push, make it and compare."""
         from push_ident.nodes.convert.model import pusher_path_from_msg
 
         number, client, object_id = len(self.made) + 1, self._client, self._object_id
@@ -151,7 +150,6 @@ class DemoPushes:
         say(text)
 
     def _predict(self, push: DemoPush, path: PusherPath, before: Float64Array) -> Float64Array:
-        """What the model of the node expects of a push: the last pose."""
         self._client.save_model(self._object_id, str(self._model.resolve()))
         _, posterior = load_model(self._model)
         prediction = predict(posterior, PushScenario(path, before, path.time))

@@ -34,7 +34,6 @@ def _run(command: Callable[[], None], interrupted: int) -> NoReturn:
 
 
 def _exit_code(run: Callable[[], None], interrupted: int) -> int | str | None:
-    """Of a command line that Ctrl-C may interrupt."""
     try:
         try:
             LIFETIME.interruptible()

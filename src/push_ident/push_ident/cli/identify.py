@@ -161,7 +161,6 @@ def _chosen(numbers: list[int] | None, n_pushes: int) -> list[int]:
 
 
 def _show_errors(loaded: LoadedPushes, fitted: PushErrors, held_out: PushErrors) -> None:
-    """Print the notes and the mean cell errors of all models."""
     for note in loaded.notes:
         warn(f"note: {note}")
     n_cells = len(loaded.records[0].shape.cells)
@@ -180,7 +179,6 @@ def _show_errors(loaded: LoadedPushes, fitted: PushErrors, held_out: PushErrors)
 
 
 def _show_identifiability(result: Identification) -> None:
-    """Print which quantities the pushes determine, and how the solve ended; priors below 1 % stand in the report and the JSON only."""
     known = identifiability(result.posterior)
     numbers = (Column(heading, justify="right") for heading in ("value", "before"))
     table = Table("quantity", *numbers, "identifiability", title="identifiability from these pushes")

@@ -355,7 +355,6 @@ def run_import(importer: Callable[[], ImportReport], out: Path, source: str, pag
 
 
 def _show(report: ImportReport) -> None:
-    """Print what was imported, with notes and warnings."""
     distance = 1e3 * report.contact_distance[np.isfinite(report.contact_distance)]
     found = f"{np.mean(distance):.1f} ± {np.std(distance):.1f} mm" if len(distance) else "unknown"
     say(f"{report.n_pushes} pushes written to {report.bag}; distance between pusher and outline at first contact {found}")

@@ -153,7 +153,6 @@ _STUCK: Final = f"the bag went on no further for {_PATIENCE:.0f} s; see the log 
 
 
 def _left_out(counts: dict[str, str]) -> str:
-    """Why pushes were not learned, counted, for a message."""
     kinds = ("pushes refused", "pushes without contact", "pushes known already", "pushes that failed, left out")
     found = [f"{counts[kind]} {kind.removeprefix('pushes ')}" for kind in kinds if counts.get(kind, "0") != "0"]
     reason = counts.get("last error", "none")
@@ -161,7 +160,6 @@ def _left_out(counts: dict[str, str]) -> str:
 
 
 def _show_replay(latest: MassFrictionMap, counts: dict[str, str], out: Path | None, json: Path | None) -> None:
-    """Print and write the map that was identified."""
     mass, friction = list(latest.mass), list(latest.friction)
     say(
         f"object {latest.object_id}: {len(mass)} cells, {latest.n_pushes} pushes, {latest.status_text}; pusher friction "

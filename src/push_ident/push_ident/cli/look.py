@@ -108,8 +108,6 @@ def look_command(
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """What a source has."""
-
     frames: list[DepthFrame]
     """Those at rest."""
     camera_in_table: Float64Array | None
@@ -118,7 +116,6 @@ class _Seen:
 
 
 def _read(text: str, intrinsics: tuple[float, float, float, float] | None, unit: float | None) -> _Seen:
-    """What a bag or images have. Raises BagError, InputError or FrameError."""
     if not text:
         raise InputError("There is no SOURCE; give a bag, a folder of depth images, or --live for a camera that runs.")
     source = Path(text)
@@ -188,7 +185,6 @@ def _checked(survey: Survey, size: KnownSize | None) -> tuple[ScaleCheck | None,
 
 
 def _show(survey: Survey, check: ScaleCheck | None) -> None:
-    """Print what was found."""
     for note in survey.notes:
         warn(f"note: {note}")
     say(table_sentence(survey))

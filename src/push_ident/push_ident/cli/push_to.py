@@ -230,7 +230,6 @@ def _pursue(goals: Sequence[PushToGoal.Goal], reports: list[GoalReport]) -> None
 
 
 def _write(content: dict[str, Any], out: Path | None, json: Path | None) -> None:
-    """Write the result as JSON, and as a page into the folder `out`."""
     for file in [json, None if out is None else out / "result.json"]:
         write_json(file, content)
     if out is not None:

@@ -96,7 +96,6 @@ def _write(robot: Robot, reach: Reach, out: Path) -> None:
 
 
 def _parameter_text(robot: Robot, description: Path) -> str:
-    """Parameter file of ROS 2 for the nodes beside a real arm."""
     nodes = {node: values for node, values in node_parameters(robot, description).items() if not node.startswith("sim_")}
     # Through JSON: a list that two nodes share would become an alias of YAML, which ROS does not read.
     content = jsonlib.loads(jsonlib.dumps({f"/**/{node}": {"ros__parameters": values} for node, values in nodes.items()}))
@@ -174,7 +173,6 @@ def _silent(about: str, topic: str) -> Finding:
 
 
 def _arm(robot: Robot, kinematics: ArmKinematics | None, heard: Heard) -> Iterator[Finding]:
-    """Joints, their positions, and the controller."""
     states, commands = plain_text(heard.names.states), plain_text(heard.names.commands)
     joints = robot.file.joints.names
     missing = [name for name in joints if name not in heard.positions]

@@ -246,7 +246,6 @@ class Supervisor:
 
 @contextmanager
 def _stop_requests() -> Iterator[list[int]]:
-    """A list that collects the stop signals that this process receives."""
     received: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:

@@ -219,13 +219,9 @@ class Template:
         """Signed distance [m] at the nearest node of the field, shape (n,): faster, and accurate to half a cell of the field."""
         return np.asarray(nearest_values(self.field, np.ascontiguousarray(points, dtype=np.float64)))
 
-    def nearest_top(self, points: NDArray[np.floating]) -> Float64Array:
-        """Height of the upper side [m] at the nearest cell, shape (n,), at points (n, 2) in the object frame."""
-        return np.asarray(nearest_values(self.tops, np.ascontiguousarray(points, dtype=np.float64)))
-
-    def least_top(self, points: NDArray[np.floating]) -> Float64Array:
-        """The lowest height of the upper side within some millimetres [m], shape (n,), at points (n, 2) in the object frame."""
-        return np.asarray(nearest_values(self.lowest, np.ascontiguousarray(points, dtype=np.float64)))
+    def nearest_top(self, points: NDArray[np.floating], *, lowest: bool = False) -> Float64Array:
+        """Height of the upper side [m] at the nearest cell, or the lowest within some millimetres, at points (n, 2), object frame."""
+        return np.asarray(nearest_values(self.lowest if lowest else self.tops, np.ascontiguousarray(points, dtype=np.float64)))
 
 
 Placed = tuple[Template, Float64Array]

@@ -279,7 +279,6 @@ class Perception:
 
 
 def _observed(fits: Mapping[str, PoseFit]) -> tuple[ObservedObject, ...]:
-    """Known objects as their fits say; without a pose unless TRACKED."""
     is_tracked = {name: fit.status is TrackStatus.TRACKED for name, fit in fits.items()}
     return tuple(
         ObservedObject(name, fit.status, fit.pose if is_tracked[name] else None, fit.covariance if is_tracked[name] else None)

@@ -129,8 +129,6 @@ class _Samples:
 
 @dataclass(slots=True)
 class _Stream:
-    """How far one topic has come."""
-
     latest: float = -math.inf
     silent: int = 0
     """Calls of `finished` since its last sample."""
@@ -431,7 +429,6 @@ class PushCutter:
         )
 
     def _forget(self, before: float) -> None:
-        """Drop samples that no later push can need."""
         if self._capacity is not None:
             for samples in (*self._poses.values(), self._wrench, self._pusher):
                 samples.forget(before)
@@ -442,7 +439,6 @@ def _midpoint(end: float, start: float) -> float:
 
 
 def _unusable(time: Float64Array, positions: Float64Array, n_poses: int) -> str:
-    """Why an interval gives no record; empty when it does."""
     if len(time) < 2:
         return f"{len(time)} pusher poses, expected at least 2"
     if n_poses < 2:

@@ -115,8 +115,6 @@ class PushExecution:
 
 @dataclass(slots=True)
 class _Execution:
-    """One request under way."""
-
     owner: PushExecution
     ports: ExecutionPorts
     watch: ArmWatch
@@ -190,8 +188,6 @@ class _Execution:
                 raise
 
     def _recentre(self, target: TrackedObject) -> None:
-        """Push the object towards the middle, where such a push is possible."""
-
         def plan_from(q: np.ndarray) -> ArmPlan:
             return self._plan_recentring(target, q)
 
@@ -388,7 +384,6 @@ class _Execution:
         self.owner.steering = steering
 
     def _steer(self, push: ExecutedPush, elapsed: float, time: float) -> ArmMotion | None:
-        """The motion from now on, where a correction changes it."""
         if (steering := self.owner.steering) is None:
             return None
         changed = steering.look(elapsed, time, self.ports.clock.monotonic())

@@ -114,8 +114,6 @@ class View:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Hits:
-    """Rays that were cast into a scene."""
-
     scene: Any
     """`open3d.t.geometry.RaycastingScene`."""
     vertices: list[Float64Array]

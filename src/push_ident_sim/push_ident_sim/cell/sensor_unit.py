@@ -112,7 +112,7 @@ class Sensor:
         depth[~reads] = np.nan
         depth += self._scale * model.noise.deviation(depth, view.cosine) * self._field(model, "noise", rng, depth.shape)
         if model.disparity_step > 0:
-            steps = np.float32(model.focal_baseline / model.disparity_step)
+            steps = np.float32((model.matching_focal or model.intrinsics.fx) * model.baseline / model.disparity_step)
             depth = steps / np.round(steps / depth)
         return np.asarray(np.round(depth / np.float32(model.depth_unit)) * np.float32(model.depth_unit), dtype=np.float32)
 

@@ -149,11 +149,6 @@ class SensorModel:
             raise InputError(f"Sensor {self.name}: steps of disparity need a baseline.")
 
     @property
-    def focal_baseline(self) -> float:
-        """Disparity times depth [px m]."""
-        return (self.matching_focal or self.intrinsics.fx) * self.baseline
-
-    @property
     def second(self) -> float:
         """x of the projector or the second imager in the optical frame [m]."""
         return self.side * self.baseline

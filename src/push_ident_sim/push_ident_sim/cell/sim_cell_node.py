@@ -53,7 +53,7 @@ from push_ident_sim.cell.sensors import PLAIN, SENSOR_NAMES
 from push_ident_sim.cell.trajectory import JointTrajectory
 from push_ident_sim.cell.world import CellWorld, WorldConfig
 from push_ident_sim.engines.bullet.bullet_object import TABLE
-from push_ident_sim.injected import INJECTED, InjectedEffect, InjectedEffects
+from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.injected.equations import reported_forces
 from push_ident_sim.injected.sensing import PoseSensor, check_rendered, stamp_delay, true_camera
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
@@ -115,11 +115,6 @@ _EFFECT: Final = "effects."
 _SPAWNED: Final = "; takes effect with ~/spawn"
 
 
-def _described(effect: InjectedEffect) -> str:
-    """What an effect is and the meaning of its values."""
-    return f"{effect.what} " + "; ".join(f"{p.name} [{p.unit}]: {p.what}" for p in effect.parameters[: len(effect.defaults)])
-
-
 PARAMETERS: Final = (
     Parameter("object", "hammer", "object on the table" + _SPAWNED, choices=OBJECT_NAMES),
     Parameter("seed", 0, "seed of the ground truth of the object's masses and frictions" + _SPAWNED, 0, 2**31 - 1),
@@ -159,12 +154,13 @@ PARAMETERS: Final = (
         Parameter(
             f"{_EFFECT}{effect.name}",
             list(effect.defaults),
-            "injected effect: " + _described(effect),
-            min(p.lowest for p in effect.parameters[: len(effect.defaults)]),
-            max(p.highest for p in effect.parameters[: len(effect.defaults)]),
+            f"injected effect: {effect.what} " + "; ".join(f"{p.name} [{p.unit}]: {p.what}" for p in parameters),
+            min(p.lowest for p in parameters),
+            max(p.highest for p in parameters),
             read_only=True,
         )
         for effect in INJECTED.values()
+        for parameters in (effect.parameters[: len(effect.defaults)],)
     ),
 )
 _LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -174,8 +170,6 @@ _TRUTH_ID: Final = "truth"
 
 @dataclass(frozen=True, slots=True)
 class _Snapshot:
-    """State of the cell for one image."""
-
     stamp: float
     """Of the image [s]; later than the state under a latency."""
     sim_object: SimObject
@@ -296,7 +290,6 @@ class _SimCell(Component):
             pace.wait(schedule.now, self._settings["real_time_factor"])
 
     def _advance(self, schedule: _Schedule) -> None:
-        """One time step, and what is published after it."""
         step = self._world.config.time_step
         with self._meter.measure("physics"):
             self._take_requests()
@@ -431,7 +424,6 @@ class _SimCell(Component):
         return self._run_between_steps(response, spawn, f"{values['object']} of seed {values['seed']} at {values['start_pose']}")
 
     def _run_between_steps(self, response: Trigger.Response, work: Callable[[], None], done: str) -> Trigger.Response:
-        """Run `work` in the thread of the simulation, between two time steps."""
         if not self._running.is_set():
             raise InputError("The node is not active; activate it.")
         request = _Request(work)
@@ -472,8 +464,6 @@ class _Schedule:
 
 @dataclass(frozen=True, slots=True)
 class _Request:
-    """Work for the thread of the simulation."""
-
     work: Callable[[], None]
     done: Future[None] = field(default_factory=Future)
 
@@ -501,7 +491,6 @@ def _trajectory_from_msg(msg: JointTrajectoryMsg, joint_names: tuple[str, ...]) 
 
 
 def _object_of(values: dict[str, Any]) -> SimObject:
-    """The object of the parameters."""
     return make_object(values["object"], values["seed"], values["pusher_friction"])
 
 

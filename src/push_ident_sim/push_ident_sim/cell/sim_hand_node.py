@@ -35,8 +35,6 @@ class SimHandNode(CellNode):
 
 
 class _SimHand(Component):
-    """Registers and fingers of a configured node."""
-
     def __init__(self, node: CellNode) -> None:
         self._settings = node.settings
         closed = self._settings["closed"]

@@ -95,8 +95,6 @@ class PathOutcome:
 
 @dataclass(slots=True)
 class _Run:
-    """What is under way."""
-
     pushed: PushedObject
     path: PathGoal
     outcome: PathOutcome
@@ -195,7 +193,6 @@ def _end_contact(run: _Run, motion: TrueMotion) -> None:
 
 
 def _note_return(run: _Run, now: float, pose: Float64Array) -> None:
-    """Whether a displaced object is back."""
     displacement = run.displacement
     if displacement is None or displacement.pending or np.isfinite(displacement.back):
         return

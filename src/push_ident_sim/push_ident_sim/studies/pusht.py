@@ -337,11 +337,6 @@ def _errors(records: Sequence[PushRecord], law: SimulationSettings) -> Float64Ar
     return held_out_errors(fit.model, records[-_HELD_OUT:], settings=law)
 
 
-def nothing_known() -> Knowledge:
-    """Equal cells on a table with dry friction."""
-    return Knowledge(Belief.of(prior_posterior(BLOCK)), "dry", {})
-
-
 def _begin(game: Game, seed: int) -> None:
     game.start(seed)
     drive(game, np.tile(game.disc, (2, 1)))  # bodies that were put into one another come apart
@@ -384,7 +379,8 @@ def _to_the_middle(game: Game, failed: Sequence[PushPlan2D]) -> PushPlan2D | Non
 def _run(case: Case, settings: CaseSettings) -> Json:
     game = Game.new()
     try:
-        known = learn(game, case.model * 1000 + 7) if case.variant == IDENTIFIED else nothing_known()
+        nothing = Knowledge(Belief.of(prior_posterior(BLOCK)), "dry", {})  # equal cells on a table with dry friction
+        known = learn(game, case.model * 1000 + 7) if case.variant == IDENTIFIED else nothing
         planner = GoalPlanner(BLOCK, SETTINGS)
         first = 100_000 + case.model * settings.goals  # starts of the game below this seed are for tuning
         starts = [{"seed": seed} | play(game, seed, known, planner).values() for seed in range(first, first + settings.goals)]

@@ -188,15 +188,10 @@ _REST: Final = 20
 """Frames before and after each push: long enough for a better outline."""
 
 
-def unit_of(object_name: str, seed: int) -> int:
-    """Seed of the unit of a sensor in the case of an object: no two cases share one, since five objects before one badly calibrated unit
-    would count as five."""
-    return len(OBJECT_NAMES) * seed + OBJECT_NAMES.index(object_name)
-
-
 def _run(case: Case, settings: CaseSettings) -> Json:
     seed = [case.model, OBJECT_NAMES.index(case.object_name)]
-    sim_object, unit = make_object(case.object_name, case.model), unit_of(case.object_name, case.model)
+    # No two cases share a unit of a sensor: five objects before one badly calibrated unit would count as five.
+    sim_object, unit = make_object(case.object_name, case.model), len(OBJECT_NAMES) * seed[0] + seed[1]
     filmed = FilmedObject(sim_object, [*seed, 8], sensor=case.variant, unit=unit, rest=_REST)
     try:
         first = filmed.shape

@@ -45,8 +45,6 @@ _PATCH: Final = re.compile(r"(?P<wood>wood_)?patch(?:__.*)?")
 
 @dataclass(frozen=True, slots=True)
 class _Push:
-    """One push of the file."""
-
     before: Float64Array
     """Object pose (x, y, yaw) in `table` [m, m, rad]."""
     after: Float64Array
@@ -111,7 +109,6 @@ def _notes_of(supports: Float64Array | None) -> tuple[str, ...]:
 
 
 def _setup_of(file: Path) -> _Setup:
-    """Surface and supports by the names of the published folders."""
     for name in (file.stem, file.absolute().parent.name):
         if match := _SUPPORTS.fullmatch(name):
             x, y = np.array(match["supports"].split("_"), dtype=np.float64).reshape(2, 3) * 1e-3
@@ -147,8 +144,6 @@ def _force(raw: Float64Array, *, yaw_tool: float) -> Float64Array:
 
 
 class _Numbers:
-    """The numbers of a file, taken one after the other."""
-
     def __init__(self, file: Path) -> None:
         self.file = file
         if not file.exists():

@@ -104,7 +104,6 @@ def write_refusal_page(path: Path, overlap: Overlap, reason: str) -> None:
 
 
 def _context(overlap: Overlap | None) -> dict[str, Any]:
-    """What both pages have."""
     figures = _overlap_figures(overlap) if overlap is not None and len(overlap.push) else []
     return {
         "figures": figures,
@@ -124,7 +123,6 @@ def _verdict(report: ImportReport) -> str:
 
 
 def _read_back(report: ImportReport) -> tuple[_ReadBack | None, str]:
-    """The bag as other commands see it, or None and why they refuse it."""
     try:
         contents = read_bag(report.bag)
         object_id, track = next(iter(contents.objects.items()))

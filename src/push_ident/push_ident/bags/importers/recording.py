@@ -261,7 +261,6 @@ def _between(busy: list[tuple[float, float]], start: float, end: float) -> Itera
 
 
 def _pushes(streams: Streams) -> list[_Push]:
-    """The runs of the pusher with their contacts."""
     spans, time = [], streams.poses[:, 0]
     for run in streams.runs:
         # As a bag is cut into pushes: the poses around the run, and where there is none at rest the nearest one on that side.

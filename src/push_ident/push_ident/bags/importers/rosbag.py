@@ -90,8 +90,6 @@ def import_rosbag(source: RosbagTopics, out_bag: Path) -> ImportReport:
 
 @dataclass(frozen=True, slots=True)
 class _Stream:
-    """What a topic holds."""
-
     topic: str
     rows: Float64Array
     """Rows (time, …): position and quaternion of a pose, shape (n, 8), or a force, shape (n, 4)."""

@@ -189,7 +189,6 @@ def _await_end(waiting: int, lifeline: int | None) -> bool:
 
 
 def _where_main_thread_is() -> str:
-    """The innermost functions of the main thread, for the log."""
     frame = sys._current_frames().get(threading.main_thread().ident or 0)
     calls = traceback.extract_stack(frame)[-4:] if frame is not None else []
     return " > ".join(f"{os.path.basename(call.filename)}:{call.lineno} {call.name}" for call in calls) or "an unknown place"

@@ -462,6 +462,5 @@ class CellClient:
 
 
 def _check_there(watch: ServerWatch, name: str, server: str) -> None:
-    """Raise CellTimeout where the server of an action is gone."""
     if why := watch.why_gone():
         raise CellTimeout(f"{server} {why}, so {name} gives no result; see its log, and start it again")

@@ -188,7 +188,6 @@ class DepthCapture:
         return f"None of {self._n_images} images on {topic} is usable {within}: {why}"
 
     def _other_topics(self) -> str:
-        """The image topics that have a publisher."""
         topics = sorted(
             name for name, kinds in self._node.get_topic_names_and_types() if _IMAGE in kinds and self._node.count_publishers(name)
         )

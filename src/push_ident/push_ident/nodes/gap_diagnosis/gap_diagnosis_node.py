@@ -57,8 +57,6 @@ class GapDiagnosisNode(CellNode):
 
 
 class _GapDiagnosis(Component):
-    """Pushes and the action of a configured node."""
-
     def __init__(self, node: CellNode) -> None:
         self._node, self._settings = node, node.settings
         self._records: dict[str, deque[PushRecord]] = {}

@@ -158,7 +158,8 @@ def draw_goal(progress: GoalProgress, outline: Float64Array) -> GoalDrawing | No
     at_goal, number = transform_points(target.goal.pose, outline), progress.pushes + 1
     is_pushing = progress.state is GoalState.PUSH
     if path is not None:
-        drawing = GoalDrawing(progress.object_id, at_goal, _path_text(path), path=path.at(_path_samples(path))[:, :2])
+        done = np.linspace(0.0, path.length, min(len(path.poses), MARKERS.n_path_points))
+        drawing = GoalDrawing(progress.object_id, at_goal, _path_text(path), path=path.at(done)[:, :2])
         step = progress.step
         return drawing if step is None or not is_pushing else _with_step(drawing, outline, path, step, progress.tool, number)
     edge = None if target.hold is None else target.hold.edge.ends
@@ -178,10 +179,6 @@ def _goal_text(target: Target, at_goal: Float64Array) -> str:
 def _path_text(path: PathGoal) -> str:
     tolerance = f"one tolerance is {1e3 * path.position:.0f} mm and {np.degrees(path.yaw):.1f}°"
     return f"path: {1e3 * path.length:.0f} mm at {1e3 * path.speed:.0f} mm/s, {tolerance}"
-
-
-def _path_samples(path: PathGoal) -> Float64Array:
-    return np.linspace(0.0, path.length, min(len(path.poses), MARKERS.n_path_points))
 
 
 def _with_push(drawing: GoalDrawing, outline: Float64Array, target: Target, plan: GoalPush, number: int) -> GoalDrawing:

@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -29,12 +29,12 @@ from push_ident.nodes.convert.tool_path import correction_to_msg
 from push_ident.nodes.goal_pushing.cell_ports import CellPorts, CellView, ModelInput, WishOfClient
 from push_ident.nodes.goal_pushing.convert_goal import draw_goal, feedback_to_msg, request_from_msg, result_to_msg
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink
-from push_ident.nodes.goal_pushing.parameters import GOAL_PUSHING, PARAMETERS, check_values, push_settings, session_limits
+from push_ident.nodes.goal_pushing.parameters import GOAL_PUSHING, PARAMETERS, check_values, push_settings
 from push_ident.nodes.input.objects import TrackedObjects
 from push_ident.nodes.input.table import TableInput
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import GoalCode, GoalRefusedError
-from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState, Wish
+from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState, SessionLimits, Wish
 from push_ident.planning.goal_session import GoalSession
 from push_ident.planning.library import compile_planning
 from push_ident.planning.path_goal import PathGoal
@@ -63,8 +63,6 @@ class GoalPushingNode(CellNode):
 
 
 class _GoalPushing(Component):
-    """Inputs and action of a configured node."""
-
     def __init__(self, node: CellNode) -> None:
         self._node, self._settings = node, node.settings
         self._radius = 0.0
@@ -183,7 +181,8 @@ class _GoalPushing(Component):
                     self._draw(progress)
 
         kind = PathSession if isinstance(request.goal, PathGoal) else GoalSession
-        return kind(request, CellPorts(self._view, wish, values["executor_timeout"]), session_limits(values), on_progress=show)
+        limits = SessionLimits(**{field.name: values[field.name] for field in fields(SessionLimits) if field.name in values})
+        return kind(request, CellPorts(self._view, wish, values["executor_timeout"]), limits, on_progress=show)
 
     def _run(self, session: GoalSession, wish: WishOfClient) -> GoalOutcome:
         """Push, once the push of the goal before has ended."""

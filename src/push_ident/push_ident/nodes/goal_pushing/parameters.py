@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Final
 
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.input.table import CORNERS, table_of_corners
 from push_ident.planning.edge_goal import EdgeGoal
-from push_ident.planning.goal_ports import SessionLimits
 from push_ident.pushing.push import PushSettings
 
 
@@ -90,8 +89,3 @@ def push_settings(values: dict[str, Any], pusher_radius: float) -> PushSettings:
         lowering_gap=values["lowering_gap"],
         speed_range=(speed, speed),
     )
-
-
-def session_limits(values: dict[str, Any]) -> SessionLimits:
-    """How long is waited for what."""
-    return SessionLimits(**{field.name: values[field.name] for field in fields(SessionLimits) if field.name in values})

@@ -93,8 +93,6 @@ class IdentificationNode(CellNode):
 
 
 class _Identification(Component):
-    """Sessions, worker and interfaces of a configured node."""
-
     def __init__(self, node: CellNode) -> None:
         self._node = node
         self._settings = settings = node.settings
@@ -297,7 +295,6 @@ class _Identification(Component):
         self._advise(session.object_id)
 
     def _finish(self, push: list[PushRecord]) -> None:
-        """Update the models with a finished push."""
         self._is_pushing = False
         if not push:
             self._collector.refuse("pushes", "identify", "a push is left out: no object has poses before and after it; is it hidden?")
@@ -359,7 +356,6 @@ class _Identification(Component):
         self._node.get_logger().warning(f"object {session.object_id}: push {session.n_pushes} is not explained: {why}")
 
     def _update(self, object_id: str, received: float) -> None:
-        """Update a model with the frames of the push under way."""
         now = time.monotonic()
         if now - self._updated.get(object_id, -np.inf) < self._settings["update_period"]:
             return
@@ -390,7 +386,6 @@ class _Identification(Component):
             self._advice.put(f"next push of {object_id}", partial(self._suggest, object_id))
 
     def _suggest(self, object_id: str) -> None:
-        """Publish the push to make next."""
         session, latest = self._sessions[object_id], self._collector.latest(object_id)
         if latest is None or not self._collector.radius or self._is_pushing:
             return

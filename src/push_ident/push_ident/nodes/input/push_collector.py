@@ -200,7 +200,6 @@ class PushCollector:
 
     @contextmanager
     def _taking(self, what: str, topic: str) -> Iterator[None]:
-        """Take in a message; one that cannot be used is refused."""
         try:
             with self._lock:
                 yield
@@ -322,7 +321,6 @@ class PushCollector:
             self._on_pushes(good)
 
     def _clock_is_missing(self) -> bool:
-        """Whether the node waits for a /clock without publisher."""
         simulated = self._node.get_parameter("use_sim_time").value
         patient = time.monotonic() - self._began < COLLECTOR.clock
         return bool(simulated and not patient and self._node.get_clock().now().nanoseconds == 0)

@@ -125,8 +125,6 @@ def _rows_of_further_cameras(values: dict[str, Any]) -> Iterator[Parameter]:
 
 
 class _Perception(Component):
-    """Inputs and outputs of a configured node."""
-
     def __init__(self, node: CellNode) -> None:
         self._node, self._configured = node, node.settings
         self._stamps = StampCheck()
@@ -198,7 +196,6 @@ class _Perception(Component):
 
     @contextmanager
     def _taking(self, kind: str, topic: str) -> Iterator[None]:
-        """Take in a message; one that cannot be used is refused."""
         try:
             yield
         except PushIdentError as error:

@@ -97,8 +97,6 @@ class PushExecutorNode(CellNode):
 
 
 class _PushExecutor(Component):
-    """Ports, action and execution of a configured node."""
-
     def __init__(self, node: CellNode) -> None:
         self._node, self._settings = node, node.settings
         values = self._settings.as_dict()

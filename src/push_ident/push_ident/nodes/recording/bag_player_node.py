@@ -62,8 +62,6 @@ class BagPlayerNode(CellNode):
 
 
 class _BagPlayer(Component):
-    """Publishers and the thread that plays."""
-
     def __init__(self, node: CellNode) -> None:
         self._node, self._settings = node, node.settings
         if not self._settings["bag"]:
@@ -79,7 +77,9 @@ class _BagPlayer(Component):
                 continue
             lossy = entry.role is Role.DEPTH and not self._settings["follower"]
             qos = LATCHED if entry.role in _LATCHED_ROLES else qos_profile_sensor_data if lossy else _RELIABLE
-            name = "/tf_static" if entry.role is Role.TF_STATIC else topic_of(entry.role, live_object_id(entry.object_id))
+            # ROS refuses topic names with a part that begins with a digit.
+            live_id = f"o{entry.object_id}" if entry.object_id[:1].isdigit() else entry.object_id
+            name = "/tf_static" if entry.role is Role.TF_STATIC else topic_of(entry.role, live_id)
             self._publishing[topic] = self._node.create_publisher(message, name, qos)
         if not self._publishing:
             raise BagError(f"{self._path}: none of its topics is of the bag contract ({', '.join(skipped)}); record or import it again.")
@@ -118,7 +118,7 @@ class _BagPlayer(Component):
                 if not self._settings["loop"]:
                     break
             if self._pace is not None and not stop.is_set():
-                self._pace.wait_for_all(stop)
+                self._pace.wait_until(stop, 0)
         if stop.is_set():
             return
         self._is_done = True
@@ -236,13 +236,10 @@ class _Pace:
             return
         self._n_sent += 1
         self._heard = time.monotonic()
-        self._wait_until(stop, RECORDING.n_ahead)
+        self.wait_until(stop, RECORDING.n_ahead)
 
-    def wait_for_all(self, stop: threading.Event) -> None:
-        """Wait until all images are done."""
-        self._wait_until(stop, 0)
-
-    def _wait_until(self, stop: threading.Event, ahead: int) -> None:
+    def wait_until(self, stop: threading.Event, ahead: int) -> None:
+        """Wait until at most so many images are not done."""
         with self._wake:
             while self._n_sent - self._n_done > ahead and not stop.is_set():
                 self._wake.wait(0.1)
@@ -251,8 +248,3 @@ class _Pace:
                         f"{self._n_sent - self._n_done} images are not done after {RECORDING.image_timeout:.0f} s; playing on"
                     )
                     self._n_done = self._n_sent
-
-
-def live_object_id(object_id: str) -> str:
-    """The id under which a recorded object can be published: ROS refuses topic names with a part that begins with a digit."""
-    return f"o{object_id}" if object_id[:1].isdigit() else object_id

@@ -62,8 +62,6 @@ class BagRecorderNode(CellNode):
 
 
 class _BagRecorder(Component):
-    """The bag of a configured node, and what is written to it."""
-
     def __init__(self, node: CellNode, path: Path) -> None:
         self._node, self._settings = node, node.settings
         quaternion = self._settings["camera_quaternion"]

@@ -105,7 +105,6 @@ def _check_free(bind: str, version: int, port: int) -> None:
 
 
 def _free_port(bind: str, version: int) -> int:
-    """A port that is free now."""
     with socket.socket(socket.AF_INET if version == 4 else socket.AF_INET6) as probe:
         probe.bind((bind, 0))
         return int(probe.getsockname()[1])

@@ -97,8 +97,6 @@ def _started_scene(values: Parameters) -> tuple[RerunScene, str]:
 
 
 class _Viewer(Component):
-    """Subscriptions and scene of a configured node."""
-
     def __init__(self, node: CellNode, scene: RerunScene, where: str) -> None:
         self._node, self._settings, self._scene, self._where = node, node.settings, scene, where
         self._stamps = StampCheck()
@@ -143,7 +141,6 @@ class _Viewer(Component):
         self._scene.set_time(stamp + self._shift)
 
     def _due(self, what: str, rate: float) -> bool:
-        """Whether `what` may be shown again."""
         last = self._shown_at.get(what, -np.inf)
         if 0 <= self._now + self._shift - last < 1.0 / rate:
             return False

@@ -112,7 +112,6 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
 
 
 def _best_random_plane(points: Float64Array, max_tilt: float) -> Float64Array:
-    """The plane through three points with the most points within 6 mm."""
     rng, n_planes = np.random.default_rng(0), 60
     scored = points[rng.integers(len(points), size=min(len(points), 1500))]
     triples = points[rng.integers(len(points), size=(n_planes, 3))]

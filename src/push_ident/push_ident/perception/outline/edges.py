@@ -238,7 +238,6 @@ def _fitted(template: Template, views: Sequence[PosedView]) -> list[PosedView]:
 
 
 def _lines_of(traced: TracedObject, outline: Float64Array, fitted: Sequence[PosedView]) -> list[EdgeLines]:
-    """Lines of sight near the edges of an outline, of each view."""
     template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, outline)))
     return [lines_near_edges(template, outline, view, pose) for view, pose in fitted]
 

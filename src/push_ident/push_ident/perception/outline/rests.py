@@ -102,8 +102,6 @@ class RestingObject:
 
 @dataclass(slots=True)
 class _RestHistory:
-    """The rests of one object."""
-
     views: list[RestView] = field(default_factory=list)
     poses: deque[Float64Array] = field(default_factory=deque)
     """In the latest frames, without a gap."""

@@ -83,7 +83,8 @@ def trace_in_parts(views: Sequence[SegmentedView], *, min_height: float, cell_co
         yield
     assert outline is not None
     x, y = polygon_centroid(outline)
-    shape = ObjectShape(cells_in_outline(outline - (x, y), _cell_size(outline, cell_count)), outline - (x, y))
+    cell_size = float(np.sqrt(abs(polygon_area(outline)) / cell_count))
+    shape = ObjectShape(cells_in_outline(outline - (x, y), cell_size), outline - (x, y))
     positions, levels = np.vstack(full), np.concatenate([stopped.level for stopped, _, _ in lines])
     if len(views) > 1:
         # Nearer to the edge than two pixels, what one view takes for the upper side may be the wall that another one sees.
@@ -264,11 +265,6 @@ def _grown(polygon: Float64Array, distance: float) -> Float64Array:
     before = np.roll(normal, 1, axis=0)
     # The corner moves along the sum of both normals, at sharp corners by at most twice the distance.
     return polygon + distance * (normal + before) / np.maximum(1.0 + np.sum(normal * before, axis=1, keepdims=True), 0.5)
-
-
-def _cell_size(outline: Float64Array, cell_count: int) -> float:
-    """Edge [m] of that many square cells with the area of the outline."""
-    return float(np.sqrt(abs(polygon_area(outline)) / cell_count))
 
 
 def _height_grid(points: Float64Array, heights: Float64Array, origin: Float64Array) -> tuple[NDArray[np.float32], Float64Array]:

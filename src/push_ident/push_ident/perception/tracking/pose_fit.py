@@ -271,7 +271,7 @@ def compare_upper_side(template: Template, view: FrameView, pose: Float64Array, 
     is_open, is_crowded = _share(passed[at_border & (distance < 0)]), _share(~passed[at_border & (distance > 0)])
     inside = distance < -0.005
     positions, height = positions[inside], lines.height[inside]
-    passed = height < template.least_top(positions) - max(NOISE_STEP, DEVIATIONS * view.noise)
+    passed = height < template.nearest_top(positions, lowest=True) - max(NOISE_STEP, DEVIATIONS * view.noise)
     n = int(np.ceil(2.0 * template.radius / _VOTE_CELL)) + 1
     cell = np.floor((positions + template.radius) / _VOTE_CELL).astype(np.int64) @ np.array([1, n])
     votes = np.bincount(cell, weights=np.where(passed, 1.0, -1.0), minlength=n * n).reshape(n, n)

@@ -375,7 +375,6 @@ def _area_beyond(segment: Segment, points: NDArray[np.float32], placed: Placed) 
 
 
 def _is_part(suspect: _Suspect, thing: NewObject) -> bool:
-    """Whether a new object may be a part of an object."""
     lower = float(thing.traced.top.max()) < suspect.height + _SAME_HEIGHT
     return lower and thing.area < _APART[1] * suspect.area and suspect.is_near(thing.traced.pose)
 

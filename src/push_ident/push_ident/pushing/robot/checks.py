@@ -97,7 +97,6 @@ def check_robot(robot: Robot) -> tuple[list[Finding], ArmKinematics | None]:
 
 
 def _frames(robot: Robot, urdf: Urdf) -> Iterator[Finding]:
-    """Root, base and tool in the URDF."""
     file, topic = robot.file, "frames"
     root = file.description.root
     if urdf.roots != [root]:
@@ -175,7 +174,6 @@ def _number(text: str) -> float:
 
 
 def _limits_of(name: str, of_urdf: list[float], of_file: list[float | None]) -> Iterator[Finding]:
-    """Faults of lower, upper and velocity of one joint."""
     (lower, upper, velocity), (file_lower, file_upper, file_velocity) = of_urdf, of_file
     low, high = (lower if file_lower is None else file_lower), (upper if file_upper is None else file_upper)
     if not np.isfinite([low, high]).all():

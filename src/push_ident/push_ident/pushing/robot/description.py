@@ -212,7 +212,6 @@ def _find(robot: Robot) -> Path:
 
 
 def _package_folders(name: str) -> Iterator[Path]:
-    """Folders of a package of Python and of one of ROS 2."""
     if name.isidentifier() and (spec := importlib.util.find_spec(name)) is not None:
         yield from (Path(folder) for folder in spec.submodule_search_locations or ())
     shares = (Path(prefix) / "share" / name for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix)

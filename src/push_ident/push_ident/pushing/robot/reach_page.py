@@ -68,7 +68,6 @@ def _arrow(reach: Reach, axis: int) -> Placed:
 
 
 def _cell(robot: Robot) -> list[Placed]:
-    """Workspace, base and camera."""
     file = robot.file
     x_min, x_max, y_min, y_max = file.workspace
     placed = [Placed(np.array([(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]), "outline", "workspace")]

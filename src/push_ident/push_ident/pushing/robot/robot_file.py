@@ -100,11 +100,6 @@ class Camera(_Part):
     sensor: str = "plain"
     """Model of it in the simulated cell."""
 
-    @property
-    def pose_in_table(self) -> Float64Array:
-        """Homogeneous, shape (4, 4)."""
-        return pose_of_quaternion(self.position, self.quaternion)
-
 
 class RobotFile(_Part):
     """Content of a robot file. Lengths in metres, angles in radians, times in seconds."""
@@ -135,7 +130,7 @@ class Robot:
     @property
     def camera_in_table(self) -> Float64Array:
         """Pose of the optical frame, shape (4, 4)."""
-        return self.file.camera.pose_in_table
+        return pose_of_quaternion(self.file.camera.position, self.file.camera.quaternion)
 
 
 def read_robot(path: Path) -> Robot:
@@ -199,7 +194,6 @@ def _check_lengths(joints: Joints) -> None:
 
 
 def _first(error: ValidationError) -> str:
-    """The first fault of a file, as one line."""
     fault = error.errors(include_url=False)[0]
     where = ".".join(str(part) for part in fault["loc"]) or "the file"
     if fault["type"] == "extra_forbidden":

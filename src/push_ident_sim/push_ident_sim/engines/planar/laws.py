@@ -184,7 +184,6 @@ def laws_of(
 
 
 def _contact_laws(effects: InjectedEffects, sim_object: SimObject, pusher_radius: float) -> dict[str, float]:
-    """The laws between pusher and object."""
     rolls = "rolling_finger" in effects
     return {
         "pusher_radius": pusher_radius,

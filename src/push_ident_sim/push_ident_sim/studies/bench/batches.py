@@ -57,7 +57,6 @@ def _single(models: Sequence[ObjectModel], paths: Sequence[PusherPath], end: Flo
 def _batch(
     models: Sequence[ObjectModel], paths: Sequence[PusherPath], end: Float64Array, n_threads: int = 1, step: float = BATCH_STEP
 ) -> Callable[[], Float64Array]:
-    """The same in one call."""
     own, pushes = _batch_models(models), [BatchPush(path, _AT_REST, np.array([last])) for path, last in zip(paths, end, strict=True)]
     return lambda: rollouts(models[0].shape, own, pushes, step=step, n_threads=n_threads)[:, :, -1]
 
@@ -155,7 +154,6 @@ def _targets(summary: Json) -> list[Target]:
 
 
 def _per_second(timing: Json) -> str:
-    """Pushes per second, median and quartiles."""
     return f"{1 / timing['median_s']:.0f} ({1 / timing['q75_s']:.0f}–{1 / timing['q25_s']:.0f})"
 
 

@@ -48,7 +48,6 @@ def _pieces(settings: Settings) -> list[Piece]:
 
 
 def _calls(model: ObjectModel, pushes: Sequence[PusherPath], settings: SimulationSettings) -> dict[str, Callable[[], object]]:
-    """What is timed: all pushes, one after the other."""
     even = replace(model, mass=np.full(len(model.mass), model.total_mass / len(model.mass)), friction=np.full(len(model.mass), 0.3))
     losses = [distance_to(simulate(even, PushScenario(push, _AT_REST, FRAMES), settings=settings).pose) for push in pushes]
 

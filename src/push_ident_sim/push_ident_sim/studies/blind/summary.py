@@ -210,7 +210,6 @@ def _calibration(cases: Sequence[Judged]) -> Json:
 
 
 def _by_probability(cases: Sequence[Judged]) -> list[Json]:
-    """The same for every range of probabilities."""
     stated, rows = _stated(_counted(cases)), []
     for low, high in pairwise(_PROBABILITIES):
         within = [(value, right) for value, right in stated if low <= value < high]

@@ -105,7 +105,6 @@ def random_shape(rng: np.random.Generator) -> ObjectShape:
 
 
 def _wavy_map(centres: Float64Array, log_std: float, rng: np.random.Generator) -> Float64Array:
-    """Three plane waves as the logarithm of a map."""
     extent = float(np.ptp(centres, axis=0).max())
     waves = sum(np.cos(centres @ rng.normal(size=2) * 4.0 / extent + rng.uniform(0, 2 * np.pi)) for _ in range(3))
     return np.exp(log_std * waves / np.std(waves))

@@ -57,7 +57,7 @@ def write_experiments(experiments: Iterable[Experiment], folder: Path, command: 
     for experiment, run in runs:
         body = _section(experiment, run, folder, written, _origin_of_experiment(experiment, run))
         written.append(folder / f"{experiment.name}.md")
-        write_whole(written[-1], f"# {experiment.title}\n\n{experiment.answer(run['summary'])}\n\n{body}", "the page")
+        write_whole(written[-1], f"# {experiment.title}\n\n{body}", "the page")
     rows = [
         [experiment.title, f"{experiment.answer(run['summary'])} [{experiment.name}]({experiment.name}.md)"] for experiment, run in runs
     ]
@@ -90,7 +90,6 @@ def write_benchmarks(benchmarks: Iterable[Benchmark], page: Path) -> list[Path]:
 
 
 def _runs(studies: Iterable[_S], folder: Path, command: str) -> list[tuple[_S, Json]]:
-    """Studies that have a file, with its content."""
     runs = [(study, read_json(path)) for study in studies if (path := folder / f"{study.name}.json").is_file()]
     if not runs:
         raise InputError(f"There is no result in {folder}; run `{command}` first.")

@@ -178,7 +178,6 @@ def run_calls(pool: ProcessPoolExecutor, calls: _Calls, report: Callable[[int, i
 
 
 def _models(experiment: Experiment, options: RunOptions) -> list[tuple[str, int]]:
-    """Objects and seeds of the ground truths."""
     objects = _objects(experiment, options)
     return [(name, options.seed + i) for i in range(options.n_models) for name in objects]
 

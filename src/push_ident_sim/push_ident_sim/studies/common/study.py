@@ -18,11 +18,6 @@ Json = dict[str, Any]
 """What `json` can write; lengths in metres, times in seconds."""
 
 
-def no_figures(summary: Json, folder: Path) -> dict[str, str]:
-    """`Study.draw` of a study whose tables say everything."""
-    return {}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
     """One question and its measurement."""
@@ -37,7 +32,7 @@ class Study:
     """The results of all parts, in one small object."""
     tables: Callable[[Json], str]
     """Markdown of a summary."""
-    draw: Callable[[Json, Path], dict[str, str]] = no_figures
+    draw: Callable[[Json, Path], dict[str, str]] = lambda summary, folder: {}
     """Write figures of a summary into a folder: file names and captions."""
 
 
