@@ -11,8 +11,10 @@ import numpy as np
 from helpers.objects import hammer, random_records
 from push_ident.diagnosis.account import Account, ExpectedErrors
 from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.policy import DecisionPolicy, NextPushPolicy, UnknownPolicy
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.selection import Candidate, Step
+from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
@@ -23,6 +25,9 @@ TRUTH = ObjectModel(_HAMMER.shape, _HAMMER.mass, _HAMMER.friction, 0.3)
 """The object that is pushed."""
 NOISE = np.array([1e-3, 1e-3, np.radians(0.5)])
 """Standard deviation of the poses [m, m, rad]."""
+
+QUICK = DiagnosisSettings(policy=DecisionPolicy(unknown=UnknownPolicy(draws=200), next_push=NextPushPolicy(candidates=24, references=8)))
+"""Fewer draws and candidate pushes than by default: what is decided from clear data is the same."""
 
 _FINE = SimulationSettings(step=1 / 1920, resolve_events=True)
 """Finer than the steps of any fit, so that their errors do not cancel."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from push_ident.geometry.outline import outline_of_cells, signed_distance
 from push_ident.geometry.se2 import transform_points
@@ -108,6 +109,14 @@ def random_records(model: ObjectModel, n: int, seed: int, *, noise: float = 1.0)
         if np.linalg.norm(end[:2] - pose[:2]) > 0.01 or abs(end[2] - pose[2]) > 0.1:
             records.append(record_of(model, pusher, pose, rng, noise=noise))
     return records
+
+
+def with_frames(record: PushRecord, frames: ArrayLike, driven: ArrayLike | None = None) -> PushRecord:
+    """The same push of which only these poses are known, and only these samples of the pusher's path."""
+    poses, pusher = record.poses, record.pusher
+    if driven is not None:
+        pusher = replace(pusher, time=pusher.time[driven], position=pusher.position[driven])
+    return replace(record, poses=PoseTrack(poses.time[frames], poses.pose[frames], poses.covariance[frames]), pusher=pusher)
 
 
 def with_forces(record: PushRecord, model: ObjectModel, effects: dict[str, list[float]] | None = None, *, std: float = 0.05) -> PushRecord:

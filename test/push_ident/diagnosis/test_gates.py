@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from helpers.diagnosis import simulated_pushes
+from helpers.objects import with_frames
 from push_ident.diagnosis.base_fit import noise_above_steps
 from push_ident.diagnosis.gates import check_data, check_pushes
 from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.identification.observing.observation import NoiseModel, observe_push
-from push_ident.types import PoseTrack, PushRecord
+from push_ident.types import PushRecord
 
 
 def failed(records: Sequence[PushRecord], policy: GatePolicy | None = None) -> list[str]:
@@ -39,10 +40,8 @@ def test_good_pushes_pass_all_gates_and_too_few_do_not(records: list[PushRecord]
 
 
 def test_pushes_with_many_missing_frames_count_by_their_poses_at_rest(records: list[PushRecord]) -> None:
-    rng, gaps = np.random.default_rng(0), []
-    for record in records:
-        poses, kept = record.poses, np.flatnonzero(rng.random(len(record.poses.time)) > 0.4)
-        gaps.append(replace(record, poses=PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept])))
+    rng = np.random.default_rng(0)
+    gaps = [with_frames(record, rng.random(len(record.poses.time)) > 0.4) for record in records]
     whole = simulated_pushes(1, 2)[0]
     state = checked(*gaps, whole)
     assert not state.abstains and any("4 of 5 pushes count by their poses at rest" in gate.finding for gate in state.gates)

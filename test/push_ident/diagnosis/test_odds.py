@@ -76,9 +76,8 @@ def test_effect_that_pushes_do_not_support_counts_with_their_evidence() -> None:
 
 
 def test_failed_tests_of_residuals_are_worth_what_their_p_value_allows() -> None:
-    none = OutsideEvidence.of(None, None, [], POLICY)
     failed = OutsideEvidence.of(None, None, [0.001], POLICY)
-    assert none == OutsideEvidence(0.0, 0.0)
+    assert OutsideEvidence.of(None, None, [], POLICY) == OutsideEvidence(0.0, 0.0)
     assert failed.in_place == failed.in_addition == pytest.approx(math.log(1.0 / (math.e * 0.001 * math.log(1000.0))))
 
 

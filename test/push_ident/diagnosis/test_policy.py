@@ -1,13 +1,51 @@
-"""The decision policy: every number is documented, and a changed number changes the hash."""
+"""The decision policy: every number is documented and hashed; what poses and outlines from a camera change in it, and their outliers."""
 
 from __future__ import annotations
 
 import ast
 import inspect
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, replace
+from itertools import pairwise
 
+import numpy as np
+import pytest
+
+from helpers.diagnosis import frame_residuals
+from helpers.objects import hammer_shape
 from push_ident.diagnosis import policy as module
-from push_ident.diagnosis.policy import DecisionPolicy
+from push_ident.diagnosis.camera import OUTLINE_ERRORS, POSE_ERRORS, camera_settings, outlier_pushes
+from push_ident.diagnosis.policy import CameraPolicy, DecisionPolicy, SelectionPolicy
+from push_ident.diagnosis.settings import DiagnosisSettings
+
+
+def test_errors_of_a_camera_join_the_base_model_once_and_an_outline_is_as_accurate_as_its_deviations_say() -> None:
+    settings = camera_settings(DiagnosisSettings(base_effects=("wear", *POSE_ERRORS[:1])), hammer_shape())
+    assert settings.base_effects[:2] == ("wear", POSE_ERRORS[0])
+    assert sorted(settings.base_effects) == sorted({"wear", *OUTLINE_ERRORS, *POSE_ERRORS})
+    traced = replace(hammer_shape(), outline_std=np.full(len(hammer_shape().outline), 1.5e-3))
+    (name,) = OUTLINE_ERRORS
+    assert settings.effect_std[name] == pytest.approx((4e-4,))
+    assert camera_settings(DiagnosisSettings(), traced).effect_std[name] == pytest.approx((1.5e-3,))
+
+
+def test_camera_raises_margins_and_noise_and_lowers_none() -> None:
+    strict = DiagnosisSettings(policy=DecisionPolicy(selection=SelectionPolicy(discrepancy_rivals=50.0)))
+    with_camera = camera_settings(strict, hammer_shape())
+    selection = with_camera.policy.selection
+    assert selection.discrepancy_rivals == 50.0 and selection.min_log_bayes_factor == pytest.approx(15.0, abs=0.1)
+    assert with_camera.policy.for_camera() == with_camera.policy
+    assert with_camera.noise.floor_position >= strict.noise.floor_position
+    assert selection.log_prior_effect == SelectionPolicy().log_prior_effect
+
+
+def test_pushes_that_disagree_with_all_others_are_outliers_unless_they_are_many() -> None:
+    policy, noise = CameraPolicy(), np.random.default_rng(2).normal(size=(8, 30, 3))
+    assert outlier_pushes(frame_residuals(noise), policy) == ()
+    # So many pushes have a common cause.
+    for pushes, outliers in (([2, 5], (2, 5)), ([2, 5, 6], ())):
+        larger = noise.copy()
+        larger[pushes] *= 3.0
+        assert outlier_pushes(frame_residuals(larger), policy) == outliers
 
 
 def test_hash_depends_on_every_number() -> None:
@@ -25,10 +63,9 @@ def test_hash_depends_on_every_number() -> None:
 
 def test_every_number_is_documented() -> None:
     """A field is followed by a string that gives its meaning and its source."""
-    for node in ast.parse(inspect.getsource(module)).body:
-        if not (isinstance(node, ast.ClassDef) and is_dataclass(getattr(module, node.name)) and node.name != "DecisionPolicy"):
-            continue
-        for statement, after in zip(node.body, [*node.body[1:], None], strict=True):
-            if isinstance(statement, ast.AnnAssign):
-                assert isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant), ast.unparse(statement)
-                assert len(str(after.value.value)) > 20, ast.unparse(statement)
+    classes = [
+        node for node in ast.parse(inspect.getsource(module)).body if isinstance(node, ast.ClassDef) and node.name != "DecisionPolicy"
+    ]
+    for statement, after in (pair for node in classes for pair in pairwise([*node.body, ast.Pass()])):
+        if isinstance(statement, ast.AnnAssign):
+            assert isinstance(after, ast.Expr) and len(ast.unparse(after)) > 20, ast.unparse(statement)

@@ -1,4 +1,4 @@
-"""Score tests of absent effects; their selection, what counts, and which rivals remain in a tie; the push that would resolve it."""
+"""Score tests of absent effects, their selection, the rivals in a tie and the push that would resolve it, and the verdict."""
 
 from __future__ import annotations
 
@@ -7,14 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.diagnosis import simulated_pushes, step_of, stub_fit
+from helpers.diagnosis import account_of_parts, frame_residuals, simulated_pushes, step_of, stub_fit
+from push_ident.diagnosis.decide import confusion_sets, decide, verdict_of
+from push_ident.diagnosis.explain import explain
 from push_ident.diagnosis.fits import fit_base, fit_effects
+from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.next_push import NO_EFFECT, competing_explanations, separating_push
-from push_ident.diagnosis.policy import NextPushPolicy, SelectionPolicy
+from push_ident.diagnosis.odds import Probabilities
+from push_ident.diagnosis.policy import NextPushPolicy, SelectionPolicy, UnknownPolicy, ValidationPolicy
 from push_ident.diagnosis.scores import EffectInformation, EffectScore, score_effects
-from push_ident.diagnosis.select import choose_refits, required_log_bayes_factor, select_effects
+from push_ident.diagnosis.select import choose_refits, required_log_bayes_factor, select, select_effects
 from push_ident.diagnosis.selection import RivalFit, Selection, Step
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
+from push_ident.diagnosis.validate import failed_tests, supported_selection, validate
+from push_ident.diagnosis.verdict import FoundEffect, Gate, Verdict
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
@@ -32,23 +39,20 @@ def test_evidence_of_an_effect_is_that_of_the_step_in_which_it_was_added() -> No
 
 
 @pytest.mark.parametrize(
-    ("rival", "found", "its", "is_tied"),
+    ("rival", "found", "tied", "excluded"),
     [
-        ("wear", 200.0, 185.0, True),
-        ("wear", 200.0, 175.0, False),
-        ("pose_latency", 200.0, 195.0, True),
-        ("pose_latency", 200.0, 185.0, False),
-        ("pose_latency", 20.0, 15.0, True),
-        ("pose_latency", 20.0, 13.0, False),
-        ("pose_latency", 10.0, 2.0, True),
-        ("pose_latency", 10.0, 0.5, False),
+        ("wear", 200.0, 185.0, 175.0),
+        ("pose_latency", 200.0, 195.0, 185.0),
+        ("pose_latency", 20.0, 15.0, 13.0),
+        ("pose_latency", 10.0, 2.0, 0.5),
     ],
 )
 def test_rivals_are_tied_within_a_margin_that_is_a_share_for_approximate_laws_and_everything_for_weak_effects(
-    rival: str, found: float, its: float, is_tied: bool
+    rival: str, found: float, tied: float, excluded: float
 ) -> None:
-    selection = Selection(stub_fit(), stub_fit("pusher_lag"), (step_of(pusher_lag=found, **{rival: its}),))
-    assert [tied.name for tied in selection.tied_rivals(POLICY)] == ([rival] if is_tied else [])
+    for its, names in ((tied, [rival]), (excluded, [])):
+        selection = Selection(stub_fit(), stub_fit("pusher_lag"), (step_of(pusher_lag=found, **{rival: its}),))
+        assert [each.name for each in selection.tied_rivals(POLICY)] == names
 
 
 def test_rivals_of_an_earlier_effect_come_from_fits_beside_all_others() -> None:
@@ -58,6 +62,7 @@ def test_rivals_of_an_earlier_effect_come_from_fits_beside_all_others() -> None:
     swaps = (RivalFit("pose_latency", "pusher_lag", fit, 2.0), RivalFit("outline_error", "pusher_lag", fit, 30.0))
     selection = Selection(base, fit, steps, swaps)
     assert [(rival.replaces, rival.name) for rival in selection.tied_rivals(POLICY)] == [("pusher_lag", "pose_latency")]
+    assert confusion_sets(selection, POLICY) == {"pusher_lag": ("pose_latency",)}
     assert list(competing_explanations(selection, POLICY)) == ["pusher_lag", "pose_latency"]
 
 
@@ -101,7 +106,6 @@ def test_effect_beside_another_is_refitted_only_where_it_promises_something() ->
     assert chosen(True, wear=3.0, restitution=-1.0) == ["wear", "restitution"]
     assert chosen(False, wear=3.0, restitution=-1.0) == ["wear"]
     assert chosen(True, outline_error=100.0, wear=5.0) == ["outline_error"]  # no rival of so much more
-    assert chosen(True) == []
     # Effects whose scores mislead about one another are refitted together.
     assert chosen(True, pose_latency=90.0, wear=5.0, pusher_lag=-5.0) == ["pose_latency", "pusher_lag"]
     # Refits bring up to five times what scores promise.
@@ -116,8 +120,7 @@ def test_base_model_at_a_poor_optimum_is_freed_before_an_effect_counts() -> None
     stuck = Fit(good.problem, displaced, good.problem.evaluate(displaced), SolveStatus.STALLED)
     assert stuck.log_evidence < good.log_evidence - 20.0
     selection = select_effects(stuck, POLICY)
-    assert not selection.selected
-    assert selection.base is selection.fit
+    assert not selection.selected and selection.base is selection.fit
     assert selection.base.log_evidence > good.log_evidence - 2.0
 
 
@@ -130,10 +133,8 @@ def information_of(**slopes: tuple[float, float]) -> EffectInformation:
 def test_effects_are_ranked_by_the_log_bayes_factor_that_they_promise() -> None:
     scores = score_effects(information_of(wear=(2.0, 1.0), pose_latency=(101.0, -60.0)), POLICY)
     assert [score.name for score in scores] == ["pose_latency", "wear"]
-    best = scores[0]
-    assert best.expected_log_bayes_factor == pytest.approx(0.5 * 60.0**2 / 101.0 - 0.5 * np.log(101.0))
-    np.testing.assert_allclose(best.start, [60.0 / 101.0])
-    np.testing.assert_allclose(best.information, [[100.0]])
+    assert scores[0].expected_log_bayes_factor == pytest.approx(0.5 * 60.0**2 / 101.0 - 0.5 * np.log(101.0))
+    assert (*scores[0].start, *scores[0].information) == pytest.approx((60.0 / 101.0, 100.0))
     assert score_effects(None, POLICY) == []
 
 
@@ -151,11 +152,10 @@ def test_no_push_distinguishes_an_error_of_the_tool_from_one_of_the_camera() -> 
     """The object lies where it is reported, and with an error of the camera elsewhere: exact twins then predict the same of every push."""
     base = fit_base(simulated_pushes(3, 1, {"tool_offset": [0.003, 0.001]}), DiagnosisSettings())
     fits = {name: fit_effects(base, (name,)) for name in ("tool_offset", "camera_translation")}
-    limits, policy = PushSettings(workspace=(-1.0, 1.0, -1.0, 1.0)), NextPushPolicy()
-    twins = separating_push(fits, np.zeros(3), limits, policy)
-    other = separating_push({"nothing": base, "tool_offset": fits["tool_offset"]}, np.zeros(3), limits, policy)
+    pairs = fits, {"nothing": base, "tool_offset": fits["tool_offset"]}, {"nothing": base, **fits}
+    limits, policy = PushSettings(workspace=(-1.0, 1.0, -1.0, 1.0)), NextPushPolicy(candidates=24)
+    twins, other, three = (separating_push(each, np.zeros(3), limits, policy) for each in pairs)
     assert twins is None and other is not None and other.mahalanobis2 > 9.0 and other.resolves
-    three = separating_push({"nothing": base, **fits}, np.zeros(3), limits, policy)
     assert three is not None and "nothing" in three.between and three.mahalanobis2 > 9.0 and not three.resolves
 
 
@@ -168,3 +168,92 @@ def test_explanations_compete_with_no_effect_with_rivals_or_with_absence() -> No
     assert names(("wear",), wear=50.0, tether=10.0) == ["without wear", "wear"]
     # No push distinguishes exact twins.
     assert names(("tool_offset",), tool_offset=50.0, camera_translation=50.0) == ["without tool_offset", "tool_offset"]
+
+
+# --- stages: gates, what held-out pushes confirm, when the cause is unknown, and the verdict
+
+
+@pytest.fixture(scope="module")
+def state() -> DiagnosisState:
+    return DiagnosisState(tuple(simulated_pushes(4, 1)), DiagnosisSettings(), DiagnosisSettings())
+
+
+def test_nothing_follows_a_gate_that_was_not_passed(state: DiagnosisState) -> None:
+    gate = Gate(False, "the pushes are too few", "Push more.")
+    failed = replace(state, data_gates=(gate,), base=stub_fit(), selection=Selection(stub_fit(), stub_fit()))
+    assert failed.abstains
+    assert select(failed, print) is failed and validate(failed, print) is failed and decide(failed) is failed
+    outcome = explain(failed, None, print)
+    assert outcome.verdict is Verdict.NOT_TRUSTWORTHY and outcome.gates == (gate,) and outcome.gap is None
+    assert "the pushes are too few" in outcome.sentence and outcome.check == "Push more."
+
+
+def test_outcome_names_pushes_that_were_set_aside_and_that_alone_support_an_effect(state: DiagnosisState) -> None:
+    residuals = frame_residuals(1.5 * np.random.default_rng(0).normal(size=(4, 25, 3)))
+    gap = Gap(np.full(4, 4e-3), np.full(4, 4e-3), np.full(4, 1e-3), np.zeros(4), np.zeros((4, 0)))
+    account, probabilities = account_of_parts(gap, 1e-3, 2e-4, 1e-4), Probabilities(0.1, 0.8, {"wear": 0.1})
+    validation = Validation(Selection(stub_fit(), stub_fit()), gap, account, residuals, residuals, probabilities, cause_is_unknown=True)
+    validation = replace(validation, unsupported=UnsupportedEffect("wear", (2,)))
+    decided = decide(replace(state, validation=validation, outliers=("push 7",)))
+    assert state.decision is None, "a stage leaves its state as it is"
+    outcome = explain(decided, None, print)
+    assert outcome.verdict is Verdict.UNKNOWN and "1.5 times" in outcome.sentence
+    assert "push 2 supports wear" in outcome.sentence and "Push 7" in outcome.sentence
+    assert outcome.next_push is None and outcome.where["push"] and outcome.residual_ratio == pytest.approx(2.25, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("log_bayes_factors", "kept", "unsupported"),
+    [
+        ([[5.0, 9.0, 4.0], [3.0, 7.0, 2.0]], ("pusher_lag", "wear"), None),
+        ([[5.0, 9.0, 4.0], [3.0, -1.5, 2.0]], ("pusher_lag",), UnsupportedEffect("wear", (1, 4))),
+        ([[5.0, 9.0, -2.0], [3.0, -1.5, 2.0]], (), UnsupportedEffect("pusher_lag", (2,))),
+    ],
+)
+def test_effect_that_one_push_supports_is_rejected_with_all_after_it(
+    log_bayes_factors: list[list[float]], kept: tuple[str, ...], unsupported: UnsupportedEffect | None
+) -> None:
+    base, lag, both = stub_fit(), stub_fit("pusher_lag"), stub_fit("pusher_lag", "wear")
+    selection = Selection(base, both, tuple(Step(fit, None, (), ()) for fit in (base, lag, both)))
+    zero, policy = np.zeros(5), ValidationPolicy()
+    folds = ((0, 3), (1, 4), (2,))
+    gap = Gap(zero, zero, zero, np.ones(3), np.zeros((3, 2)), folds, np.array(log_bayes_factors))
+    supported, found = supported_selection(selection, gap, policy)
+    assert supported.selected == kept and found == unsupported
+    assert unsupported is None or len(supported.steps) == len(kept) + 1
+    # What predicts held-out pushes worse is rejected, whatever its evidence.
+    worse = replace(gap, log_density_gain=-np.ones(3))
+    assert supported_selection(selection, worse, policy)[0].selected == ()
+    neither = Selection(base, base, selection.steps[:1])
+    assert supported_selection(neither, replace(worse, log_bayes_factor_without=np.zeros((0, 3))), policy) == (neither, None)
+
+
+def test_residuals_that_are_larger_or_smoother_than_noise_show_something_unknown() -> None:
+    rng = np.random.default_rng(2)
+    noise, slow = rng.normal(size=(14, 30, 3)), np.sin(np.linspace(0.0, 9.0, 30))[:, None] * np.ones((14, 1, 3))
+    right, smooth, large = frame_residuals(noise), frame_residuals(0.8 * noise + 0.6 * slow), frame_residuals(1.2 * noise)
+    policy = UnknownPolicy()
+    assert not failed_tests(right, right, policy, correlation_std=0.01)
+    assert all(failed_tests(right, wrong, policy, correlation_std=0.01) for wrong in (smooth, large))
+    # Correlated noise that few frames at rest cannot exclude, or errors of a camera, which depend on the pose, are as smooth.
+    assert not any(failed_tests(right, smooth, policy, correlation_std=std) for std in (0.2, np.inf))
+    # Beside a strong effect its law may leave as much.
+    assert not failed_tests(frame_residuals(5.0 * noise), smooth, policy, correlation_std=0.01)
+
+
+@pytest.mark.parametrize(
+    ("found", "sets", "verdict"),
+    [
+        ((), {}, Verdict.NO_GAP),
+        (("wear",), {}, Verdict.NAMED),
+        (("tool_offset",), {"tool_offset": ("camera_translation",)}, Verdict.ONE_OF),
+        (("tool_offset", "camera_translation"), {}, Verdict.SEVERAL),
+        (("tool_offset", "wear"), {"tool_offset": ("camera_translation",)}, Verdict.SEVERAL),
+    ],
+)
+def test_exact_twins_are_confused_and_the_verdict_counts_effects_and_rivals(
+    found: tuple[str, ...], sets: dict[str, tuple[str, ...]], verdict: Verdict
+) -> None:
+    selection = Selection(stub_fit(), stub_fit(*found), tuple(step_of(**{name: 50.0}) for name in found))
+    assert confusion_sets(selection, POLICY) == sets
+    assert verdict_of([FoundEffect(name, {}, {}, 30.0) for name in found], sets) is verdict

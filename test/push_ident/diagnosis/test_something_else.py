@@ -18,6 +18,7 @@ from push_ident.diagnosis.scores import clipped_start
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.something_else.evidence import SomethingElse, error_with_patterns, find_something_else
 from push_ident.diagnosis.something_else.family import Acts, VariesWith
+from push_ident.diagnosis.something_else.patterns import PATTERNS, pattern_families
 from push_ident.diagnosis.something_else.precision import AmplitudePrecision
 from push_ident.diagnosis.something_else.words import PatternWords, describe_pattern
 from push_ident.identification.fitting.fit import Fit
@@ -83,22 +84,32 @@ def test_friction_that_rises_with_a_push_is_found_by_forces_where_poses_do_not_c
     assert constant.log_bayes_factor < 0.0 and constant.p_value > 0.02
 
 
+def test_push_in_which_nothing_moves_has_no_friction_however_few_steps_its_response_has(plain: list[PushRecord]) -> None:
+    """Two steps, fewer than the last sample of the thinned steps may lie before them."""
+    pusher, misses = plain[0].pusher, []
+    for step in range(4):
+        time = np.append(pusher.time[:-1], pusher.time[-1] + step / 240)
+        misses.append(replace(plain[0], pusher=replace(pusher, time=time, position=pusher.position + 5.0)))
+    fit = fit_base(misses, DiagnosisSettings())
+    responses = [fit.problem.respond(fit.x, push)[1] for push in range(4)]
+    assert any(r is not None and len(r.time) < r.steps.start % PATTERNS.stride for r in responses)
+    families = pattern_families(fit)
+    assert families is not None and all(np.all(np.isfinite(family.columns)) for family in families)
+    assert not any(np.any(family.columns) for family in families if family.acts_on is Acts.FRICTION)
+
+
 def test_one_step_estimate_is_clipped_along_its_direction() -> None:
     np.testing.assert_allclose(clipped_start(np.array([3.0, 4.0]), 2.0), [1.2, 1.6])
     np.testing.assert_array_equal(clipped_start(np.array([0.3, 0.4]), 2.0), [0.3, 0.4])
 
 
 def test_patterns_of_each_push_by_blocks_give_what_all_columns_at_once_give() -> None:
-    rng = np.random.default_rng(3)
-    sizes, n_rows, n_unknowns = (4, 7, 2), 12, 5
-    blocks = [rng.normal(size=(n_rows, n)) for n in sizes]
-    jacobian = rng.normal(size=(n_rows * len(sizes), n_unknowns))
+    rng, sizes, n_rows = np.random.default_rng(3), (4, 7, 2), 12
+    blocks, jacobian = [rng.normal(size=(n_rows, n)) for n in sizes], rng.normal(size=(n_rows * len(sizes), 5))
     # The last column is nearly what the fit has explained already.
     blocks[2][:, 1] = jacobian[2 * n_rows :, 0] + 1e-4 * rng.normal(size=n_rows)
     hessian = jacobian.T @ jacobian + np.diag([1.0, 1.0, 0.3, 0.0, 0.0])
-    columns = block_diag(*blocks)
-    ends = np.cumsum([0, *sizes])
-    of_push = [slice(a, b) for a, b in pairwise(ends)]
+    columns, of_push = block_diag(*blocks), [slice(a, b) for a, b in pairwise(np.cumsum([0, *sizes]))]
     information = columns.T @ (columns - jacobian @ np.linalg.solve(hessian, jacobian.T @ columns))
     slope, scales = rng.normal(size=(sum(sizes), 3)), (0.1, 1.0, 30.0)
 

@@ -36,22 +36,17 @@ def test_thread_without_work_helps_the_other_one_and_no_processor_has_two() -> N
     # The thread of the short task, or another one in its place, takes a part of the long one.
     assert len(short) == 4 and len(set(long)) >= 2
     assert 2 <= most <= min(4, len(os.sched_getaffinity(0)))
-    # All threads are idle again.
-    most = 0
-    map_in_threads(work, range(8))
-    assert most >= 2
 
 
 def test_failure_ends_the_work() -> None:
     done = []
 
     def fail(k: int) -> None:
-        if k == 1:
-            raise ValueError("the second one fails")
-        time.sleep(0.02)
+        time.sleep(0.02 * (k != 1))
         done.append(k)
+        assert k != 1, "the second one"
 
-    with pytest.raises(ValueError, match="the second one"):
+    with pytest.raises(AssertionError, match="the second one"):
         map_in_threads(fail, range(100))
     assert len(done) < 10
 

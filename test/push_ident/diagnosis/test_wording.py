@@ -26,7 +26,7 @@ def account(before: list[float], after: list[float], *names: str, maps: float = 
 
 
 NONE, OPEN = account([1.5, 1.2, 1.3, 1.4], [1.5, 1.2, 1.3, 1.4]), account([2.5, 2.2, 3.3, 2.4], [2.5, 2.2, 3.3, 2.4])
-NAMED, WORSE = (account([4.0] * 4, [after] * 4, "table_tilt") for after in (1.5, 5.0))
+NAMED = account([4.0] * 4, [1.5] * 4, "table_tilt")
 TWO = replace(NAMED, gap=replace(NAMED.gap, names=("table_tilt", "pusher_lag"), stages={"table_tilt": np.full(4, 2e-3)}))
 SOURCES = [f"push {number}" for number in range(4)]
 TILT = FoundEffect("table_tilt", {"x": 0.0175, "y": 0.0}, {"x": 0.0017, "y": 0.0017}, 30.0)
@@ -54,12 +54,10 @@ def few(more: int | None) -> str:
             wording.sentence_of_effects([TILT, LAG], {"pusher_lag": ("pose_latency",)}, TWO),
             "table_tilt 2.0 mm, pusher_lag 0.50 mm|tau 30 ± 2 ms|pusher_lag from pose_latency|2.5 mm",
         ),
-        (wording.sentence_of_effects([TILT], {}, WORSE), "5.0 mm, 4.0 mm without"),
         (wording.sentence_of_nothing(NONE, SOURCES), "1.4 mm|1.0 mm|0.20 mm|0.10 mm|0.05 mm|within chance"),
         (wording.sentence_of_nothing(account([1.05] * 4, [0.9, 1.2] * 2), SOURCES), "0.25 mm better|90 % interval 0.10 to 0.40 mm"),
         (wording.sentence_of_nothing(OPEN, SOURCES), "2.6 mm|1.3 mm|push 2 (2.0 mm)"),
         (few(5), "0.70 mm (90 % interval 0.70 to 0.70 mm)|5 more pushes|(50, -20) mm|80 mm towards 90°"),
-        (few(1), "1 more push "),
         (few(None), "More than 100 pushes"),
         (wording.sentence_of_unknown(NONE, WORDS, 0.93, RESIDUALS, WHERE), f"0.93|{WORDS.what}|{WORDS.where}|{WORDS.look_for}"),
         (wording.sentence_of_unknown(NONE, None, 0.93, RESIDUALS, WHERE), "1.5 times|push 4"),  # people count pushes from 1
@@ -69,7 +67,6 @@ def few(more: int | None) -> str:
             "0.08|restitution (0.38), speed_dependent_friction (0.29), stribeck_friction (0.25)",
         ),
         (wording.sentence_of_unsupported("wear", ["push 3", "push 13"]), "push 3 and push 13 support wear"),
-        (wording.sentence_of_outliers(["push 3", "push 4"]), "Push 3 and push 4 disagree"),
         (wording.sentence_of_negligible([LAG]), "pusher_lag: tau 30 ± 2 ms"),
     ],
 )

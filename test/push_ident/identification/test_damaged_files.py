@@ -78,39 +78,28 @@ def test_millions_of_wrong_values_take_bounded_memory(tmp_path: Path) -> None:
     assert int(done.stdout) < 1_000_000, done.stderr  # [kB]: 8 GB where every wrong value is remembered
 
 
-def push_of(content: dict[str, Any]) -> Any:
-    return content["pushes"][0]
-
-
 TILT = {"name": "table_tilt", "value": [0.0, 0.0], "std": [0.1, 0.1]}
 STATE_DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "model of it": (lambda c: c["model"].update(total_mass=-1.0), "The total mass is -1"),
-    "pose beyond the table": (lambda c: push_of(c)["pose"].__setitem__(0, [1e6, 0.0, 0.0]), "a coordinate is"),
-    "yaw without meaning": (lambda c: push_of(c)["pose"].__setitem__(0, [0.0, 0.0, 1e300]), "a yaw is"),
-    "pose known to nothing": (lambda c: push_of(c)["pose_covariance"].__setitem__(0, (1e9 * np.eye(3)).tolist()), "entries over"),
-    "asymmetric covariance": (lambda c: push_of(c)["pose_covariance"][0][0].__setitem__(1, 1e-7), "not symmetric"),
-    "ragged covariance": (lambda c: push_of(c)["pose_covariance"][0].__setitem__(0, [1.0, 0.0]), "pose_covariance"),
-    "poses of another day": (lambda c: push_of(c)["pose_time"].__setitem__(-1, 1e6), "after the pusher"),
-    "stamps of no clock": (lambda c: push_of(c)["pose_time"].__setitem__(-1, 1e12), "a stamp is"),
-    "fewer times than poses": (lambda c: push_of(c)["pose_time"].pop(), "shape"),
-    "pusher beyond the table": (lambda c: push_of(c)["pusher"].__setitem__(0, [1e6, 0.0]), "a coordinate is"),
-    "push without end": (lambda c: push_of(c)["pusher_time"].__setitem__(-1, 3e4), "duration of a push"),
-    "path without end": (lambda c: push_of(c)["pusher"].__setitem__(0, [90.0, 0.0]), "path of the pusher"),
-    "radius of another unit": (lambda c: push_of(c).update(radius=8.0), "radius of a pusher"),
-    "forces without times": (lambda c: push_of(c).update(force=[[1.0, 0.0]]), "forces without their times"),
-    "force beyond any arm": (lambda c: push_of(c).update(wrench_time=[0.0, 0.1], force=[[1.0, 0.0], [1e9, 0.0]]), "a force is"),
-    "negative order": (lambda c: push_of(c).update(order=-1), "order"),
-    "ragged hessian": (lambda c: c["past"]["hessian"][0].pop(), "rows of 5 to 6 numbers"),
+    "pose beyond the table": (lambda c: c["pushes"][0]["pose"].__setitem__(0, [1e6, 0.0, 0.0]), "a coordinate is"),
+    "pose known to nothing": (lambda c: c["pushes"][0]["pose_covariance"].__setitem__(0, (1e9 * np.eye(3)).tolist()), "entries over"),
+    "asymmetric covariance": (lambda c: c["pushes"][0]["pose_covariance"][0][0].__setitem__(1, 1e-7), "not symmetric"),
+    "poses of another day": (lambda c: c["pushes"][0]["pose_time"].__setitem__(-1, 1e6), "after the pusher"),
+    "stamps of no clock": (lambda c: c["pushes"][0]["pose_time"].__setitem__(-1, 1e12), "a stamp is"),
+    "pusher beyond the table": (lambda c: c["pushes"][0]["pusher"].__setitem__(0, [1e6, 0.0]), "a coordinate is"),
+    "path without end": (lambda c: c["pushes"][0]["pusher"].__setitem__(0, [90.0, 0.0]), "path of the pusher"),
+    "force beyond any arm": (lambda c: c["pushes"][0].update(wrench_time=[0.0, 0.1], force=[[1.0, 0.0], [1e9, 0.0]]), "a force is"),
+    "push without end": (lambda c: c["pushes"][0]["pusher_time"].__setitem__(-1, 3e4), "duration of a push"),
+    "radius of another unit": (lambda c: c["pushes"][0].update(radius=8.0), "radius of a pusher"),
+    "forces without times": (lambda c: c["pushes"][0].update(force=[[1.0, 0.0]]), "forces without their times"),
     "hessian that is not symmetric": (lambda c: c["past"]["hessian"][0].__setitem__(1, 1e3), "not symmetric"),
     "hessian below zero": (lambda c: c["past"]["hessian"][0].__setitem__(0, -1e3), "eigenvalue"),
     "precision beyond rounding": (lambda c: c["past"]["hessian"][0].__setitem__(0, 1e300), "`hessian` has"),
     "gradient that leads nowhere": (lambda c: c["past"]["gradient"].__setitem__(0, 1e300), "`gradient` changes"),
     "point without meaning": (lambda c: c["past"]["point"].__setitem__(0, 1e300), "`point` changes"),
-    "negative number of pushes": (lambda c: c["past"].update(n_pushes=-1), "n_pushes"),
     "prior of other unknowns": (lambda c: c["prior"].update(feet=3.0), "Its prior has"),
     "prior that is infinite": (lambda c: c["prior"].update(friction=1e300), "a friction coefficient is"),
     "unknown status": (lambda c: c.update(status="SPLENDID"), "`status` is 'SPLENDID'"),
-    "negative error": (lambda c: c["record"]["latest"][0].update(error=-1.0), "0 or more"),
     "errors of no push": (lambda c: c["record"].update(n=0), "Sums of 0 errors"),
     "score of no time": (lambda c: c["record"]["latest"][0].update(start=float("nan")), "start"),
     "unknown format": (lambda c: c.update(format="push_ident/state/99"), "expected `push_ident/state/3`"),
@@ -125,11 +114,7 @@ def test_damaged_state_is_refused_with_what_is_wrong(name: str, tmp_path: Path) 
     content = json.loads(json.dumps(STATE))
     change(content)
     refused(lambda: load_state(written(tmp_path, content)), pattern)
-
-
-@pytest.mark.parametrize("text", [json.dumps(STATE)[:2000], "\x80\x04N."], ids=["cut", "no text"])
-def test_half_a_state_is_refused(text: str, tmp_path: Path) -> None:
-    refused(lambda: load_state(written(tmp_path, text)), r"file\.json")
+    refused(lambda: load_state(written(tmp_path, json.dumps(content)[:2000])), r"file\.json")
 
 
 @pytest.mark.parametrize(
@@ -142,12 +127,12 @@ def test_start_of_a_solve_that_no_fit_reaches_is_refused(start: WarmStart, tmp_p
     refused(lambda: load_state(tmp_path / "o1.state.json"), f"The start `{start.name}` has")
 
 
-def test_model_with_a_singular_covariance_cannot_be_learned_on(tmp_path: Path) -> None:
+def test_model_with_a_singular_covariance_cannot_be_learned_on() -> None:
     """Such a file passes: rounding can make a covariance singular. As information it would be without bound."""
     content = right_model()
     n = len(content["z"])
     content["covariance"] = np.full((n, n), 0.01).tolist()
-    _, posterior = load_model(written(tmp_path, content))
+    posterior = model_of_text(json.dumps(content), "it")
     with pytest.raises(InputError, match="singular"):
         OnlineIdentifier.known(posterior)
     with pytest.raises(InputError, match="singular"):
@@ -165,19 +150,15 @@ def test_model_of_an_earlier_version_states_the_same_maps() -> None:
     assert posterior.model.mass.tolist() == written["mass"] and posterior.model.friction.tolist() == written["friction"]
 
 
-def test_model_whose_effects_had_another_prior_is_refused(tmp_path: Path) -> None:
+def test_model_whose_effects_had_another_prior_is_refused() -> None:
     """Its unknowns count in units of that prior: read in others, they would be other values."""
     written = json.loads((FILES / "model_1.json").read_text())
     n = len(written["z"])
     at = n - 2  # effects come before the two scales
     written |= {"effects": ["outline_error"], "effect_values": [4e-4], "z": [*written["z"][:at], 1.0, *written["z"][at:]]}
     written["covariance"] = np.eye(n + 1).tolist()
-    (tmp_path / "model.json").write_text(json.dumps(written))
-    with pytest.raises(ModelFileError, match="`effect_values` states 0.0004, expected"):
-        load_model(tmp_path / "model.json")
-    written["effect_values"] = [2e-3]
-    (tmp_path / "model.json").write_text(json.dumps(written))
-    assert load_model(tmp_path / "model.json")[1].effects.values.tolist() == [2e-3]
+    refused(lambda: model_of_text(json.dumps(written), "it"), "`effect_values` states 0.0004, expected")
+    assert model_of_text(json.dumps(written | {"effect_values": [2e-3]}), "it").effects.values.tolist() == [2e-3]
 
 
 def test_state_of_an_earlier_version_continues(tmp_path: Path) -> None:

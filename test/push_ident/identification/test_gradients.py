@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.objects import hammer, random_records, with_forces
+from helpers.objects import hammer, random_records, with_forces, with_frames
 from push_ident.identification.fitting.problem import FitProblem, unknowns_of_push
 from push_ident.identification.solvers.autograd import reference_cost
 from push_ident.identification.unknowns.mechanics import log_derivatives_at, mechanics_at, model_at
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec, nuisance_effects
-from push_ident.types import CameraAccuracy, PoseTrack, PusherPath, PushRecord
+from push_ident.types import CameraAccuracy, PushRecord
 
 TRUTH = hammer(1)
 RECORDS = random_records(TRUTH, 2, 1)
@@ -70,11 +70,9 @@ def test_derivatives_of_the_maps_and_of_the_body(feet: int) -> None:
 
 def around_first_motion(record: PushRecord, seconds: float = 0.3) -> PushRecord:
     """The part of a push in which the object begins to move: the reference engine is slow."""
-    poses, pusher = record.poses, record.pusher
+    poses = record.poses
     end = poses.time[np.argmax(np.linalg.norm(poses.pose[:, :2] - poses.pose[0, :2], axis=1) > 0.01)]
-    kept, driven = (np.abs(time - end + seconds / 2) <= seconds / 2 for time in (poses.time, pusher.time))
-    poses = PoseTrack(poses.time[kept], poses.pose[kept], poses.covariance[kept])
-    return replace(record, poses=poses, pusher=PusherPath(pusher.time[driven], pusher.position[driven], pusher.radius))
+    return with_frames(record, *(np.abs(time - end + seconds / 2) <= seconds / 2 for time in (poses.time, record.pusher.time)))
 
 
 def test_autograd_has_the_gradient_of_its_own_cost() -> None:

@@ -21,7 +21,7 @@ from push_ident.types import PushRecord
 
 TILT = np.array([0.04, -0.02])
 """Of the table on which all pushes are made [rad]."""
-PUSHES = simulated_pushes(7, 2, {"table_tilt": TILT.tolist()}, noise=0.3 * NOISE)
+PUSHES = simulated_pushes(6, 2, {"table_tilt": TILT.tolist()}, noise=0.3 * NOISE)
 KNOWN = KnownEffect("table_tilt", TILT + 0.002, np.array([0.004, 0.004]))
 
 
@@ -106,7 +106,6 @@ def test_an_effect_that_the_pushes_contradict_is_refused_and_the_model_stays(lea
     with pytest.raises(InputError, match="fits no effects"):
         session_of(method="fast_gradient").use_effects([KNOWN], n_pushes=3)
     for name, value, std, why in (
-        ("ghosts", [0.1], [0.1], "no effect `ghosts`"),
         ("table_tilt", [0.1], [0.1], "expected 2 of each"),
         ("table_tilt", [np.nan, 0.0], [0.1, 0.1], "x = nan"),
         ("table_tilt", [0.1, 0.0], [0.1, 0.0], "positive"),

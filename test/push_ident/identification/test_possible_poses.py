@@ -2,65 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from helpers.diagnosis import simulated_pushes
-from helpers.paths import ROOT, recording
-from push_ident.bags.importers import import_cmu_icra16, import_cmu_mocap
+from helpers.objects import with_frames
 from push_ident.identification.observing.observation import rest_frames
 from push_ident.identification.online.session import ObjectSession, SessionOptions
 from push_ident.identification.predicting.possible_poses import ImpossiblePosesError, check_poses, why_no_object_ends_there
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.identification.unknowns.prior import Prior
-from push_ident.offline.loading import load_pushes
-from push_ident.types import Float64Array, PoseTrack, PushRecord, SolveStatus
+from push_ident.types import Float64Array, PushRecord
 
-TILT = ROOT / "test" / "system" / "baseline" / "bags" / "tilt"
 ASIDE, AROUND = np.array([0.15, 0.2, 0.0]), np.array([0.0, 0.0, np.pi])
 PUSHES = simulated_pushes(4, 3)
-EFFECTS: tuple[dict[str, list[float]], ...] = (
-    {"table_tilt": [0.06, 0.06]},
-    {"table_anisotropy": [0.4, 0.3]},
-    {"tool_offset": [6e-3, 6e-3]},
-    {"pusher_lag": [0.06]},
-    {"pose_latency": [0.1]},
-    {"restitution": [0.9]},
-)
-"""Three times the usual size and more."""
-
-
-def of_importer(importer: Callable[[Path, Path], object], *parts: str) -> Callable[[Path], list[PushRecord]]:
-    def read(folder: Path) -> list[PushRecord]:
-        importer(recording(*parts), folder / "bag")
-        return load_pushes([folder / "bag"]).records
-
-    return read
-
-
-SOURCES: dict[str, Callable[[Path], list[PushRecord]]] = {
-    "own engine": lambda folder: PUSHES,
-    "with effects": lambda folder: [record for effects in EFFECTS for record in simulated_pushes(2, 4, effects)],
-    "bullet": lambda folder: load_pushes([TILT]).records,
-    "another maker": lambda folder: load_pushes([recording("contract_sample", "bag")]).records,
-    "real arm": of_importer(import_cmu_icra16, "cmu_icra16", "30_90_30_30_30_90__exp_08_11_30.txt"),
-    "motion capture": of_importer(import_cmu_mocap, "cmu_mocap", "robot_multi_push_3out_3.bag"),
-}
-
-
-@pytest.fixture(scope="module", params=SOURCES)
-def pushes(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> list[PushRecord]:
-    """Of engines, a simulator that is not ours, and real arms."""
-    return SOURCES[request.param](tmp_path_factory.mktemp("bag"))
-
-
-def with_frames(record: PushRecord, frames: np.ndarray) -> PushRecord:
-    poses = record.poses
-    return replace(record, poses=PoseTrack(poses.time[frames], poses.pose[frames], poses.covariance[frames]))
 
 
 def displaced(record: PushRecord, frames: slice | np.ndarray, by: Float64Array, *, covariance: Float64Array | None = None) -> PushRecord:
@@ -110,13 +67,10 @@ def test_excursion_of_0_4_s_is_left_out_and_named_and_the_rest_stays(by: Float64
 
 
 def test_single_wrong_poses_anywhere_are_left_out() -> None:
-    record = PUSHES[0]
-    wrong = np.array([0, 7, middle(record), len(record.poses.time) - 1])
-    checked = check_poses(displaced(record, wrong, AROUND))
-    assert checked.n_left_out == 4 and not np.any(np.isin(record.poses.time[wrong], checked.record.poses.time))
-    # Flips of a tracker, one frame in seven.
-    checked = check_poses(displaced(record, np.arange(3, len(record.poses.time), 7), AROUND))
-    assert checked.n_left_out == len(np.arange(3, len(record.poses.time), 7))
+    record, n = PUSHES[0], len(PUSHES[0].poses.time)
+    for wrong in (np.array([0, 7, middle(record), n - 1]), np.arange(3, n, 7)):  # the latter as the flips of a tracker
+        checked = check_poses(displaced(record, wrong, AROUND))
+        assert checked.n_left_out == len(wrong) and not np.any(np.isin(record.poses.time[wrong], checked.record.poses.time))
 
 
 def test_poses_that_contradict_each_other_in_most_of_a_push_or_a_rest_are_not_believed() -> None:
@@ -165,13 +119,3 @@ def test_estimate_is_that_without_the_impossible_push_and_without_an_excursion()
     scores = [one.finish(PUSHES[2]) for one in (session, other)]
     assert all(score is not None and score.explained for score in scores) and session.n_pushes == 2
     np.testing.assert_array_equal(session.posterior.z, other.posterior.z)
-
-
-def test_push_that_surprises_the_model_is_learned() -> None:
-    """It turned the object the other way: wrong for the model of the pushes before, possible for another object."""
-    pose = PUSHES[2].poses.pose.copy()
-    pose[:, 2] = 2.0 * pose[0, 2] - pose[:, 2]
-    session = ObjectSession("o1", PUSHES[0].shape, SessionOptions())
-    scores = [session.finish(record) for record in (*PUSHES[:2], replace(PUSHES[2], poses=replace(PUSHES[2].poses, pose=pose)))]
-    assert session.n_pushes == 3 and scores[-1] is not None and scores[-1].mahalanobis2 > 50.0
-    assert session.status is not SolveStatus.UNEXPLAINED

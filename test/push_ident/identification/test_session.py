@@ -9,28 +9,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.objects import hammer, random_records
+from helpers.objects import hammer, random_records, with_forces, with_frames
 from push_ident.errors import InputError
 from push_ident.geometry.outline import edge_normals
 from push_ident.identification.identify import identify
+from push_ident.identification.online.identifier import OnlineIdentifier, OnlineState
 from push_ident.identification.online.session import ObjectSession, SessionOptions
 from push_ident.identification.online.state_file import load_state, save_state
+from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.identification.predicting.scoring import PushScore, RunningRecord, summarise_scores
-from push_ident.physics.accuracy import MAX_LEVEL, at_level
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import SimulationSettings, simulate
+from push_ident.physics.simulation import simulate
 from push_ident.pushing.push import PushSettings
 from push_ident.pushing.sampling import check_push
-from push_ident.types import CellGrid, ObjectShape, PoseTrack, PusherPath
+from push_ident.types import CellGrid, ObjectModel, ObjectShape, PushRecord, SolveStatus
 
 TRUTH = hammer(3)
-RECORDS = random_records(TRUTH, 5, 3)
+PUSHES = random_records(TRUTH, 12, 3)
+RECORDS = [*(with_forces(record, TRUTH) for record in PUSHES[:4]), PUSHES[4]]
 
 
-def session_in(folder: Path | None = None, shape: ObjectShape = TRUTH.shape, n_pushes: int = 0, **options: int) -> ObjectSession:
+def session_in(folder: Path | None = None, shape: ObjectShape = TRUTH.shape, n_pushes: int = 0, window: int = 8) -> ObjectSession:
     """After some pushes of an object of that shape."""
-    session = ObjectSession("o1", shape, SessionOptions(folder=folder, **options))  # type: ignore[arg-type]
-    for record in RECORDS[:n_pushes]:
+    session = ObjectSession("o1", shape, SessionOptions(folder=folder, window=window))
+    for record in PUSHES[:n_pushes]:
         session.finish(replace(record, shape=shape))
     return session
 
@@ -38,7 +41,7 @@ def session_in(folder: Path | None = None, shape: ObjectShape = TRUTH.shape, n_p
 @pytest.fixture(scope="module")
 def lived(tmp_path_factory: pytest.TempPathFactory) -> ObjectSession:
     """After all pushes, with a copy of its folder as it was after each of them."""
-    session = session_in(tmp_path_factory.mktemp("lived") / "now")
+    session = session_in(tmp_path_factory.mktemp("lived") / "now", window=2)
     for number, record in enumerate(RECORDS, 1):
         session.finish(record)
         shutil.copytree(folder_of(session), folder_of(session).with_name(str(number)))
@@ -53,7 +56,7 @@ def folder_of(session: ObjectSession) -> Path:
 def killed_after(lived: ObjectSession, number: int, tmp_path: Path) -> ObjectSession:
     """A new process with the files of one that was killed after so many pushes."""
     shutil.copytree(folder_of(lived).with_name(str(number)), tmp_path, dirs_exist_ok=True)
-    session = session_in(tmp_path)
+    session = session_in(tmp_path, window=2)
     assert session.restored and session.n_pushes == number
     return session
 
@@ -68,22 +71,30 @@ def test_each_push_is_predicted_by_the_model_fitted_to_those_before_it(lived: Ob
     assert lived.record.summary == summarise_scores(lived.record.latest) and lived.record.summary.n == 5
 
 
-@pytest.mark.parametrize("n_before", [1, 4])
-def test_killed_at_any_push_the_maps_are_those_of_the_uninterrupted_run(lived: ObjectSession, n_before: int, tmp_path: Path) -> None:
-    """The bag is played again from its start after each kill: known pushes are left out."""
-    again = killed_after(lived, n_before, tmp_path)
-    again.update(RECORDS[n_before])
-    again = session_in(tmp_path)
+def test_killed_in_any_push_the_maps_are_those_of_the_uninterrupted_run_to_the_last_bit(lived: ObjectSession, tmp_path: Path) -> None:
+    """After a SIGKILL only the file is left; the bag is played again from its start, and known pushes are left out."""
+    killed_after(lived, 3, tmp_path).update(RECORDS[3])
+    again = session_in(tmp_path, window=2)
+    assert again.online.state.past is not None
     for record in RECORDS:
         again.finish(record)
-    assert again.n_known_again == n_before
-    assert np.array_equal(again.posterior.z, lived.posterior.z) and again.record == lived.record
+    assert again.n_known_again == 3 and again.record == lived.record
+    for name in ("z", "covariance"):
+        assert np.array_equal(getattr(again.posterior, name), getattr(lived.posterior, name))
+    assert again.posterior.total_mass == lived.posterior.total_mass
+
+
+def test_pushes_that_are_summed_up_keep_what_their_forces_said_and_one_without_goes_on_in_the_same_unknowns(lived: ObjectSession) -> None:
+    first, last = load_state(folder_of(lived).with_name("1") / "o1.state.json").state.posterior.total_mass, lived.posterior.total_mass
+    assert lived.online.state.past is not None and lived.online.state.past.n_pushes == 3 and lived.online.state.prior.force_offset_std > 0
+    assert last.std < 0.7 * first.std and abs(last.value - TRUTH.total_mass) < 3.0 * last.std
+    assert lived.posterior.unknowns.blocks["total_mass"].size == 1
 
 
 def test_the_latest_pushes_are_known_in_memory_of_fixed_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("push_ident.identification.online.session.REMEMBERED_PUSHES", 2)
     session = session_in(n_pushes=3)
-    assert [session.knows(record) for record in RECORDS[:4]] == [False, True, True, False]
+    assert [session.knows(record) for record in PUSHES[:4]] == [False, True, True, False]
 
 
 def moved(shape: ObjectShape) -> ObjectShape:
@@ -108,9 +119,7 @@ def test_prediction_of_an_unfinished_push_follows_the_pusher(lived: ObjectSessio
     poses, pusher = record.poses, record.pusher
     driving = np.linalg.norm(np.diff(pusher.position, axis=0), axis=1) > 1e-6
     middle = float(pusher.time[np.flatnonzero(driving)[-1]]) - 0.25
-    before, driven = poses.time <= middle, pusher.time <= middle
-    track = PoseTrack(poses.time[before], poses.pose[before], poses.covariance[before])
-    partial = replace(record, poses=track, pusher=PusherPath(pusher.time[driven], pusher.position[driven], pusher.radius))
+    partial = with_frames(record, poses.time <= middle, pusher.time <= middle)
     assert session.update(partial) is not None
     prediction = session.predict_under_way(partial, 0.2)
     later = np.array([np.interp(middle + 0.2, poses.time, poses.pose[:, axis]) for axis in range(3)])
@@ -125,13 +134,10 @@ def test_next_push_is_suggested_with_its_prediction(lived: ObjectSession, tmp_pa
     push, prediction = suggestion
     assert push.plan is not None
     check_push(push.plan, session.shape.outline, settings)
-    np.testing.assert_array_equal(push.pose_object_in_table, np.zeros(3))
-    assert prediction.time[0] == push.pusher.time[0] and prediction.time[-1] == push.pusher.time[-1]
+    assert prediction.time[[0, -1]].tolist() == push.pusher.time[[0, -1]].tolist()
     # The push that is expected to teach most moves the object, and its prediction says how.
-    scenario = PushScenario(push.pusher, np.zeros(3), push.pusher.time[-1:])
-    levels = [at_level(SimulationSettings(), level) for level in range(MAX_LEVEL + 1)]
-    ends = [simulate(session.posterior.model, scenario, settings=numerics).pose[-1] for numerics in levels]
-    assert any(np.allclose(prediction.pose[-1], end, atol=1e-9) for end in ends)
+    end = simulate(session.posterior.model, PushScenario(push.pusher, np.zeros(3), push.pusher.time[-1:])).pose[-1]
+    np.testing.assert_allclose(prediction.pose[-1], end, atol=5e-3)
     assert np.linalg.norm(prediction.pose[-1][:2]) > 0.01 or abs(prediction.pose[-1][2]) > 0.1
 
 
@@ -164,7 +170,7 @@ def test_the_outline_after_the_cells_is_taken_until_a_push_was_learned() -> None
     session, seen = session_in(), traced(TRUTH.shape)
     session.refine_shape(seen)
     assert session.shape is seen and session.posterior.effects.names == ("outline_error",)
-    session.finish(RECORDS[0])
+    session.finish(PUSHES[0])
     session.refine_shape(TRUTH.shape)
     assert session.posterior.effects.names == ("outline_error",)
     assert session.shape.outline_std is not None and session.n_pushes == 1
@@ -173,16 +179,9 @@ def test_the_outline_after_the_cells_is_taken_until_a_push_was_learned() -> None
 def test_pushes_with_a_better_known_outline_do_not_change_the_unknowns_of_a_model() -> None:
     """As after a restart from a file that was written before outlines had deviations."""
     session = session_in(window=2)
-    for record in RECORDS[:3]:
+    for record in PUSHES[:3]:
         assert session.finish(replace(record, shape=traced(record.shape))) is not None
     assert session.n_pushes == 3 and session.posterior.effects.names == ()
-
-
-def test_a_model_with_effects_goes_on_with_them_once_adopted() -> None:
-    session = session_in()
-    session.adopt(identify(RECORDS[:2], effects=("outline_error",)).posterior, "model.json")
-    session.finish(RECORDS[2])
-    assert session.posterior.effects.names == ("outline_error",) and session.posterior.effects_std[0] < 1e-3
 
 
 def test_a_better_outline_is_used_for_the_pushes_before_it_too_until_they_are_summed_up(tmp_path: Path) -> None:
@@ -199,3 +198,75 @@ def test_a_better_outline_is_used_for_the_pushes_before_it_too_until_they_are_su
     assert again.restored and np.array_equal(again.shape.outline, better.outline) and not again.refine_shape(better)
     summed_up = session_in(None, wide, 2, window=1)
     assert not summed_up.refine_shape(better) and np.array_equal(summed_up.shape.outline, wide.outline)
+
+
+# --- the estimate: pushes that are summed up, and updates at each frame
+
+
+def pushed(records: list[PushRecord], window: int = 8) -> OnlineIdentifier:
+    online = OnlineIdentifier(OnlineIdentifier.new(TRUTH.shape), window=window)
+    for record in records:
+        online.add(record)
+    return online
+
+
+@pytest.fixture(scope="module")
+def after_two() -> OnlineState:
+    return pushed(PUSHES[:2]).state
+
+
+def mean_error(model: ObjectModel) -> float:
+    return float(held_out_errors(model, PUSHES[6:]).mean())
+
+
+def until(record: PushRecord, end: float) -> PushRecord:
+    return with_frames(record, record.poses.time <= end, record.pusher.time <= end)
+
+
+def test_pushes_summed_up_and_a_model_that_is_added_to_count_as_much_as_pushes_simulated_again() -> None:
+    """Window of 3 against all six in one solve: the same predictions and the same certainty."""
+    online, batch = pushed(PUSHES[:6], window=3), identify(PUSHES[:6]).posterior
+    assert online.n_pushes == 6 and len(online.state.records) == 3
+    assert mean_error(online.posterior.model) == pytest.approx(mean_error(batch.model), abs=3e-4)
+    assert online.posterior.pusher_friction.std == pytest.approx(batch.pusher_friction.std, rel=0.2)
+    assert np.median(online.posterior.mass_friction_std / batch.mass_friction_std) == pytest.approx(1.0, abs=0.25)
+    known = OnlineIdentifier(OnlineIdentifier.known(identify(PUSHES[:4]).posterior))
+    for record in PUSHES[4:6]:
+        known.add(record)
+    assert known.n_pushes == 2 and mean_error(known.posterior.model) == pytest.approx(mean_error(batch.model), abs=4e-4)
+
+
+def test_every_frame_of_a_push_improves_the_estimate_as_the_whole_push_does_and_leaves_no_trace(after_two: OnlineState) -> None:
+    online, without, record = OnlineIdentifier(after_two), OnlineIdentifier(after_two), PUSHES[2]
+    for end in record.poses.time[5::2]:
+        update = online.update(until(record, float(end)))
+    assert update is not None and online.n_pushes == 2
+    updated, before = mean_error(online.posterior.model), mean_error(after_two.posterior.model)
+    for other in (online, without):
+        other.add(record)
+    assert updated < before and updated == pytest.approx(mean_error(online.posterior.model), abs=1e-3)
+    assert np.array_equal(online.posterior.z, without.posterior.z)
+    # A push that is left out leaves none either.
+    finished = online.posterior
+    online.update(PUSHES[3])
+    assert online.posterior is not finished
+    assert online.drop_update() and online.posterior is finished and not online.drop_update()
+
+
+@pytest.mark.parametrize("start", ["failed fit", "adopted model"])
+def test_cell_by_cell_solver_goes_on_past_its_window(start: str, tmp_path: Path) -> None:
+    """After a fit that failed, and after a model was adopted: neither leaves unknowns that the next pushes do not have, nor does a file."""
+    state = OnlineIdentifier.known(prior_posterior(TRUTH.shape)) if start == "adopted model" else OnlineIdentifier.new(TRUTH.shape)
+    online = OnlineIdentifier(state, method="fast_gradient", window=1, max_seconds=0.1)
+    if start == "failed fit":
+        far = replace(PUSHES[0], pusher=replace(PUSHES[0].pusher, position=PUSHES[0].pusher.position + 1.0))
+        assert online.add(far).status is SolveStatus.NO_CONTACT
+    online.add(PUSHES[1])
+    if start == "failed fit":
+        save_state(tmp_path / "o1.state.json", online.state, object_id="o1", sources=["bag"])
+        kept = load_state(tmp_path / "o1.state.json")
+        assert (kept.object_id, kept.sources) == ("o1", ("bag",)) and np.array_equal(kept.state.posterior.z, online.posterior.z)
+        online = OnlineIdentifier(kept.state, method="fast_gradient", window=1, max_seconds=0.1)
+    online.add(PUSHES[2])
+    assert online.n_pushes == (3 if start == "failed fit" else 2)
+    assert len(online.posterior.z) == 2 * len(TRUTH.shape.cells) + 2

@@ -18,9 +18,6 @@ from push_ident.identification.online.identifier import OnlineIdentifier
 from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.identification.results.result import Identification
 from push_ident.identification.solvers import SOLVERS
-from push_ident.identification.unknowns.mechanics import model_at, unknowns_of_maps
-from push_ident.identification.unknowns.prior import Prior
-from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import ObjectModel, PushRecord, SolveStatus
 
 QUICK = [name for name in SOLVERS if name != "autograd"]
@@ -85,21 +82,12 @@ def test_a_spent_budget_is_a_status_and_what_is_no_limit_is_refused() -> None:
         Budget(max_seconds=-1)
 
 
-def test_unknowns_of_given_maps_are_those_maps() -> None:
-    truth = hammer(2)
-    unknowns = UnknownsSpec.of(truth.shape, Prior(), modes=np.eye(len(truth.mass)))
-    again = model_at(unknowns, unknowns_of_maps(unknowns, truth.mass, truth.friction, truth.pusher_friction))
-    assert again.mass * truth.total_mass / again.total_mass == pytest.approx(truth.mass)
-    assert again.friction == pytest.approx(truth.friction) and again.pusher_friction == pytest.approx(truth.pusher_friction)
-
-
 def test_contradictory_pushes_are_a_status_and_widen_the_posterior() -> None:
-    contradicting = []
-    for record in TRAIN:
-        pose = record.poses.pose.copy()
-        pose[len(pose) // 2 :] += (0.05, -0.05, 1.0)
-        contradicting.append(replace(record, poses=replace(record.poses, pose=pose)))
-    consistent, contradictory = identify(TRAIN), identify([*TRAIN, *contradicting])
+    def jumping(record: PushRecord) -> PushRecord:
+        later = np.arange(len(record.poses.time))[:, None] >= len(record.poses.time) // 2
+        return replace(record, poses=replace(record.poses, pose=record.poses.pose + later * [0.05, -0.05, 1.0]))
+
+    consistent, contradictory = identify(TRAIN), identify([*TRAIN, *map(jumping, TRAIN)])
     assert consistent.status is SolveStatus.CONVERGED and contradictory.status is SolveStatus.POOR_FIT
     assert contradictory.posterior.pusher_friction.std > consistent.posterior.pusher_friction.std
 

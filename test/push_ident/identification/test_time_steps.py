@@ -56,8 +56,8 @@ def _errors(records: list[PushRecord], problem: FitProblem, x: Float64Array) -> 
     errors = []
     for record in records:
         scenario = PushScenario(record.pusher, np.zeros(3), record.poses.time[-1:])
-        difference = simulate(model, scenario, settings=FINE).pose[-1] - simulate(TRUTH, scenario, settings=FINE).pose[-1]
-        errors.append(float(np.linalg.norm(difference[:2])))
+        end, true = (simulate(each, scenario, settings=FINE).pose[-1, :2] for each in (model, TRUTH))
+        errors.append(float(np.linalg.norm(end - true)))
     return float(abs(model.friction.mean() / FRICTION - 1.0)), float(np.mean(errors))
 
 
@@ -67,10 +67,8 @@ def test_fit_to_fast_pushes_recovers_the_truth_at_very_short_steps() -> None:
     coarse, x_coarse, _ = _fit(records, SimulationSettings(step=1 / 240))
     assert status is SolveStatus.CONVERGED
     # The objects coast by 27 mm, which is known to 0.2 mm a push. With steps of 1/240 s, friction takes up their error.
-    friction_error, end_error = _errors(records, problem, x)
-    assert friction_error < 0.01 and end_error < 1e-4
-    friction_error, end_error = _errors(records, coarse, x_coarse)
-    assert friction_error > 0.04 and end_error > 1e-3
+    fine_error, coarse_error = _errors(records, problem, x), _errors(records, coarse, x_coarse)
+    assert np.all(np.array(fine_error) < [0.01, 1e-4]) and np.all(np.array(coarse_error) > [0.04, 1e-3])
     assert np.median(problem.step_errors(x)) < SHARE
 
 
@@ -83,24 +81,14 @@ def test_slow_pushes_keep_the_default_step_to_the_last_bit() -> None:
     assert problem.meter.n_simulations == given.meter.n_simulations
 
 
-def test_cost_does_not_jump_while_a_fit_runs() -> None:
-    problem = FitProblem(_pushes(0.3, 4, 2e-4), UnknownsSpec.of(SHAPE, Prior(), maps=False))
-    problem.cost(np.zeros(problem.size))
-    before = list(problem.steps)
-    assert any(choice is not None and choice.level > 0 for choice in before)
-    problem.evaluate(np.full(problem.size, 0.5))
-    assert problem.steps == before
-    assert problem.of(problem.unknowns).steps == before
-    assert problem.without([0]).steps == before[1:]
-
-
-@pytest.mark.parametrize("wrong", [0.0, 1e-3])
-def test_fit_across_kinks_of_the_cost_converges(wrong: float) -> None:
+def test_fit_across_kinks_of_the_cost_converges() -> None:
     # A jerky path strikes the object at each sample; poses that are worse than stated leave large residuals.
-    records = _pushes(0.05, 8, 1e-4, path_noise=5e-5)
     rng = np.random.default_rng(3)
-    moved = [replace(r, poses=replace(r.poses, pose=r.poses.pose + wrong * rng.normal(size=(2, 3)))) for r in records]
-    problem = FitProblem(moved, UnknownsSpec.of(SHAPE, Prior()), settings=SimulationSettings(step=1 / 240))
+    records = [
+        replace(record, poses=replace(record.poses, pose=record.poses.pose + 1e-3 * rng.normal(size=(2, 3))))
+        for record in _pushes(0.05, 8, 1e-4, path_noise=5e-5)
+    ]
+    problem = FitProblem(records, UnknownsSpec.of(SHAPE, Prior()), settings=SimulationSettings(step=1 / 240))
     x, end, status = minimise(problem, np.zeros(problem.size))
     assert status is SolveStatus.CONVERGED
     assert end.cost == pytest.approx(problem.cost(x))
