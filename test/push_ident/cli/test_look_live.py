@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -19,16 +20,13 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-from helpers.commands import run_here
-from helpers.depth_scene import CAMERA, Prism, rectangle, render
+from helpers.commands import check_refused, run_here
+from helpers.depth_scene import CAMERA, SMALL, box, render
 from helpers.spinning import spinning
 from push_ident.nodes.convert.messages import depth_frame_to_msgs, transform_to_msg
-from push_ident.types import CameraIntrinsics
 
 pytestmark = pytest.mark.live
 
-SMALL = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
-BOX = Prism(rectangle(-0.1, -0.06, 0.1, 0.06), 0.1).at((0.0, 0.0, 0.4))
 Change = Callable[[Image, CameraInfo], object]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -39,7 +37,7 @@ def camera(
 ) -> Iterator[Node]:
     """A depth camera over a box, an image each `period` [s] with an info beside it, as a driver of image_transport publishes them."""
     rng = np.random.default_rng(0)
-    depths = [render([BOX], CAMERA, rng=rng, intrinsics=SMALL) for _ in range(5)]
+    depths = [render([box(0, 0, 0.2, 0.12, 0.1, 0.4)], CAMERA, rng=rng, intrinsics=SMALL) for _ in range(5)]
     beside = topic.rpartition("/")[0]
     with spinning(lambda context: Node("camera", context=context)) as node:
         images = node.create_publisher(Image, topic, qos_profile_sensor_data)
@@ -87,15 +85,9 @@ def test_topics_beside_the_image_and_a_published_pose_are_used(tmp_path: Path) -
 
 
 def test_what_ends_before_thirty_frames_is_surveyed_with_those_it_has(tmp_path: Path) -> None:
-    moved = iter(range(10**6))
-
-    def some_are_cut(image: Image, info: CameraInfo) -> None:
-        del info
-        if next(moved) % 2:
-            image.height -= 1
-
+    heights = itertools.cycle((240, 239))  # every other image is cut
     # At most 25 whole ones; 2 also where the camera is found late.
-    with camera(change=some_are_cut, period=0.1):
+    with camera(change=lambda image, info: setattr(image, "height", next(heights)), period=0.1):
         done, content = look(tmp_path, "--seconds", 5)
     assert done.returncode == 0, done.stderr
     assert 2 <= content["n_frames"] < 30
@@ -103,26 +95,24 @@ def test_what_ends_before_thirty_frames_is_surveyed_with_those_it_has(tmp_path: 
 
 
 def test_no_publisher_is_named_with_the_topics_that_have_images_and_a_topic_of_another_type(tmp_path: Path) -> None:
+    live = ("look", "--live", "--out", tmp_path, "--seconds")
     with camera("/other/depth/image_raw") as node:
         node.create_publisher(CompressedImage, "/other/depth/compressedDepth", 1)
-        other, _ = look(tmp_path, "--seconds", 5, "/other/depth/compressedDepth")
-        done, _ = look(tmp_path, "--seconds", 10)  # the other camera may be found late
-    assert other.returncode == 1 and "has messages of type sensor_msgs/msg/CompressedImage" in other.stderr, other.stderr
+        check_refused("has messages of type sensor_msgs/msg/CompressedImage", *live, 5, "/other/depth/compressedDepth")
+        done = run_here(*live, 10)  # the other camera may be found late
     assert done.returncode == 1
     assert "/depth/image_rect has no publisher within 10 s" in done.stderr and "Topics with images: /other/depth/image_raw." in done.stderr
-    done, _ = look(tmp_path, "--seconds", 0.5)
-    assert done.returncode == 1 and "No other topic has images; check ROS_DOMAIN_ID" in done.stderr
-
-
-def wrong_encoding(image: Image, info: CameraInfo) -> None:
-    del info
-    image.encoding = "rgb8"
+    check_refused("No other topic has images; check ROS_DOMAIN_ID", *live, 0.5)
 
 
 @pytest.mark.parametrize(
     ("cameras", "options", "expected"),
     [
-        ([{"change": wrong_encoding}], (), "/depth/image_rect has images of encoding 'rgb8', expected one of 16UC1, 32FC1"),
+        (
+            [{"change": lambda image, info: setattr(image, "encoding", "rgb8")}],
+            (),
+            "images of encoding 'rgb8', expected one of 16UC1, 32FC1",
+        ),
         ([{"info": False}], (), "but no camera info on /depth/camera_info (0 publishers)"),
         ([{}, {}], (), "2 publishers send images on /depth/image_rect ("),
         ([{}], ("depth/camera_info",), "expected that of the images beside it"),
@@ -135,9 +125,7 @@ def test_each_camera_that_cannot_be_used_ends_in_one_line(
     with ExitStack() as stack:
         for own in cameras:
             stack.enter_context(camera(**own))
-        done, _ = look(tmp_path, "--seconds", 4, *options)
-    assert done.returncode == 1
-    assert len(done.stderr.strip().splitlines()) == 1 and expected in done.stderr, done.stderr
+        check_refused(expected, "look", "--live", "--seconds", 4, *options, "--out", tmp_path)
 
 
 def test_options_that_no_source_or_no_live_camera_has_are_refused_at_once(tmp_path: Path) -> None:
@@ -146,8 +134,7 @@ def test_options_that_no_source_or_no_live_camera_has_are_refused_at_once(tmp_pa
         (("--live", "--intrinsics", "300,300,160,120"), "leave out --intrinsics"),
         (("--live", "."), "is a file or folder, expected a topic"),
     ):
-        done = run_here("look", *options, "--out", tmp_path)
-        assert done.returncode == 1 and expected in done.stderr and done.stderr.count("\n") == 1
+        check_refused(expected, "look", *options, "--out", tmp_path)
 
 
 def test_ctrl_c_ends_listening_without_a_traceback(tmp_path: Path) -> None:
