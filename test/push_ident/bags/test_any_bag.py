@@ -52,7 +52,7 @@ def with_more_topics_than_can_be_read(folder: Path) -> None:
 
 
 @pytest.mark.fuzz
-@fuzzed(25, shrink=False)
+@fuzzed(15, shrink=False)
 @example(with_a_name_that_is_no_text)
 @example(with_more_topics_than_can_be_read)
 @given(st.deferred(lambda: bags(SOUND)))
@@ -77,6 +77,7 @@ def model(reader: ProcessPoolExecutor, tmp_path_factory: pytest.TempPathFactory)
     return folder / "model.json"
 
 
+@pytest.mark.long
 @pytest.mark.fuzz
 @fuzzed(8, shrink=False)
 @given(st.deferred(lambda: bags(SOUND)), st.sampled_from(["identify", "diagnose", "predict"]))

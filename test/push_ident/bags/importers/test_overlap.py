@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from push_ident.errors import BagError, InputError
 from push_ident.types import Float64Array, PushRecord
 
 Rows = tuple[Float64Array, Float64Array]
+Change = Callable[[Float64Array], Float64Array]
 WithPusher = Callable[[Float64Array], TrackedPoses]
 
 
@@ -37,10 +39,36 @@ def explained(report: ImportReport) -> str:
     return report.overlap.causes[0].text
 
 
-def test_pusher_and_object_of_a_right_import_meet(tmp_path: Path, tables: TrackedPoses) -> None:
-    report = import_tracked_poses(tables, tmp_path / "bag")
-    assert fits(report) and report.overlap is not None
-    assert abs(report.overlap.miss) < 1e-3 and len(np.unique(report.overlap.push)) == 6
+def in_frame(pusher: Float64Array, x: float, y: float, yaw: float) -> Float64Array:
+    """Rows of the pusher as a robot has them whose base lies there."""
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    return np.column_stack([pusher[:, 0], (pusher[:, 1:3] - [x, y]) @ np.array([[cosine, -sine], [sine, cosine]]), pusher[:, 3]])
+
+
+@pytest.mark.parametrize(
+    ("change", "option", "mended"),
+    [
+        (lambda rows: rows, "", {}),
+        (lambda rows: rows + np.array([0.3, 0, 0, 0]), "", {"time_offset": -0.3}),
+        (lambda rows: rows[:, [0, 2, 1, 3]] * [1, -1, 1, 1], "--pusher-axes y,-x,z", {"pusher_axes": parse_axes("y,-x,z", "")}),
+        (lambda rows: rows * [1, 1, -1, 1], "--pusher-axes x,-y,-z", None),  # needs heights
+        (lambda rows: rows * [1, 100, 100, 1], "--pusher-length-unit", None),
+        (lambda rows: in_frame(rows, 0.5, -0.2, 0.4), "--pusher-frame", {"pusher_frame": np.array([0.5, -0.2, 0.4])}),
+    ],
+    ids=["right", "clock", "exchanged axes", "mirrored axis", "unit", "frame"],
+)
+def test_what_keeps_pusher_and_object_apart_is_named_with_the_option_that_mends_it(
+    tmp_path: Path, rows: Rows, with_pusher: WithPusher, change: Change, option: str, mended: dict[str, Any] | None
+) -> None:
+    tables = with_pusher(change(rows[1]))
+    if option:
+        text = explained(import_tracked_poses(tables, tmp_path / "bag"))
+        assert option in text
+        if option == "--pusher-frame":
+            frame = [float(part) for part in text.split(option)[1].split()[0].split(",")]
+            np.testing.assert_allclose(frame, [0.5, -0.2, 0.4], atol=0.02)
+    if mended is not None:
+        assert fits(import_tracked_poses(replace(tables, **mended), tmp_path / "mended"))
 
 
 def test_clocks_that_differ_are_named_with_the_offset(tmp_path: Path, rows: Rows, with_pusher: WithPusher) -> None:
@@ -48,39 +76,9 @@ def test_clocks_that_differ_are_named_with_the_offset(tmp_path: Path, rows: Rows
     report = import_tracked_poses(late, tmp_path / "bag")
     found = [cause.text for cause in report.overlap.causes if "clock" in cause.text] if report.overlap else []
     assert found and abs(float(found[0].split("add ")[1].split()[0]) + 0.3) < 0.05
-    assert fits(import_tracked_poses(replace(late, time_offset=-0.3), tmp_path / "mended"))
     late.pusher.write_text("time,x,y,push\n" + "\n".join(f"{t + 1.6e9:.4f},{x:.6f},{y:.6f},{n:.0f}" for t, x, y, n in rows[1]) + "\n")
     with pytest.raises(BagError, match="one clock.*--time-offset -1600000000"):
         import_tracked_poses(late, tmp_path / "no")
-
-
-@pytest.mark.parametrize(("axes", "turn"), [("y,-x,z", [[0, 1], [-1, 0]]), ("x,-y,-z", [[1, 0], [0, -1]])])
-def test_exchanged_or_mirrored_axes_are_named_with_the_option_that_mends_them(
-    tmp_path: Path, rows: Rows, with_pusher: WithPusher, axes: str, turn: list[list[int]]
-) -> None:
-    turned = rows[1].copy()
-    turned[:, 1:3] = rows[1][:, 1:3] @ np.array(turn)
-    wrong = with_pusher(turned)
-    assert f"--pusher-axes {axes}" in explained(import_tracked_poses(wrong, tmp_path / "bag"))
-    if axes == "y,-x,z":  # the other one also needs heights
-        assert fits(import_tracked_poses(replace(wrong, pusher_axes=parse_axes(axes, "")), tmp_path / "mended"))
-
-
-def test_lengths_of_another_unit_are_named(tmp_path: Path, rows: Rows, with_pusher: WithPusher) -> None:
-    text = explained(import_tracked_poses(with_pusher(rows[1] * [1, 1e2, 1e2, 1]), tmp_path / "bag"))
-    assert "are in cm" in text and "--pusher-length-unit" in text
-
-
-def test_a_pusher_in_the_frame_of_the_robot_is_brought_to_that_of_the_poses(tmp_path: Path, rows: Rows, with_pusher: WithPusher) -> None:
-    cosine, sine = np.cos(0.4), np.sin(0.4)
-    robot = rows[1].copy()
-    robot[:, 1:3] = (robot[:, 1:3] - [0.5, -0.2]) @ np.array([[cosine, -sine], [sine, cosine]])
-    wrong = with_pusher(robot)
-    text = explained(import_tracked_poses(wrong, tmp_path / "bag"))
-    frame = np.array([float(part) for part in text.split("--pusher-frame ")[1].split()[0].split(",")])
-    np.testing.assert_allclose(frame, [0.5, -0.2, 0.4], atol=0.02)
-    mended = import_tracked_poses(replace(wrong, pusher_frame=frame), tmp_path / "mended")
-    assert mended.overlap is not None and mended.overlap.fits
 
 
 def test_an_outline_about_another_origin_is_named(tmp_path: Path, tables: TrackedPoses, pushed: list[PushRecord]) -> None:
@@ -129,16 +127,13 @@ def test_motion_capture_with_y_up_becomes_the_table_frame(tmp_path: Path, tables
     assert fits(report) and report.n_pushes == 6
     with pytest.raises(BagError, match="no column `z`"):
         import_tracked_poses(replace(tables, axes=mocap.axes), tmp_path / "no")
+    for text, reason in (("x,y", "in the order"), ("x,x,z", "in the order"), ("y,x,z", "mirror")):
+        with pytest.raises(InputError, match=reason):
+            parse_axes(text, "--axes")
     for quaternion, reason in (([np.sqrt(0.5), 0, 0, np.sqrt(0.5)], "tilted by 90 degrees"), ([0, 0, 0, 3.0], "length other than 1")):
         wrong = table_file(mocap.poses, "time,x,y,z,qx,qy,qz,qw", np.column_stack([up[:, :4], np.tile(quaternion, (len(up), 1))]))
         with pytest.raises(BagError, match=reason):
             import_tracked_poses(replace(tables, poses=wrong), tmp_path / "no")
-
-
-@pytest.mark.parametrize(("text", "reason"), [("x,y", "in the order"), ("x,x,z", "in the order"), ("y,x,z", "mirror")])
-def test_axes_that_are_none_are_refused(text: str, reason: str) -> None:
-    with pytest.raises(InputError, match=reason):
-        parse_axes(text, "--axes")
 
 
 def test_noise_of_a_camera_is_no_motion_before_the_pusher_comes(tmp_path: Path, tables: TrackedPoses) -> None:
