@@ -136,6 +136,11 @@ def test_improved_push_is_what_the_engine_makes_of_it_and_costs_less(plan: Curve
     # Nothing near it is better: the derivative led to a minimum.
     near = best[:, None] + 0.15 * np.random.default_rng(1).normal(size=(1, 12, N_SEGMENTS, 2))
     assert np.min(pushes.roll(models, horizon, [start], near).cost) > 0.9 * rolled.cost[0, 0]
+    # A push that is due at once is the best guess, simulated once.
+    guesses = 0.1 * np.random.default_rng(0).normal(size=(1, 3, N_SEGMENTS, 2))
+    best, rolled = pushes.improve(models, horizon, [start], guesses, 3, lambda: True)
+    assert np.any(np.all(best[0] == guesses[0], axis=(1, 2)))
+    assert rolled.cost[0, 0] == np.min(pushes.roll(models, horizon, [start], guesses).cost)
 
 
 def follow(
@@ -171,14 +176,6 @@ def test_object_is_kept_on_a_circle_in_one_contact_that_is_never_lost(plan: Curv
     _, error = CIRCLE.error(poses, 0.0, CIRCLE.length)
     assert status is FollowStatus.ARRIVED and max(gaps[3:]) < 1e-3
     assert np.sqrt(np.mean(error[:, 0] ** 2)) < metres and np.sqrt(np.mean(error[:, 1] ** 2)) < np.radians(degrees)
-
-
-def test_push_that_is_due_at_once_is_the_best_guess_simulated_once(plan: CurvedPush) -> None:
-    pushes, horizon = CurvedPushes(SETTINGS, CIRCLE), Horizon.of(CIRCLE.speed, 0.08, np.array([-0.2, 0.0]))
-    guesses = 0.1 * np.random.default_rng(0).normal(size=(1, 3, N_SEGMENTS, 2))
-    best, rolled = pushes.improve(known(), horizon, [start_of(plan)], guesses, 3, lambda: True)
-    assert np.any(np.all(best[0] == guesses[0], axis=(1, 2)))
-    assert rolled.cost[0, 0] == np.min(pushes.roll(known(), horizon, [start_of(plan)], guesses).cost)
 
 
 def test_object_that_was_displaced_on_its_way_is_brought_back_by_the_same_contact(plan: CurvedPush) -> None:
@@ -266,10 +263,9 @@ def test_models_that_do_not_explain_the_push_lose_their_weight_and_a_stretch_tha
         assert np.ptp(weights.log_weight) == 0.0 if breaks else weights.log_weight[1] > np.sort(weights.log_weight)[1] + 1.0
 
 
-@pytest.mark.parametrize("seed", [2, 4])
-def test_contact_is_judged_as_far_as_corrections_look(seed: int) -> None:
-    # With the heading beside the line no face holds these objects; over its first 30 mm a contact costs least for each metre.
+def test_contact_is_judged_as_far_as_corrections_look() -> None:
+    # With the heading beside the line no face holds this object; over its first 30 mm a contact costs least for each metre.
     line = PathGoal(np.array([[-0.12, 0.0, 0.5], [0.12, 0.0, 0.5]]), 0.05, 0.003, 0.035)
-    model = random_object(np.random.default_rng(seed))
+    model = random_object(np.random.default_rng(2))
     push = CurvedPathPlanner(model.shape, SETTINGS).plan(Belief.certain(model), line.poses[0], line, 0.0)
     assert push.status is PathStatus.PUSH and push.expected_done > FollowerOptions().look_ahead and push.expected_error > 2.0

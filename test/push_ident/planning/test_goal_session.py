@@ -33,6 +33,17 @@ PUSH_SECONDS = 8.0
 LEARN_SECONDS = 2.0
 POSTERIOR = prior_posterior(SHAPE)
 FAR = np.array([-0.15, -0.15, 0.0])
+EDGE = TableEdge.between(np.array([0.15, -0.3]), np.array([0.15, 0.3]))
+OVER = EdgeGoal(EDGE)
+UNHELD = GoalRefusedError(GoalCode.NOT_HELD, "it might fall")
+NO_HELD_PUSH = GoalPush(PlanStatus.UNHELD, 0.0, risk=0.04)
+
+
+def place(x: float, y: float, yaw: float) -> Goal:
+    return Goal(np.array([x, y, yaw]), OVER.position, OVER.turn)
+
+
+AT_EDGE = place(*GOAL.pose)
 
 
 @dataclass
@@ -222,6 +233,9 @@ def test_goal_for_an_object_of_which_nothing_is_known_yet_waits_for_it() -> None
 @pytest.mark.parametrize(
     ("change", "code", "word"),
     [
+        ({"targets": []}, GoalCode.EDGE_UNKNOWN, "table_corners"),
+        ({"targets": [UNHELD]}, GoalCode.NOT_HELD, "might fall"),
+        ({"targets": [AT_EDGE], "plans": [NO_HELD_PUSH] * 2}, GoalCode.NOT_HELD, "4.0 %"),
         ({"std": 0.02}, GoalCode.TOLERANCE, "28.3 mm"),
         ({"plans": [GoalPush(PlanStatus.UNREACHABLE, 0.0)]}, GoalCode.UNREACHABLE, ""),
         ({"plans": [FloatingPointError("the model is nowhere")]}, GoalCode.MODEL, "nowhere"),
@@ -233,7 +247,8 @@ def test_goal_for_an_object_of_which_nothing_is_known_yet_waits_for_it() -> None
 )
 def test_goal_ends_with_its_code_where_neither_another_contact_nor_waiting_helps(change: Any, code: GoalCode, word: str) -> None:
     cell = Cell(**change)
-    outcome, _ = run(cell)
+    at_edge = {"goal": EdgeGoal(None) if not cell.targets else OVER} if "targets" in change else {}
+    outcome, _ = run(cell, **at_edge)
     assert outcome.code is code and word in outcome.text and len(cell.pushes) <= 1
     # Hidden by the arm for a while is not lost.
     assert run(Cell(is_visible=lambda time: not 105.0 < time < 118.0))[0].code is GoalCode.NONE
@@ -291,18 +306,6 @@ def test_newer_goal_lets_the_push_under_way_end() -> None:
 
 # --- at the edge of the table
 
-EDGE = TableEdge.between(np.array([0.15, -0.3]), np.array([0.15, 0.3]))
-OVER = EdgeGoal(EDGE)
-UNHELD = GoalRefusedError(GoalCode.NOT_HELD, "it might fall")
-NO_HELD_PUSH = GoalPush(PlanStatus.UNHELD, 0.0, risk=0.04)
-
-
-def place(x: float, y: float, yaw: float) -> Goal:
-    return Goal(np.array([x, y, yaw]), OVER.position, OVER.turn)
-
-
-AT_EDGE = place(*GOAL.pose)
-
 
 def test_place_at_an_edge_is_chosen_when_the_object_is_known_well_enough() -> None:
     """Refused before anything is known, which exploring may cure; then chosen once, after the exploring pushes."""
@@ -313,20 +316,6 @@ def test_place_at_an_edge_is_chosen_when_the_object_is_known_well_enough() -> No
     assert len(explored) == 2, "the executor chooses none: it knows of no edge"
     assert outcome.progress.target is not None and outcome.progress.overhang < 0.0 < outcome.progress.margin
     assert seen[0].target is None and np.isnan(seen[0].error[0])
-
-
-@pytest.mark.parametrize(
-    ("change", "fields", "code", "word"),
-    [
-        ({}, {"goal": EdgeGoal(None)}, GoalCode.EDGE_UNKNOWN, "table_corners"),
-        ({"targets": [UNHELD]}, {}, GoalCode.NOT_HELD, "might fall"),
-        ({"targets": [UNHELD]}, {"explore": 1}, GoalCode.NOT_HELD, "might fall"),
-        ({"targets": [AT_EDGE], "plans": [NO_HELD_PUSH] * 2}, {}, GoalCode.NOT_HELD, "4.0 %"),
-    ],
-)
-def test_goal_at_an_edge_that_cannot_be_ends_with_its_code(change: Any, fields: Any, code: GoalCode, word: str) -> None:
-    outcome, _ = run(Cell(**change), **{"goal": OVER, **fields})
-    assert outcome.code is code and word in outcome.text
 
 
 def test_where_each_push_would_risk_a_fall_another_place_is_chosen_once() -> None:
@@ -470,21 +459,12 @@ def test_path_that_cannot_be_gone_on_with_says_how_much_is_behind() -> None:
     assert limited.code is GoalCode.MAX_PUSHES and limited.progress.done == pytest.approx(0.25, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    ("path", "code"),
-    [
-        (PathGoal(PATH.poses + np.array([0.5, 0.0, 0.0])), GoalCode.OUTSIDE_WORKSPACE),
-        (PathGoal(np.array([[0.0, 0.0, 0.0], [0.001, 0.0, 3.0]]), 0.2), GoalCode.INVALID_GOAL),
-    ],
-    ids=["out of reach", "turns too fast"],
-)
-def test_path_that_cannot_be_followed_is_refused_before_anything_moves(path: PathGoal, code: GoalCode) -> None:
-    with pytest.raises(GoalRefusedError) as refused:
-        PathSession(GoalRequest("", path), PathCell()).check()  # type: ignore[arg-type]
-    assert refused.value.code is code
-
-
-def test_cancellation_in_the_middle_of_a_push_along_a_path_is_passed_on_within_a_look() -> None:
+def test_path_that_cannot_be_followed_is_refused_before_anything_moves_and_a_cancellation_is_passed_on_within_a_look() -> None:
+    away, turning = PATH.poses + np.array([0.5, 0.0, 0.0]), np.array([[0.0, 0.0, 0.0], [0.001, 0.0, 3.0]])
+    for path, code in ((PathGoal(away), GoalCode.OUTSIDE_WORKSPACE), (PathGoal(turning, 0.2), GoalCode.INVALID_GOAL)):
+        with pytest.raises(GoalRefusedError) as refused:
+            PathSession(GoalRequest("", path), PathCell()).check()  # type: ignore[arg-type]
+        assert refused.value.code is code
     cell = PathCell(wants=lambda cell: Wish.HOLD if cell.time > 101.0 else Wish.GO_ON)
     outcome, _ = follow((0.12, PushCode.NONE), cell=cell)
     assert outcome.code is GoalCode.CANCELED and cell.cancelled and cell.time < 103.0

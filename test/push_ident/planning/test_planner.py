@@ -11,7 +11,7 @@ import pytest
 from helpers.objects import square, uniform
 from push_ident.errors import InputError
 from push_ident.geometry.outline import signed_distance
-from push_ident.geometry.se2 import compose, inverse, transform_points
+from push_ident.geometry.se2 import compose, transform_points
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.batch import BatchPush, rollouts
@@ -75,7 +75,7 @@ def test_refined_push_ends_nearer_to_the_goal() -> None:
     assert np.sum(np.array(left) < 0.01) >= 2
 
 
-@pytest.mark.parametrize("wanted", [(0.05, 0.02, 0.3), (-0.1, 0.12, 2.5), (0.0, 0.004, -0.2)])
+@pytest.mark.parametrize("wanted", [(-0.1, 0.12, 2.5), (0.0, 0.004, -0.2)])
 def test_known_object_reaches_its_goal(wanted: tuple[float, float, float]) -> None:
     goal, pose = Goal(np.array(wanted), 0.005, np.radians(2.0)), np.zeros(3)
     for _ in range(6):
@@ -97,15 +97,6 @@ def test_unknown_object_expects_what_it_cannot_know() -> None:
     # An error of the pose displaces the contact: a known object whose heading is known too turns otherwise.
     blurred = PLANNER.plan(KNOWN, np.zeros(3), np.diag([2e-3, 2e-3, 1e-5]) ** 2, goal)
     assert np.std(blurred.ends[:, 2]) > 5e-3
-
-
-def test_plan_turns_with_the_object() -> None:
-    pose, goal = np.array([0.1, -0.05, 1.0]), Goal(np.array([0.05, 0.03, 0.4]), 0.01, 0.05)
-    here = PLANNER.plan(KNOWN, np.zeros(3), SURE, goal)
-    # A covariance that is the same in all directions turns with the object too.
-    there = PLANNER.plan(KNOWN, pose, SURE, replace(goal, pose=compose(pose, goal.pose)))
-    assert here.plan is not None and there.plan is not None
-    np.testing.assert_allclose(compose(inverse(pose), there.end), here.end, atol=2e-3)
 
 
 def test_pushes_stay_within_the_workspace_and_failed_ones_are_not_repeated() -> None:
@@ -135,13 +126,12 @@ def test_goals_that_are_reached_pose_that_is_too_uncertain_and_walls_have_a_stat
     assert plan.status is PlanStatus.UNREACHABLE and plan.plan is None
 
 
-@pytest.mark.parametrize("y", [-0.01, 0.01])
-def test_object_is_pushed_around_a_block_in_its_way(y: float) -> None:
+def test_object_is_pushed_around_a_block_in_its_way() -> None:
     """Tool and object stay clear of it, and what is shaped like a disc needs no turn for that."""
     around = np.linspace(0.0, 2 * np.pi, 17)[:-1]
     disc = uniform(square(5, 0.012), 0.5, 0.3)
     disc = replace(disc, shape=ObjectShape(disc.shape.cells, 0.034 * np.column_stack([np.cos(around), np.sin(around)])))
-    planner, wall = GoalPlanner(disc.shape, SETTINGS), block(-0.01, y - 0.03, 0.01, y + 0.03)
+    planner, wall = GoalPlanner(disc.shape, SETTINGS), block(-0.01, -0.02, 0.01, 0.04)
     pose, goal, ways = np.array([-0.12, 0.0, 0.0]), Goal(np.array([0.12, 0.0, 0.0]), 0.01, np.pi), []
     for _ in range(8):
         plan = planner.plan(Belief.certain(disc), pose, SURE, goal, obstacles=[wall])
@@ -160,11 +150,8 @@ def test_goal_checks_its_numbers_and_its_chance_agrees_with_the_distribution() -
         Goal(np.array([0.0, np.nan, 0.0]))
     with pytest.raises(InputError, match="tolerance of the yaw"):
         Goal(np.zeros(3), yaw=0.0)
-    goal, pose, std = (
-        Goal(np.array([0.0, 0.0, np.pi - 0.01]), 0.01, 0.05),
-        np.array([0.002, 0.0, np.pi + 0.01]),
-        np.array([8e-3, 4e-3, 0.03]),
-    )
+    goal, pose = Goal(np.array([0.0, 0.0, np.pi - 0.01]), 0.01, 0.05), np.array([0.002, 0.0, np.pi + 0.01])
+    std = np.array([8e-3, 4e-3, 0.03])
     drawn = np.random.default_rng(5).normal(size=(40_000, 3)) * std + pose
     assert goal.chance(pose, np.diag(std) ** 2) == pytest.approx(np.mean(goal.relative_error(drawn) <= 1.0), abs=0.03)
 
@@ -177,11 +164,8 @@ def test_a_camera_elsewhere_changes_no_push_of_the_arm() -> None:
     assert plain.plan is not None and seen.plan is not None
     np.testing.assert_allclose(seen.plan.contact_point, plain.plan.contact_point, atol=1e-6)
     np.testing.assert_allclose(seen.end, compose(camera, plain.end), atol=1e-6)
-
-
-def test_what_pushes_show_of_the_camera_is_part_of_the_belief() -> None:
-    prior = Prior(camera_position_std=2e-3, camera_heading_std=5e-3)
-    posterior = prior_posterior(MODEL.shape, prior)
+    # What pushes show of it is part of the belief.
+    posterior = prior_posterior(MODEL.shape, Prior(camera_position_std=2e-3, camera_heading_std=5e-3))
     z = posterior.z.copy()
     z[posterior.unknowns.slices["effects"]] = 1.0
     belief = Belief.of(replace(posterior, z=z))
@@ -234,11 +218,9 @@ def test_known_object_follows_a_line_in_few_contacts_and_stays_near_it() -> None
     assert np.sqrt(np.mean(error[:, 0] ** 2)) < 0.006 and np.sqrt(np.mean(error[:, 1] ** 2)) < np.radians(6.0)
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
-def test_object_far_beside_its_path_is_brought_back_before_it_goes_on(side: float) -> None:
-    middle = LINE.at(LINE.length / 2)
-    across = float(LINE.direction(LINE.length / 2)) + side * np.pi / 2
-    pose, done = middle + np.array([0.04 * np.cos(across), 0.04 * np.sin(across), side * 0.117]), LINE.length / 2
+def test_object_far_beside_its_path_is_brought_back_before_it_goes_on() -> None:
+    across, done = float(LINE.direction(LINE.length / 2)) + np.pi / 2, LINE.length / 2
+    pose = LINE.at(done) + np.array([0.04 * np.cos(across), 0.04 * np.sin(across), 0.117])
     for _ in range(2):
         plan = PATHS.plan(KNOWN, pose, LINE, done)
         assert plan.plan is not None
@@ -247,15 +229,6 @@ def test_object_far_beside_its_path_is_brought_back_before_it_goes_on(side: floa
     assert error[0] < 0.006 and error[1] < np.radians(5.0)
     # A part of the way that pushes along the path would have taken.
     assert place < LINE.length / 2 + 0.04
-
-
-def test_failed_pushes_are_not_repeated_and_none_is_proposed_out_of_reach() -> None:
-    first = PATHS.plan(KNOWN, LINE.poses[0], LINE, 0.0).plan
-    assert first is not None
-    second = PATHS.plan(KNOWN, LINE.poses[0], LINE, 0.0, failed=[first]).plan
-    assert second is not None and np.linalg.norm(second.contact_point - first.contact_point) > 0.003
-    away = PathPlanner(MODEL.shape, replace(SETTINGS, workspace=(1.0, 2.0, 1.0, 2.0)), LINE.speed)
-    assert away.plan(KNOWN, LINE.poses[0], LINE, 0.0).status is PathStatus.UNREACHABLE
 
 
 def test_place_on_a_path_that_crosses_itself_is_the_one_that_comes_next() -> None:
@@ -277,6 +250,8 @@ def test_what_cannot_be_followed_is_refused_with_a_code_and_a_remedy() -> None:
     with pytest.raises(GoalRefusedError, match="go at 0.* m/s or less") as refusal:
         check_path(turning, MODEL.shape, SETTINGS)
     assert refusal.value.code is GoalCode.INVALID_GOAL
+    away = PathPlanner(MODEL.shape, replace(SETTINGS, workspace=(1.0, 2.0, 1.0, 2.0)), LINE.speed)
+    assert away.plan(KNOWN, LINE.poses[0], LINE, 0.0).status is PathStatus.UNREACHABLE
 
 
 def test_numbers_and_files_of_paths_are_checked(tmp_path: Path) -> None:
@@ -298,8 +273,7 @@ def test_numbers_and_files_of_paths_are_checked(tmp_path: Path) -> None:
 
 def test_steered_pushes_are_chosen_where_a_face_holds_the_line_and_straight_ones_where_none_does() -> None:
     model = plate(8, 3)
-    settings, belief = PushSettings(workspace=(-0.5, 0.5, -0.5, 0.5), pusher_radius=0.008, clearance=0.02), Belief.certain(model)
-    steps = PathSteps(model.shape, settings, 0.06)
+    belief, steps = Belief.certain(model), PathSteps(model.shape, replace(SETTINGS, workspace=(-0.5, 0.5, -0.5, 0.5)), 0.06)
     ahead = PathGoal(np.array([[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0]]), 0.05, 0.003, 0.035)
     step = steps.plan(belief, ahead.poses[0], ahead, 0.0)
     assert step.steered is not None and step.follower is not None and step.expected_done > 0.05

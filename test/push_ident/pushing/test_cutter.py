@@ -64,20 +64,6 @@ def test_unfinished_push_grows() -> None:
     assert cutter.finished(flush=True) == [] and cutter.partial("o1") is None
 
 
-def test_push_is_not_handed_out_before_its_forces_have_arrived() -> None:
-    cutter = cutter_of("o1")
-    cutter.add_wrench(0.0, np.zeros(2))
-    for time in times(0, 5):
-        cutter.add_pose("o1", time, np.zeros(3), COVARIANCE)
-        if 1 <= time <= 2:
-            cutter.add_pusher(time, np.array([time, 0.0]))
-    assert cutter.finished() == []
-    for time in times(0.05, 5):
-        cutter.add_wrench(time, np.array([time, 0.0]))
-    pushes = [push for _ in range(5) for push in cutter.finished()]
-    assert len(pushes) == 1 and pushes[0].records[0].wrench is not None and len(pushes[0].records[0].wrench.time) == 21
-
-
 def test_looped_bag_drops_what_a_slower_topic_still_had_to_say_of_the_run_before() -> None:
     cutter = cutter_of("o1")
     for time in times(0, 10):
@@ -286,18 +272,6 @@ def test_samples_behind_the_end_of_a_record_that_came_before_them_belong_to_its_
     assert [push.interval.push_id for push in (first, second)] == [1, 1] and not (first.unrecorded or second.unrecorded)
     assert first.records[0].poses.time[-1] == pytest.approx(3.4), "the poses at rest after it"
     assert second.records[0].poses.time[0] == pytest.approx(5.5)
-
-
-def test_run_after_a_pause_of_just_the_gap_is_a_push_where_nobody_writes_records() -> None:
-    """By rounding the pause is more than the gap, and the run begins no later than the gap allows."""
-    assert 2.2 - 1.7 > 0.5 and 2.2 <= 1.7 + 0.5
-    cutter = PushCutter(0.5)
-    cutter.set_shape("o1", hammer_shape())
-    for time in times(0, 6):
-        cutter.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
-    for time in (1.6, 1.65, 1.7, 2.2, 2.25, 2.3, 2.9, 2.95, 3.0):
-        cutter.add_pusher(time, np.array([0.1 * time, 0.2]))
-    assert len(cutter.finished(flush=True)) == 3
 
 
 def test_push_during_which_the_pusher_paused_is_handed_out_once() -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from push_ident.pushing.pacing import SPLICE, PathPacing
+from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.trajectory import JointTrajectory, join, joint_move, path_at_speed, stand_still
 from push_ident.types import Float64Array
 from push_ident_sim.cell.trajectory import JointTrajectory as Followed
@@ -119,15 +119,3 @@ def test_halt_is_one_point_on_the_path_at_which_the_arm_stands_sooner_than_by_it
     assert np.abs(PLAN.position - halt.position).max(axis=1).min() < 1.3 * ONE_SAMPLE
     assert pacing.path_time(10.0) < pacing.path_time(0.59) + 0.2 and not pacing.is_complete
     assert pacing.time_of(PLAN.duration) == math.inf
-
-
-def test_point_of_a_piece_is_far_enough_ahead_for_a_smooth_splice_and_its_horizon_ends_with_the_plan() -> None:
-    first = PathPacing(PLAN, LIMIT, HORIZON, 5.0).piece(5.0)
-    assert first.time[0] == pytest.approx(SPLICE) and len(first.time) <= 25
-    assert PathPacing(PLAN, LIMIT, HORIZON, 5.0).piece(5.0, splice=0.06).time[0] == pytest.approx(0.06)
-    pacing = PathPacing(PLAN, LIMIT, HORIZON, 0.0)
-    for now in regular(PLAN.duration):
-        if pacing.is_complete:
-            break
-        piece = pacing.piece(now)
-    assert piece.position[-1] == pytest.approx(PLAN.position[-1]) and len(piece.time) > 1

@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.memory_cell import PARKED, SETTINGS
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.pushing.motion import MotionSettings, PathPlan, plan_path_push
+from push_ident.pushing.motion import PathPlan, plan_path_push
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.steering import CorrectionFault, PathRequest, Steering, ToolCorrection
 from push_ident.pushing.tool_path import Corridor, ToolMotion, ToolPath, rounded, stopping
 from push_ident.types import Float64Array
-from push_ident_sim.cell.robot import HOME
 
-PARKED = (0.5, *HOME[1:])
-MOTION = MotionSettings(home=PARKED, free_speed=0.5, settle=0.2, rest=0.4)
+MOTION = SETTINGS.motion
 LIMITS = PushSettings(workspace=(-0.1, 0.2, -0.25, 0.25))
 ANGLE = np.linspace(0.0, 1.2, 30)
 BEND = np.vstack([[-0.03, 0.0], np.column_stack([0.12 * np.sin(ANGLE), 0.12 * (1.0 - np.cos(ANGLE))])])
@@ -49,13 +48,6 @@ def check_motion(kinematics: ArmKinematics, plan: PathPlan) -> None:
     np.testing.assert_allclose(np.diff(trajectory.position, axis=0), step * mean, atol=2e-4)
     np.testing.assert_allclose(np.diff(trajectory.time), 0.01, atol=2e-3)
     assert np.all(trajectory.velocity[-1] == 0.0) and plan.duration == pytest.approx(plan.rested)
-
-
-def test_border_of_a_corridor_is_half_its_width_away_also_inside_a_bend_that_is_narrower() -> None:
-    for corridor in (CORRIDOR, Corridor(0.25 * BEND, 0.04)):
-        border = corridor.outline()
-        np.testing.assert_allclose(Corridor(corridor.line, 1e-6).excess(border), 0.04, rtol=0.06)
-        assert len(border) > len(corridor.line), "both sides"
 
 
 def test_tool_keeps_to_its_path_and_rounds_its_corners_within_its_acceleration() -> None:
@@ -240,7 +232,9 @@ def test_told_to_stop_the_tool_stops_at_once_and_waits_for_nothing(kinematics: A
         own.offer(correction(stamp=NOW))
 
 
-def test_path_out_of_its_corridor_and_senseless_timeouts_are_refused() -> None:
+def test_corridor_has_its_border_and_what_leaves_it_and_senseless_timeouts_are_refused() -> None:
+    for corridor in (CORRIDOR, Corridor(0.25 * BEND, 0.04)):
+        np.testing.assert_allclose(Corridor(corridor.line, 1e-6).excess(corridor.outline()), 0.04, rtol=0.06)
     with pytest.raises(InputError, match="leaves its corridor"):
         PathRequest(PATH, Corridor(BEND[:5], 0.01))
     with pytest.raises(InputError, match="correction_timeout"):

@@ -9,9 +9,9 @@ import pytest
 
 from push_ident.errors import InputError
 from push_ident.types import CameraIntrinsics
-from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, DepthNoise, Mesh, Placed, View, look_at
+from push_ident_sim.cell.camera import INTRINSICS, DepthCamera, Mesh, Placed, View
 from push_ident_sim.cell.sensor_unit import Sensor
-from push_ident_sim.cell.sensors import PLAIN, SENSORS, AxialNoise, SensorModel, suitable_pose
+from push_ident_sim.cell.sensors import SENSORS, AxialNoise, SensorModel, suitable_pose
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.recording import RecordingSettings
 
@@ -128,16 +128,13 @@ def test_ragged_edge_has_the_stated_spread_and_some_of_its_pixels_fly() -> None:
 def test_surfaces_that_are_grazing_dark_or_out_of_the_second_picture_read_less() -> None:
     depth = read(SensorModel("band", SMALL, baseline=0.05, common_field=True), plane(0.5))
     assert np.all(np.isnan(depth[:, :30])) and np.all(np.isfinite(depth[:, 30:]))
-    view = plane(1.0)
-    view.cosine[:, 100:200], view.cosine[:, 200:] = np.cos(np.radians(80.0)), np.cos(np.radians(86.0))
-    model = SensorModel("grazing", SMALL, grazing=(np.radians(75.0), np.radians(85.0)))
-    share = [np.mean(np.isfinite(part)) for part in np.split(read(model, view), [100, 200], axis=1)]
-    assert share == pytest.approx([1.0, 0.5, 0.0], abs=0.03)
-    view = plane(2.0)
-    view.albedo[:, 100:200], view.albedo[:, 200:] = 0.2, 0.04
-    dark = read(SensorModel("dark", SMALL, signal=(0.02, 0.08)), view)
-    share = [np.mean(np.isfinite(part)) for part in np.split(dark, [100, 200], axis=1)]
-    assert share == pytest.approx([1.0, 0.5, 0.0], abs=0.03)
+    grazing, dark = plane(1.0), plane(2.0)
+    grazing.cosine[:, 100:200], grazing.cosine[:, 200:] = np.cos(np.radians(80.0)), np.cos(np.radians(86.0))
+    dark.albedo[:, 100:200], dark.albedo[:, 200:] = 0.2, 0.04
+    for view, law in ((grazing, {"grazing": (np.radians(75.0), np.radians(85.0))}), (dark, {"signal": (0.02, 0.08)})):
+        depth = read(SensorModel("weak", SMALL, **law), view)
+        share = [np.mean(np.isfinite(part)) for part in np.split(depth, [100, 200], axis=1)]
+        assert share == pytest.approx([1.0, 0.5, 0.0], abs=0.03)
 
 
 def test_images_repeat_with_the_seeds_and_what_stands_still_is_of_the_unit() -> None:
@@ -150,7 +147,7 @@ def test_images_repeat_with_the_seeds_and_what_stands_still_is_of_the_unit() -> 
     assert not np.array_equal(first, other, equal_nan=True)
 
 
-@pytest.mark.parametrize("name", ["plain", "xtion", "realsense_d415_640x480", "phoxi"])
+@pytest.mark.parametrize("name", ["plain", "phoxi"])
 def test_sensor_sees_an_object_and_all_of_the_workspace(name: str) -> None:
     sensor, reported = Sensor(name), suitable_pose(name)
     sim_object, intrinsics = make_object("toolbox"), sensor.intrinsics
@@ -186,17 +183,6 @@ def test_true_lens_displaces_a_point_by_the_stated_distortion(camera: DepthCamer
     # The left edge of its top is at x = 0.25 m, z = 0.9 m; a pixel at r shows what else is at r (1 + k r^2).
     r = 0.25 / 0.9
     assert left[0] - left[1] == pytest.approx(INTRINSICS.fx * k * r**3, abs=1.0)
-
-
-def test_plain_sensor_is_the_depth_noise() -> None:
-    sim_object, pose = make_object("hammer"), look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
-    sensor = Sensor(PLAIN)
-    camera = sensor.camera(sim_object, pose)
-    expected = DepthNoise().apply(DepthCamera(sim_object, pose).render((0.1, 0.0, 0.2), {}), np.random.default_rng(5))
-    seen = sensor.look(camera, (0.1, 0.0, 0.2), {})
-    for _ in range(2):  # reading leaves what was seen as it is
-        np.testing.assert_array_equal(sensor.read(seen, np.random.default_rng(5)), expected)
-    np.testing.assert_array_equal(suitable_pose(PLAIN), pose)
 
 
 def test_impossible_sensors_are_refused() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,8 +33,8 @@ G = 9.81
 
 
 @contextmanager
-def cell(sim_object: SimObject) -> Iterator[CellWorld]:
-    world = CellWorld(sim_object)
+def cell(sim_object: SimObject, **config: Any) -> Iterator[CellWorld]:
+    world = CellWorld(sim_object, WorldConfig(**config))
     try:
         for _ in range(10):
             world.step()
@@ -77,9 +78,6 @@ def push(world: CellWorld, start: tuple[float, float], direction: tuple[float, f
     return np.array(rows)
 
 
-# --- objects -------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", OBJECT_NAMES)
 def test_every_object_has_the_cells_and_the_mass_of_the_experiment(name: str) -> None:
     truths = [make_object(name, seed) for seed in range(20)]
@@ -96,20 +94,17 @@ def test_every_object_has_the_cells_and_the_mass_of_the_experiment(name: str) ->
 @pytest.mark.parametrize("name", OBJECT_NAMES)
 def test_every_side_of_the_outline_lies_on_one_rectangle(name: str) -> None:
     item = make_object(name)
-    boxes = [np.concatenate([centre - edges / 2, centre + edges / 2]) for centre, edges in outline_rectangles(item.cells, item.cell_size)]
-    inside = [np.any([np.all((b[:2] < c) & (c < b[2:])) for b in boxes]) for c in item.cells]
-    assert all(inside)
     assert polygon_area(item.outline) == pytest.approx(len(item) * item.cell_size**2)
-    for box in boxes:
-        corners = np.array([[box[i], box[j]] for i in (0, 2) for j in (1, 3)])
-        assert np.all(signed_distance(0.999 * corners + 0.001 * (box[:2] + box[2:]) / 2, item.outline) < 0)
+    rectangles = outline_rectangles(item.cells, item.cell_size)
+    boxes = [np.concatenate([centre - edges / 2, centre + edges / 2]) for centre, edges in rectangles]
+    assert all(any(np.all((box[:2] < cell) & (cell < box[2:])) for box in boxes) for cell in item.cells)
+    for (centre, edges), box in zip(rectangles, boxes, strict=True):
+        corners = centre + 0.4995 * edges * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+        assert np.all(signed_distance(corners, item.outline) < 0), box
     for a, b in zip(item.outline, np.roll(item.outline, -1, axis=0), strict=True):
-        on_border = [
-            np.all((box[:2] - 1e-9 <= p) & (p <= box[2:] + 1e-9) for p in (a, b))
-            and any(abs(a[k] - box[k + side]) < 1e-9 and abs(b[k] - box[k + side]) < 1e-9 for k in (0, 1) for side in (0, 2))
-            for box in boxes
-        ]
-        assert any(on_border)
+        holding = [box for box in boxes if np.all((box[:2] - 1e-9 <= [a, b]) & ([a, b] <= box[2:] + 1e-9))]
+        # Along one side of it, not through its middle.
+        assert any(np.min(np.abs(box.reshape(2, 2) - a) + np.abs(box.reshape(2, 2) - b)) < 2e-9 for box in holding)
 
 
 def test_object_refuses_cells_that_are_not_one_piece_on_a_grid() -> None:
@@ -119,9 +114,6 @@ def test_object_refuses_cells_that_are_not_one_piece_on_a_grid() -> None:
             SimObject("two", 0.01, np.array([[0.0, 0.0], [step, 0.0]]), ones, ones, ones, 0.3)
     with pytest.raises(InputError, match="expected one of hammer"):
         make_object("spoon")
-
-
-# --- physics -------------------------------------------------------------------------------------------------------------
 
 
 def test_every_cell_bears_its_own_weight_at_rest_and_when_sliding() -> None:
@@ -166,14 +158,24 @@ def test_turning_and_sliding_hammer_feels_coulomb_friction_on_every_cell() -> No
     np.testing.assert_allclose(lost, expected, rtol=0.03)
 
 
-def test_slow_central_push_needs_the_sliding_friction_force() -> None:
-    with cell(block(friction=0.35, mass=0.6)) as world:
-        rows = push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.05, distance=0.09)
-    steady = rows[len(rows) * 2 // 3 :, 8:].mean(axis=0)
-    assert steady[0] == pytest.approx(0.35 * 0.6 * G, rel=0.02)
-    assert abs(steady[1]) < 0.05
-    touched = rows[np.argmax(rows[:, 8] > 0.01), 3]
-    assert touched == pytest.approx(-0.06 - PUSHER_RADIUS, abs=4e-4)
+def test_central_push_needs_the_sliding_friction_force_and_effects_act_on_tool_and_table() -> None:
+    """The tool is not where the arm has it, and wears the table from push to push."""
+    sliding, effects = 0.35 * 0.6 * G, InjectedEffects.of({"wear": 0.1, "tool_offset": (0.003, 0.0)})
+    with cell(block(friction=0.35, mass=0.6), effects=effects) as world:
+        for force in (sliding, 1.1 * sliding):
+            rows = push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.1, distance=0.08)
+            steady = rows[len(rows) * 2 // 3 :, 8:].mean(axis=0)
+            assert steady[0] == pytest.approx(force, rel=0.02) and abs(steady[1]) < 0.05
+            np.testing.assert_allclose(rows[-1, 3:5] - rows[-1, 1:3], [0.003, 0.0], atol=3e-4)
+            # To two time steps.
+            assert rows[np.argmax(rows[:, 8] > 0.01), 3] == pytest.approx(-0.06 - PUSHER_RADIUS, abs=8e-4)
+            world.place_object((0.2, 0.2, 0.0))
+            for _ in range(150):  # the tool touches nothing meanwhile
+                world.step()
+            world.set_joint_targets(HOME, np.zeros(7))
+            for _ in range(240):
+                world.step()
+            world.place_object((0.0, 0.0, 0.0))
 
 
 def test_object_is_put_back_or_replaced_unless_the_pusher_is_there() -> None:
@@ -194,25 +196,6 @@ def test_object_is_put_back_or_replaced_unless_the_pusher_is_there() -> None:
             with pytest.raises(InputError, match="pusher occupies"):
                 put()
         np.testing.assert_allclose(world.object_pose(), rows[-1, 5:8])
-
-
-def test_arm_wears_the_table_from_push_to_push() -> None:
-    world, forces = CellWorld(block(friction=0.35, mass=0.6), WorldConfig(effects=InjectedEffects.of({"wear": 0.1}))), []
-    for _ in range(2):
-        rows = push(world, (-0.11, 0.0), (1.0, 0.0), speed=0.1, distance=0.08)
-        forces.append(rows[len(rows) * 2 // 3 :, 8].mean())
-        world.place_object((0.2, 0.2, 0.0))
-        for _ in range(150):  # the tool touches nothing meanwhile
-            world.step()
-        world.set_joint_targets(HOME, np.zeros(7))
-        for _ in range(240):
-            world.step()
-        world.place_object((0.0, 0.0, 0.0))
-    world.close()
-    assert forces == pytest.approx([0.35 * 0.6 * G, 1.1 * 0.35 * 0.6 * G], rel=0.02)
-
-
-# --- robot ---------------------------------------------------------------------------------------------------------------
 
 
 def test_robot_description_puts_the_tool_tip_where_the_simulation_has_it() -> None:
@@ -243,9 +226,6 @@ def test_trajectory_passes_its_points_and_starts_from_where_the_arm_is() -> None
     np.testing.assert_array_equal(moving.sample(2.0), cubic.sample(2.0))
     with pytest.raises(InputError, match="increase strictly"):
         JointTrajectory(np.array([1.0, 1.0]), np.zeros((2, 7)))
-
-
-# --- camera --------------------------------------------------------------------------------------------------------------
 
 
 def test_perfect_camera_sees_a_flat_table_and_cells_of_their_height() -> None:
@@ -288,9 +268,6 @@ def test_depth_noise_has_the_published_spread_whole_millimetres_and_a_seed() -> 
     depth[:, 320:] = 1.1
     holes = np.isnan(DepthNoise(edge_dropout=0.5).apply(depth, np.random.default_rng(2)))
     assert holes[:, 319:321].mean() == pytest.approx(0.5, abs=0.1) and not holes[:, :319].any()
-
-
-# --- node ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.live

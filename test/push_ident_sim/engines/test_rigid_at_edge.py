@@ -61,7 +61,7 @@ def test_pushes_at_the_edge_are_predicted_as_well_as_pushes_on_the_table(world: 
     """Without the edge the model errs twice as much in the turn. Both engines share loads in their own way, on the table too."""
     rng, models = np.random.default_rng(0), Belief.certain(MODEL).models(0, np.random.default_rng(0))
     errors: dict[str, list[tuple[float, float]]] = {"table": [], "edge": [], "edge ignored": []}
-    while len(errors["edge"]) < 14:
+    while len(errors["edge"]) < 10:
         yaw = rng.uniform(-np.pi, np.pi)
         for where, inside in (("table", 0.7), ("edge", rng.uniform(0.03, 0.05))):
             pose = with_centre_inside(inside, yaw)

@@ -13,15 +13,11 @@ import pytest
 from helpers.sim_objects import CAMERA, block, disc, points_in_table
 from push_ident.cli.main import app
 from push_ident.errors import InputError
-from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.se2 import rotation, transform_points
 from push_ident.offline.loading import load_pushes
 from push_ident.pushing.push import PushSettings
 from push_ident.types import PusherPath
 from push_ident_sim.cell.camera import INTRINSICS, DepthCamera
-from push_ident_sim.cell.robot import HOME, robot_description
-from push_ident_sim.cell.trajectory import JointTrajectory
-from push_ident_sim.cell.world import CellWorld, WorldConfig
 from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.engines.true_motion import TrueMotion
 from push_ident_sim.injected import INJECTED, InjectedEffects
@@ -82,23 +78,16 @@ def first_touch(motion: TrueMotion) -> int:
     return int(np.argmax(np.linalg.norm(motion.force, axis=1) > 0))
 
 
-# --- off -----------------------------------------------------------------------------------------------------------------
-
-
 def test_effects_of_size_zero_are_no_effects() -> None:
     zero = InjectedEffects.of({name: effect.defaults for name, effect in INJECTED.items()})
     assert zero == InjectedEffects() and not zero
-    settings = TruthSettings(n_train=2, n_test=0)
-    plain = make_pushes(make_object("hammer", 3), [5], settings)
-    for motion, same in zip(plain, make_pushes(make_object("hammer", 3), [5], replace(settings, effects=zero)), strict=True):
-        for name in ("time", "pose", "pusher", "reported", "force"):
-            np.testing.assert_array_equal(getattr(motion, name), getattr(same, name))
-        assert motion.reported is motion.pusher
-        seen = [observe_motion(motion, RADIUS, CameraNoise(), np.random.default_rng(1), effects)[0] for effects in (None, zero)]
-        np.testing.assert_array_equal(seen[0].pose, seen[1].pose)
-
-
-# --- table and object ----------------------------------------------------------------------------------------------------
+    settings = TruthSettings(n_train=1, n_test=0)
+    (motion,), (same,) = (make_pushes(make_object("hammer", 3), [5], own) for own in (settings, replace(settings, effects=zero)))
+    for name in ("time", "pose", "pusher", "reported", "force"):
+        np.testing.assert_array_equal(getattr(motion, name), getattr(same, name))
+    assert motion.reported is motion.pusher
+    seen = [observe_motion(motion, RADIUS, CameraNoise(), np.random.default_rng(1), effects)[0] for effects in (None, zero)]
+    np.testing.assert_array_equal(seen[0].pose, seen[1].pose)
 
 
 @pytest.mark.parametrize(
@@ -115,6 +104,7 @@ def test_effects_of_size_zero_are_no_effects() -> None:
         ({"stribeck_friction": (0.5, 0.1)}, {"speed": 0.02, "friction": 0.02, "seconds": 4 * STEP}, (-1.5, 0.0)),
         ({"stribeck_friction": (0.5, 0.1)}, {}, (-1.0, 0.0)),
         ({"wear": 0.05}, {"pushes_done": 5}, (-1.25, 0.0)),
+        ({"tether": 20.0}, {"friction": 0.0, "seconds": 0.3}, (SPEED * (np.cos(0.3 * np.sqrt(20.0 / MASS)) - 1.0) / 0.3, 0.0)),
         ({"viscous_film": 3.0}, {"friction": 0.02, "seconds": 3 * STEP}, (-1.0 - 3.0 * SPEED / MASS / (0.02 * G), 0.0)),
     ],
 )
@@ -124,13 +114,6 @@ def test_thrown_disc_is_slowed_by_the_law_of_the_effect(effects: dict, throw: di
     assert left == pytest.approx(expected[1], abs=0.01)
     # On a slope of friction the outer cells turn the disc; else nothing does.
     assert "position_dependent_friction" in effects or abs(turning) < 0.05
-
-
-def test_tether_swings_a_disc_without_friction() -> None:
-    stiffness, seconds = 20.0, 0.3
-    omega = np.sqrt(stiffness / MASS)
-    slowed = thrown({"tether": stiffness}, friction=0.0, seconds=seconds)[0]
-    assert slowed * seconds == pytest.approx(SPEED * (np.cos(omega * seconds) - 1.0), rel=0.02)
 
 
 def test_compliant_table_springs_back() -> None:
@@ -144,9 +127,6 @@ def test_compliant_table_springs_back() -> None:
     assert stayed == pytest.approx(slid, abs=1e-5)
     # The spring takes notice of a throw one time step late.
     assert swung > 5e-4 and returned == pytest.approx(-0.03 * STEP, abs=1e-5)
-    # Pushed on, it slides with the same force as ever.
-    force = pushed({"compliant_table": 2e-3})[0].force[60:180, 0]
-    assert force.mean() == pytest.approx(MU * MASS * G, rel=0.02)
 
 
 def test_high_push_leans_the_object_on_its_far_side_and_loose_contents_slide_back() -> None:
@@ -155,9 +135,6 @@ def test_high_push_leans_the_object_on_its_far_side_and_loose_contents_slide_bac
         _, loads = pushed(effects, distance=0.1)
         assert loads.sum() == pytest.approx(MASS * G, rel=1e-3)
         np.testing.assert_allclose(loads @ block().cells / loads.sum(), [shift, 0.0], atol=5e-4)
-
-
-# --- pusher --------------------------------------------------------------------------------------------------------------
 
 
 def test_friction_of_the_pusher_drags_along_the_face() -> None:
@@ -177,11 +154,8 @@ def test_object_bounces_off_the_pusher() -> None:
 
 
 def test_object_is_larger_than_its_outline() -> None:
-    places = []
-    for offset in (-0.002, 0.0, 0.002):
-        motion, _ = pushed({"outline_error": offset}, speed=0.05)
-        places.append(motion.pusher[first_touch(motion), 0])
-    np.testing.assert_allclose(np.diff(places), -0.002, atol=3e-4)
+    motions = [pushed({"outline_error": offset}, speed=0.05, distance=0.03)[0] for offset in (-0.002, 0.002)]
+    np.testing.assert_allclose(np.diff([motion.pusher[first_touch(motion), 0] for motion in motions]), -0.004, atol=3e-4)
 
 
 def test_reported_tool_pose_has_the_injected_error() -> None:
@@ -198,31 +172,12 @@ def test_reported_tool_pose_has_the_injected_error() -> None:
     np.testing.assert_allclose(motion.pusher[far, 0] - motion.pusher[0, 0], 1.05 * speed * motion.time[far], atol=speed * STEP)
 
 
-def test_arm_reports_the_place_where_its_tool_is_not() -> None:
-    offset = np.array([0.003, -0.002])
-    arm, apart = ArmKinematics(robot_description(), neutral=HOME), []
-    low, converged = arm.inverse([-0.1, 0.0, 0.012], HOME)
-    assert converged
-    way = JointTrajectory(np.array([0.0, 1.0]), np.array([HOME, low]), np.zeros((2, 7)))
-    config = WorldConfig(effects=InjectedEffects.of({"tool_offset": tuple(offset)}))
-    with closing(CellWorld(block(), config, pose=(0.3, 0.3, 0.0))) as world:
-        while world.time < 1.2:
-            world.set_joint_targets(*way.sample(world.time + STEP))
-            world.step()
-            apart.append(world.tool_tip() - arm.forward(world.joint_state()[0])[:3, 3])
-    np.testing.assert_allclose(apart[20], 0.0, atol=1e-4)
-    np.testing.assert_allclose(apart[-1], [*offset, 0.0], atol=1e-4)
-
-
-# --- what is seen --------------------------------------------------------------------------------------------------------
-
-
 def observed(motion: TrueMotion, effects: dict, noise: CameraNoise = EXACT) -> tuple[np.ndarray, np.ndarray]:
     poses, _, _ = observe_motion(motion, RADIUS, noise, np.random.default_rng(4), InjectedEffects.of(effects))
     return poses.time, poses.pose
 
 
-def test_camera_sees_the_object_elsewhere_later_and_less_often() -> None:
+def test_camera_sees_the_object_elsewhere_later_less_often_and_with_correlated_noise() -> None:
     motion, _ = pushed({}, aside=0.02)
     time, plain = observed(motion, {})
     np.testing.assert_allclose(observed(motion, {"camera_translation": (0.002, -0.001)})[1], np.add(plain, [0.002, -0.001, 0.0]), atol=1e-7)
@@ -235,11 +190,8 @@ def test_camera_sees_the_object_elsewhere_later_and_less_often() -> None:
     assert np.all(np.isin(kept, time)) and len(kept) / len(time) == pytest.approx(0.6, abs=0.1)
     flips = np.abs(observed(motion, {"pose_flips": 0.2})[1][:, 2] - plain[:, 2]) % (2 * np.pi) > 1.0
     assert flips.mean() == pytest.approx(0.2, abs=0.1)
-
-
-def test_correlated_noise_keeps_its_deviation() -> None:
+    # Correlated noise keeps its deviation.
     noise = CameraNoise(position_std=1e-3, yaw_std=0.01, rest=20.0)
-    motion, _ = pushed({})
     errors = observed(motion, {"noise_correlation": 0.6}, noise)[1][:550]
     np.testing.assert_allclose(errors.std(axis=0), [1e-3, 1e-3, 0.01], rtol=0.15)
     assert [np.corrcoef(e[1:], e[:-1])[0, 1] for e in errors.T] == pytest.approx([0.6] * 3, abs=0.12)
@@ -270,9 +222,6 @@ def test_poses_come_one_by_one_late_and_lossy() -> None:
         assert stamp <= now + 1e-9 and pose[0] == pytest.approx(stamp - 0.1, abs=1e-6)
 
 
-# --- in and out ----------------------------------------------------------------------------------------------------------
-
-
 def test_effects_are_read_and_refused_by_name() -> None:
     effects = InjectedEffects.parse(["table_tilt=0.02", "stribeck_friction=0.3,0.05", "wear=0"])
     assert effects.as_dict() == {"stribeck_friction": (0.3, 0.05), "table_tilt": (0.02, 0.0)}
@@ -289,19 +238,18 @@ def test_truth_with_an_effect_has_a_file_of_its_own_and_keeps_the_reported_path(
     plain = TruthSettings(n_train=1, n_test=0)
     bent = replace(plain, effects=InjectedEffects.of({"tool_offset": (0.004, 0.0)}))
     assert generate_truth(tmp_path, "book", 1, plain) != generate_truth(tmp_path, "book", 1, bent)
-    for _ in range(2):  # simulated, then read
-        ((record,), _, _), ((other,), _, _) = (load_truth(tmp_path, "book", 1, s, EXACT) for s in (plain, bent))
-        n = len(record.pusher.time) - 2
-        np.testing.assert_allclose(other.pusher.position[1:n], record.pusher.position[1:n], atol=1e-4)
-        assert np.abs(other.poses.pose[-1] - record.poses.pose[-1]).max() > 1e-3
+    ((record,), _, _), ((other,), _, _) = (load_truth(tmp_path, "book", 1, s, EXACT) for s in (plain, bent))
+    n = len(record.pusher.time) - 2
+    np.testing.assert_allclose(other.pusher.position[1:n], record.pusher.position[1:n], atol=1e-4)
+    assert np.abs(other.poses.pose[-1] - record.poses.pose[-1]).max() > 1e-3
 
 
 def test_command_writes_a_bag_whose_effect_appears_only_in_the_truth(tmp_path: Path) -> None:
     bag, truth = tmp_path / "tilted", tmp_path / "truth.json"
-    call = ["simulate", "--object", "toolbox", "--effect", "table_tilt=0.03", "--pushes", "2", "--out", str(bag), "--truth", str(truth)]
+    call = ["simulate", "--object", "toolbox", "--effect", "table_tilt=0.03", "--pushes", "1", "--out", str(bag), "--truth", str(truth)]
     app(call, standalone_mode=False)
     loaded = load_pushes([bag])
-    assert len(loaded.records) == 2 and loaded.records[0].wrench is not None
+    assert len(loaded.records) == 1 and loaded.records[0].wrench is not None
     assert json.loads(truth.read_text())["effects"] == {"table_tilt": [0.03, 0.0]}
     assert b"tilt" not in (bag / "tilted.mcap").read_bytes().replace(b"tilted", b"")
     with pytest.raises(InputError, match="exists already"):

@@ -19,15 +19,20 @@ from push_ident_sim.studies.coverage import gaussian_level
 from push_ident_sim.studies.registry import EXPERIMENTS
 
 
-def test_learning_curve_holds_its_last_point() -> None:
+def test_statistics_of_known_numbers() -> None:
     curve = {"n_simulations": [0, 4, 10], "error_m": [0.02, 0.01, 0.005]}
     errors = error_at(curve, "n_simulations", np.array([0, 3, 4, 9, 10, 99]))
     np.testing.assert_array_equal(errors, [0.02, 0.02, 0.01, 0.01, 0.005, 0.005])
-
-
-def test_level_of_a_gaussian_region_is_that_of_the_chi_square_distribution() -> None:
     # 90 % quantiles of the chi-square distribution with one, two and three degrees of freedom.
     assert [float(gaussian_level(q, n)) for n, q in ((1, 2.7055), (2, 4.6052), (3, 6.2514))] == pytest.approx([0.9] * 3, abs=1e-5)
+    assert growth_exponent([100, 1000, 10000], [3e-3, 3e-3 * 10**1.5, 3.0]) == pytest.approx(1.5)
+    # Clopper and Pearson (1934): 9 of 10 lie within 55.5 to 99.7 %; none of 500 below 0.74 %.
+    row = share([True] * 9 + [False])
+    assert (row["low"], row["high"]) == (0.555, 0.9975)
+    assert share([False] * 500)["high"] == 0.0074 and share([])["share"] is None
+    assert causes_text(failures(["A", "B", "B", "good"], "good")) == "2 B, 1 A"
+    assert mean_of([1.0, None, 2.0]) == 1.5 and mean_of([None]) is None
+    assert root_mean_square([3.0, None, 4.0]) == pytest.approx(np.sqrt(12.5))
 
 
 def test_standard_error_counts_ground_truths_not_pushes() -> None:
@@ -41,26 +46,12 @@ def test_standard_error_counts_ground_truths_not_pushes() -> None:
     assert row["pushes"] == 12 and row["not_simulated"] == 4
 
 
-def test_shares_have_the_exact_interval_and_failures_are_counted() -> None:
-    # Clopper and Pearson (1934): 9 of 10 lie within 55.5 to 99.7 %; none of 500 below 0.74 %.
-    row = share([True] * 9 + [False])
-    assert (row["low"], row["high"]) == (0.555, 0.9975)
-    assert share([False] * 500)["high"] == 0.0074 and share([])["share"] is None
-    assert causes_text(failures(["A", "B", "B", "good"], "good")) == "2 B, 1 A"
-    assert mean_of([1.0, None, 2.0]) == 1.5 and mean_of([None]) is None
-    assert root_mean_square([3.0, None, 4.0]) == pytest.approx(np.sqrt(12.5))
-
-
 def test_calls_are_timed_in_turns_by_the_processor_time() -> None:
     order: list[str] = []
     times, results = interleaved({"a": lambda: order.append("a"), "b": lambda: order.append("b") or 3}, 2)
     assert order == ["a", "b"] * 3 and results == {"a": None, "b": 3} and times["a"]["n"] == 2
     waiting, _ = interleaved({"sleep": lambda: time.sleep(0.05)}, 1)
     assert waiting["sleep"]["median_s"] < 0.02
-
-
-def test_growth_exponent_is_the_power() -> None:
-    assert growth_exponent([100, 1000, 10000], [3e-3, 3e-3 * 10**1.5, 3.0]) == pytest.approx(1.5)
 
 
 @pytest.fixture(scope="module")
@@ -70,14 +61,12 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> CaseSettings:
     return CaseSettings(folder, Budget(max_seconds=0.2, processor_time=True), truth, CameraNoise())
 
 
-@pytest.mark.parametrize("name", ["convergence", "maps", "coverage"])
+@pytest.mark.parametrize("name", ["real-protocol", "convergence", "maps", "coverage"])
 def test_case_gives_table_answer_and_figure(name: str, settings: CaseSettings, tmp_path: Path) -> None:
     study = EXPERIMENTS[name]
     cases = [Case("toolbox", 3, variant) for variant in study.variants[:1]]
     summary = json.loads(json.dumps(study.summarise([CaseResult(case, study.run(case, settings)) for case in cases]), allow_nan=False))
     assert study.tables(summary).startswith("|") and study.answer(summary).endswith(".")
-    (figure,) = study.draw(summary, tmp_path)
-    assert "<svg" in (tmp_path / figure).read_text()
-    written = (tmp_path / figure).read_bytes()
-    study.draw(summary, tmp_path)
-    assert (tmp_path / figure).read_bytes() == written
+    written = [(tmp_path / figure).read_text() for figure in study.draw(summary, tmp_path)]
+    assert len(written) == (name != "real-protocol") and all("<svg" in text for text in written)
+    assert [(tmp_path / figure).read_text() for figure in study.draw(summary, tmp_path)] == written

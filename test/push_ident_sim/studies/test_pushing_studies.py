@@ -1,63 +1,40 @@
-"""Studies that push objects to goals, over an edge, along paths and in Push-T, each on its smallest size; and the demo."""
+"""Studies that push objects over an edge, along paths and in Push-T, each on its smallest size; and the demo."""
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from push_ident.cli.main import app
 from push_ident.errors import InputError
 from push_ident.geometry.outline import polygon_area
 from push_ident.geometry.se2 import transform_points
+from push_ident.identification.fitting.budget import Budget
 from push_ident.planning.path_steps import PathSteps
+from push_ident_sim.recordings.truth import CameraNoise, TruthSettings
 from push_ident_sim.studies.common.objects import plate_in_bullet, random_object
 from push_ident_sim.studies.common.pushed import PushedObject
-from push_ident_sim.studies.common.study import Case, CaseResult
-from push_ident_sim.studies.paths import (
-    HALF_WIDTH,
-    PATHS,
-    Displacement,
-    follow_steered,
-)  # fmt: skip
+from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings
+from push_ident_sim.studies.paths import HALF_WIDTH, PATHS, Displacement, follow_steered
 from push_ident_sim.studies.pusht import BLOCK, GOAL, TICK, Game, actions
 from push_ident_sim.studies.registry import EXPERIMENTS
 
-# --- goals and edge
-
-
-def experiment(tmp_path: Path, *arguments: str) -> dict[str, Any]:
-    """The result of an experiment of one object, whose truth is known."""
-    file = tmp_path / "result.json"
-    call = ["experiment", *arguments, "--models", "1", "--seed", "11", "--jobs", "1", "--variants", "truth"]
-    run = CliRunner().invoke(app, [*call, "--out", str(tmp_path / "out"), "--json", str(file)])
-    assert run.exit_code == 0, run.output
-    result: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return result
-
-
-def test_result_of_goals_has_what_scripts_read(tmp_path: Path) -> None:
-    result = experiment(tmp_path, "goals", "--objects", "1", "--goals", "1")
-    assert result["success"] == {"truth": {"20mm_0.1rad": 1.0, "10mm_5deg": 1.0, "5mm_2deg": 1.0}}
-    assert 0 <= result["pushes_mean"] <= 6 and result["time_mean_s"] >= 0 and result["falls"] == 0
-    assert (result["models"], result["goals"], result["seed"]) == (1, 1, 11)
-    assert "1 of 1" in EXPERIMENTS["goals"].answer(result["summary"])
+# --- edge
 
 
 def test_known_object_is_pushed_out_over_the_edge_and_held(tmp_path: Path) -> None:
-    result = experiment(tmp_path, "edge", "--objects", "book", "--goals", "2")
-    row = result["summary"]["kinds"]["truth"]
-    assert result["falls"] == row["falls"] == 0 and row["success"]["share"] == 1.0 and row["causes"] == {}
+    settings = CaseSettings(tmp_path, Budget(), TruthSettings(), CameraNoise(), goals=1)
+    study, case = EXPERIMENTS["edge"], Case("book", 11, "truth")
+    summary = study.summarise([CaseResult(case, study.run(case, settings))])
+    row = summary["kinds"]["truth"]
+    assert row["falls"] == 0 and row["success"]["share"] == 1.0 and row["causes"] == {}
     assert row["pushes"] >= 1 and row["least_margin_m"] > 0.0
-    assert "2/2" in EXPERIMENTS["edge"].tables(result["summary"])
+    assert "1/1" in study.tables(summary)
 
 
 # --- paths

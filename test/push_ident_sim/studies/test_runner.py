@@ -7,7 +7,6 @@ import json
 import shutil
 import threading
 import time
-from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from push_ident.cli.main import app
 from push_ident.errors import InputError
 from push_ident_sim.studies.common import runner
 from push_ident_sim.studies.common.pages import write_experiments
-from push_ident_sim.studies.common.runner import RunOptions
 from push_ident_sim.studies.common.study import Settings
 from push_ident_sim.studies.registry import BENCHMARKS, EXPERIMENTS
 
@@ -31,28 +29,27 @@ def command(*arguments: object) -> None:
 
 
 def test_command_runs_resumes_and_reports(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    out, results = tmp_path / "out", tmp_path / "docs"
-    summary = results / "real-protocol.json"
-    call = ["experiment", "real-protocol", "--objects", "toolbox", "--models", 1, "--variants", "pair-0,pair-1", "--seconds", 0.5]
-    call += ["--jobs", 1, "--out", out, "--json", summary]
+    out, file = tmp_path / "out", tmp_path / "docs" / "goals.json"
+    call = ["experiment", "goals", "--seed", 11, "--goals", 1, "--variants", "truth", "--jobs", 1, "--out", out, "--json", file]
     # What Bullet printed in earlier tests of this process may still be in the buffer of the C library.
     ctypes.CDLL(None).fflush(None)
     capfd.readouterr()
-    command(*call)
-    printed = capfd.readouterr().out
-    assert "toolbox" in printed and "argv" not in printed
-    content = json.loads(summary.read_text())
-    assert content["failed"] == [] and content["summary"]["objects"]["all"]["identified"]["pushes"] == 10
-    first, second = sorted((out / "real-protocol").glob("*.json"))
-    written = first.stat().st_mtime_ns
-    second.unlink()
-    command(*call)
-    assert first.stat().st_mtime_ns == written and second.is_file()
+    command(*call, "--models", 1)
+    assert "argv" not in capfd.readouterr().out
+    result = json.loads(file.read_text())
+    assert result["success"] == {"truth": {"20mm_0.1rad": 1.0, "10mm_5deg": 1.0, "5mm_2deg": 1.0}} and result["failed"] == []
+    assert 0 <= result["pushes_mean"] <= 6 and result["time_mean_s"] >= 0 and result["falls"] == 0
+    (case,) = (out / "goals").glob("*.json")
+    written = case.stat().st_mtime_ns
+    command(*call, "--models", 2)
+    assert case.stat().st_mtime_ns == written
+    result = json.loads(file.read_text())
+    assert (result["models"], result["goals"], result["seed"]) == (2, 1, 11)
 
-    command("experiment", "report", "--results", results)
-    study, page = EXPERIMENTS["real-protocol"], (results / "real-protocol.md").read_text()
-    assert study.tables(content["summary"]) in page and study.answer(content["summary"]) in (results / "index.md").read_text()
-    assert "--models 1 --variants pair-0,pair-1`" in page
+    command("experiment", "report", "--results", file.parent)
+    study, page = EXPERIMENTS["goals"], file.with_suffix(".md").read_text()
+    assert study.tables(result["summary"]) in page and study.answer(result["summary"]) in (file.parent / "index.md").read_text()
+    assert "--seed 11 --models 2" in page and "2 of 2" in study.answer(result["summary"])
 
 
 def test_no_case_begins_after_the_time_is_up() -> None:
@@ -73,15 +70,6 @@ def test_no_case_begins_after_the_time_is_up() -> None:
     with ThreadPoolExecutor(1) as pool:
         done = runner.run_calls(pool, [(first, ()), *[(time.sleep, (0.0,))] * 5], report, until=time.monotonic())
     assert done == [True] and counts[-1] == 1
-
-
-def test_long_variants_of_the_blind_check_are_spread_over_a_run(tmp_path: Path) -> None:
-    options = RunOptions(tmp_path, tmp_path, (), 6, 31000, ("14-pushes", "6-chosen", "camera"))
-    planned = runner.cases_of(EXPERIMENTS["blind"], options)
-    assert Counter(case.variant for case in planned) == {"14-pushes": 30, "6-chosen": 10, "camera": 10}
-    # Wherever a run is stopped, no more than the cases of one seed are missing from the balance.
-    assert Counter(case.variant for case in planned[: len(planned) // 2]) == {"14-pushes": 15, "6-chosen": 5, "camera": 5}
-    assert {case.truth for case in planned if case.variant == "6-chosen"} <= {case.truth for case in planned if case.variant == "14-pushes"}
 
 
 PUBLISHED = sorted(path for path in (ROOT / "docs" / "results").glob("*.json") if path.stem in EXPERIMENTS)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from helpers.robots import NAMES, changed, robot_path
-from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.robot.checks import Finding, Level, check_reach, check_robot
 from push_ident.pushing.robot.description import read_urdf
 from push_ident.pushing.robot.reach import Outcome, Reach, find_reach
@@ -18,14 +17,10 @@ from push_ident.pushing.robot.reach_page import write_reach_page
 from push_ident.pushing.robot.robot_file import Robot, motion_settings, push_settings, read_robot
 
 
-def checked(path: Path) -> tuple[Robot, list[Finding], ArmKinematics | None]:
-    robot = read_robot(path)
-    return robot, *check_robot(robot)
-
-
 def reach_of(path: Path, spacing: float) -> tuple[Robot, Reach, list[Finding]]:
     """Where the arm of a file can push, and what the check finds of that."""
-    robot, _, kinematics = checked(path)
+    robot = read_robot(path)
+    _, kinematics = check_robot(robot)
     assert kinematics is not None
     reach = find_reach(kinematics, motion_settings(robot), push_settings(robot), spacing=spacing)
     return robot, reach, list(check_reach(reach, push_settings(robot).workspace))
@@ -33,9 +28,9 @@ def reach_of(path: Path, spacing: float) -> tuple[Robot, Reach, list[Finding]]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_examples_are_right_and_reach_all_of_their_workspace(name: str) -> None:
-    robot, findings, _ = checked(robot_path(name))
+    robot, reach, more = reach_of(robot_path(name), 0.2)
+    findings, _ = check_robot(robot)
     assert {finding.about for finding in findings} == {"description", "frames", "joints", "limits", "posture", "camera"}
-    _, reach, more = reach_of(robot_path(name), 0.2)
     assert [finding.text for finding in findings + more if finding.level is not Level.OK] == []
     assert reach.largest == pytest.approx(robot.file.workspace)
 
@@ -69,7 +64,7 @@ def without_the_elbow(content: dict[str, Any]) -> None:
 def test_mistake_is_found_with_what_is_expected_and_what_to_do(
     tmp_path: Path, change: Callable[[dict[str, Any]], object], about: str, texts: tuple[str, ...]
 ) -> None:
-    _, findings, _ = checked(changed(tmp_path, change))
+    findings, _ = check_robot(read_robot(changed(tmp_path, change)))
     wrong = [finding for finding in findings if finding.level is not Level.OK and finding.about == about]
     assert any(all(text in finding.text for text in texts) for finding in wrong), [finding.text for finding in findings]
 
@@ -83,7 +78,7 @@ def test_joint_without_end_needs_limits_in_the_file(tmp_path: Path) -> None:
         content["description"] = {"file": "arm.urdf", "root": "base_link"}  # a copy without its meshes
         del content["joints"]["lower"], content["joints"]["upper"]
 
-    _, findings, kinematics = checked(changed(tmp_path, change))
+    findings, kinematics = check_robot(read_robot(changed(tmp_path, change)))
     assert kinematics is None
     assert [finding.what for finding in findings if finding.about == "limits"] == ["wrist_3_joint turns without end"]
     assert any("meshes are no files" in finding.what and finding.level is Level.WARNING for finding in findings)
