@@ -250,6 +250,10 @@ def test_what_cannot_be_followed_is_refused_with_a_code_and_a_remedy() -> None:
     with pytest.raises(GoalRefusedError, match="go at 0.* m/s or less") as refusal:
         check_path(turning, MODEL.shape, SETTINGS)
     assert refusal.value.code is GoalCode.INVALID_GOAL
+    first = PATHS.plan(KNOWN, LINE.poses[0], LINE, 0.0).plan
+    assert first is not None
+    second = PATHS.plan(KNOWN, LINE.poses[0], LINE, 0.0, failed=[first]).plan
+    assert second is not None and np.linalg.norm(second.contact_point - first.contact_point) > 0.003, "what failed is not repeated"
     away = PathPlanner(MODEL.shape, replace(SETTINGS, workspace=(1.0, 2.0, 1.0, 2.0)), LINE.speed)
     assert away.plan(KNOWN, LINE.poses[0], LINE, 0.0).status is PathStatus.UNREACHABLE
 

@@ -111,7 +111,7 @@ def test_placed_outline_has_the_error_of_its_form_alone():
 
 def test_true_motion_is_the_same_before_every_camera_and_exact_poses_are_as_the_camera_reports_them():
     first = None
-    for sensor, most in (("ideal", 3e-4), ("phoxi", 1.5e-3)):
+    for sensor, most in (("ideal", 3e-4), ("kinect_v1", 3e-3)):
         filmed = FilmedObject(make_object("toolbox", 3), [3, 3, 8], sensor=sensor, unit=17, rest=6)
         record = filmed.execute(filmed.true_push(np.random.default_rng(1)))
         (test,) = filmed.test_pushes(1, np.random.default_rng(2))
