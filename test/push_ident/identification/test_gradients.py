@@ -68,7 +68,7 @@ def test_derivatives_of_the_maps_and_of_the_body(feet: int) -> None:
         assert d_limit[:, k] == pytest.approx((limit[0] - limit[1]) / (2 * h), abs=1e-8)
 
 
-def around_first_motion(record: PushRecord, seconds: float = 0.3) -> PushRecord:
+def around_first_motion(record: PushRecord, seconds: float = 0.2) -> PushRecord:
     """The part of a push in which the object begins to move: the reference engine is slow."""
     poses = record.poses
     end = poses.time[np.argmax(np.linalg.norm(poses.pose[:, :2] - poses.pose[0, :2], axis=1) > 0.01)]

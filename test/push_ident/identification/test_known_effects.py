@@ -50,7 +50,10 @@ def learned(kept: Path, tmp_path: Path) -> ObjectSession:
 
 def test_a_diagnosed_effect_joins_the_model_its_predictions_and_plans_and_outlives_a_restart(learned: ObjectSession) -> None:
     before = held_out_errors(learned.posterior.model, PUSHES[4:]).mean()
-    learned.use_effects([KNOWN], n_pushes=3)
+    learned.use_effects([KNOWN], n_pushes=3)  # all three were diagnosed, and count once: nothing is known beside them
+    alone = identify([replace(record, order=i) for i, record in enumerate(PUSHES[:3])], effects=["table_tilt"]).posterior
+    np.testing.assert_allclose(learned.posterior.effects.values, alone.effects.values, rtol=0.05, atol=2e-3)
+    np.testing.assert_allclose(learned.posterior.effects_std, alone.effects_std, rtol=0.1)
     (found,) = effects_in_use(learned.posterior)
     assert found.name == "table_tilt" and np.all(np.abs(found.value - TILT) < 4 * found.std) and np.all(found.std < 0.02)
     assert held_out_errors(learned.posterior.model, PUSHES[4:], effects=learned.posterior.effects).mean() < 0.6 * before
@@ -65,16 +68,8 @@ def test_a_diagnosed_effect_joins_the_model_its_predictions_and_plans_and_outliv
     assert effects_text(again.posterior)
     again.use_effects([], n_pushes=4)
     assert not effects_text(again.posterior) and again.n_pushes == 4
-
-
-def test_pushes_that_showed_an_effect_count_once(learned: ObjectSession) -> None:
-    alone = identify([replace(record, order=i) for i, record in enumerate(PUSHES[:3])], effects=["table_tilt"]).posterior
-    learned.use_effects([KNOWN], n_pushes=3)  # all three were diagnosed: nothing is known beside them
-    np.testing.assert_allclose(learned.posterior.effects.values, alone.effects.values, rtol=0.05, atol=2e-3)
-    np.testing.assert_allclose(learned.posterior.effects_std, alone.effects_std, rtol=0.1)
-    learned.use_effects([KNOWN], n_pushes=3, until=float(PUSHES[0].poses.time[0]))  # none of them was
-    precision = 1 / alone.effects_std**2 + 1 / KNOWN.std**2
-    assert np.all(learned.posterior.effects_std < 1.3 / np.sqrt(precision))
+    learned.use_effects([KNOWN], n_pushes=3, until=float(PUSHES[0].poses.time[0]))  # none of the three was diagnosed
+    assert np.all(learned.posterior.effects_std < 1.3 / np.sqrt(1 / alone.effects_std**2 + 1 / KNOWN.std**2))
 
 
 def test_without_a_push_what_is_known_is_all_there_is() -> None:
