@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
+from helpers.node_process import NodeProcess
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import cells_in_outline, signed_distance
 from push_ident.geometry.se2 import transform_points
@@ -68,7 +68,6 @@ class Cell(Node):
         super().__init__("cell", context=context)
         self.kinematics = ArmKinematics(robot_description(), neutral=HOME)
         self.q = np.array(PARKED)
-        self.offset = np.zeros(7)
         self._n_ticks = 0
         self.silent = False
         self.force = 1.0
@@ -87,8 +86,7 @@ class Cell(Node):
         self._tip = self.kinematics.forward(self.q)[:3, 3]
         shape = ObjectShape(cells_in_outline(BOX, 0.01), BOX)
         cells, outline = shape_to_msgs(shape, "box", self.get_clock().now().to_msg())
-        self._description = self.create_publisher(String, "robot_description", LATCHED)
-        self.describe(robot_description())
+        self._publish_once(String, "robot_description", String(data=robot_description()))
         self._publish_once(OccupancyGrid, "objects/box/cells", cells)
         self._publish_once(PolygonStamped, "objects/box/outline", outline)
         self._states = self.create_publisher(JointState, "joint_states", 10)
@@ -110,7 +108,7 @@ class Cell(Node):
 
     def reset(self) -> None:
         """As at the start: at home, all sensors alive, nothing recorded yet."""
-        self.silent, self.offset, self.force, self.fist, self.pose_variance = False, np.zeros(7), 1.0, dict(FIST), 1e-6
+        self.silent, self.force, self.fist, self.pose_variance = False, 1.0, dict(FIST), 1e-6
         self.box[:] = 0.0, 0.02, 0.3
         for kept in (self.commands, self.states, self.tool, self.pusher, self.records):
             kept.clear()
@@ -126,23 +124,14 @@ class Cell(Node):
         """Commands of one point, which is how a motion ends before its time: received [s], message."""
         return [(received, msg) for received, msg in list(self.commands) if is_hold(msg)]
 
-    @property
-    def motions(self) -> list[list[tuple[float, JointTrajectory]]]:
-        """Commands of each motion: it ends with a hold, or before a pause."""
-        found: list[list[tuple[float, JointTrajectory]]] = []
-        for received, msg in list(self.commands):
-            if not found or received - found[-1][-1][0] > PAUSE or is_hold(found[-1][-1][1]):
-                found.append([])
-            found[-1].append((received, msg))
-        return found
-
     def delays(self) -> float:
-        """By how much gaps between commands exceed half of what they give the arm ahead: for so long it may have stood [s]."""
-        gaps = [np.diff([received for received, _ in motion]) for motion in self.motions]
-        return float(sum(np.sum(np.maximum(gap - HORIZON / 2, 0.0)) for gap in gaps))
+        """By how much gaps between the commands of a motion exceed half of what they give the arm ahead: so long it may have stood [s].
 
-    def describe(self, urdf_xml: str) -> None:
-        self._description.publish(String(data=urdf_xml))
+        A motion ends with a hold, or before a pause.
+        """
+        pairs = pairwise(list(self.commands))
+        gaps = [second - first for (first, msg), (second, _) in pairs if second - first <= PAUSE and not is_hold(msg)]
+        return float(np.sum(np.maximum(np.array(gaps) - HORIZON / 2, 0.0)))
 
     def _publish_once(self, kind: type, topic: str, msg: object) -> None:
         self.create_publisher(kind, topic, LATCHED).publish(msg)
@@ -176,7 +165,7 @@ class Cell(Node):
     def _publish(self) -> None:
         stamp = self.get_clock().now().to_msg()
         if not self.silent:
-            state = JointState(name=list(self.kinematics.joint_names), position=(self.q + self.offset).tolist())
+            state = JointState(name=list(self.kinematics.joint_names), position=self.q.tolist())
             state.header.stamp = stamp
             self._states.publish(state)
         self._wrenches.publish(force_to_msg(stamp, np.array([0.6 * self.force, -0.8 * self.force])))
@@ -247,17 +236,8 @@ def send(cell: Cell, **fields: object) -> Call:
     return Call(handle, ask(cell, handle.get_result_async), feedback)
 
 
-def start_node(domain: int, remap: tuple[str, str] | None = None, **parameters: object) -> subprocess.Popen[str]:
-    arguments = [item for name, value in (QUICK | parameters).items() for item in ("-p", f"{name}:={value}")]
-    if remap is not None:
-        arguments += ["-r", f"{remap[0]}:={remap[1]}"]
-    return subprocess.Popen(
-        [sys.executable, "-m", "push_ident.nodes", "push_executor_node", "--ros-args", *arguments],
-        env=os.environ | {"ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+def start_node(domain: int, folder: Path, **parameters: object) -> NodeProcess:
+    return NodeProcess("push_executor_node", "push_ident.nodes", QUICK | parameters, domain, folder)
 
 
 def summary(msg: DiagnosticArray) -> str:

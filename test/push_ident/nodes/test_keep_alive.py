@@ -16,6 +16,7 @@ import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from helpers.executor_cell import Cell, Stalls, start_node, wait_for, wait_until_ready
+from helpers.node_process import NodeProcess
 
 pytestmark = pytest.mark.alone
 
@@ -46,16 +47,15 @@ with CellClient() as client:
 
 
 @pytest.fixture(scope="module")
-def executor(domain: int, the_cell: Cell) -> Iterator[subprocess.Popen[str]]:
-    process = start_node(domain)
+def executor(domain: int, the_cell: Cell, tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeProcess]:
+    process = start_node(domain, tmp_path_factory.mktemp("node"))
     wait_until_ready(the_cell)
     yield process
     process.kill()
-    process.communicate()
 
 
 @pytest.fixture
-def cell(the_cell: Cell, executor: subprocess.Popen[str]) -> Cell:
+def cell(the_cell: Cell, executor: NodeProcess) -> Cell:
     """At home with an executor, and room for the longest push."""
     the_cell.reset()
     the_cell.box[0] = 0.06

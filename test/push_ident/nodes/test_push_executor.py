@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 import signal
-import subprocess
 import time
 from collections.abc import Iterator
 
@@ -29,6 +29,7 @@ from helpers.executor_cell import (
     wait_until_ready,
 )
 from helpers.lifecycle import Lifecycle
+from helpers.node_process import NodeProcess
 from helpers.wrong_poses import wrong_poses
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.convert.messages import stamp_from_msg
@@ -42,22 +43,18 @@ FULL = DiagnosticStatus(level=DiagnosticStatus.ERROR, message="disk full")
 
 
 @pytest.fixture(scope="module")
-def node(domain: int, the_cell: Cell) -> Iterator[subprocess.Popen[str]]:
-    process = start_node(domain)
+def node(domain: int, the_cell: Cell, tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeProcess]:
+    process = start_node(domain, tmp_path_factory.mktemp("node"))
     try:
         wait_until_ready(the_cell)
         yield process
     finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            output, _ = process.communicate(timeout=10.0)
-        finally:
-            process.kill()
-    assert process.returncode == 0 and "Traceback" not in output and "exception" not in output, output
+        code = process.stop()
+    assert code == 0 and "Traceback" not in process.output and "exception" not in process.output, process.output
 
 
 @pytest.fixture
-def cell(node: subprocess.Popen[str], the_cell: Cell) -> Cell:
+def cell(node: NodeProcess, the_cell: Cell) -> Cell:
     """At home, with nothing recorded yet."""
     the_cell.reset()
     tip = the_cell.kinematics.forward(np.array(PARKED))[:2, 3]
@@ -232,11 +229,10 @@ def test_node_that_is_deactivated_in_the_middle_of_a_push_holds_the_arm_first(ce
         wait_for(lambda: send(cell, dry_run=True, **CONTACT).end().error_code == 0)
 
 
-def test_interrupt_in_the_middle_of_a_push_holds_the_arm_and_ends_cleanly(cell: Cell, node: subprocess.Popen[str], stalls: Stalls) -> None:
+def test_interrupt_in_the_middle_of_a_push_holds_the_arm_and_ends_cleanly(cell: Cell, node: NodeProcess, stalls: Stalls) -> None:
     begin_push(cell, distance=0.12, speed=0.1)
-    node.send_signal(signal.SIGINT)
+    os.kill(node.pid, signal.SIGINT)
     asked = time.monotonic()
     wait_for(lambda: cell.holds)
     assert cell.holds[0][0] - asked < 0.2 + 2 * stalls.worst
-    wait_for(lambda: node.poll() is not None, 10.0)  # by itself: it ends by force, and not with 0, after 1.8 s
-    assert node.returncode == 0
+    assert node.wait(10.0) == 0  # by itself: it ends by force, and not with 0, after 1.8 s
