@@ -41,13 +41,7 @@ def test_notebook_runs_and_gives_outputs_like_those_it_stores() -> None:
     assert "Identification(converged" in text and "Proposal(touch at" in text
 
 
-def test_page_of_the_notebook_shows_its_pictures_and_tables() -> None:
-    page = tool("document_notebook").document()
-    assert page.count("data:image/png;base64,") == 5
-    assert "<table>" in page and "```python\nfrom pathlib import Path" in page
-
-
-def test_notebook_is_small_and_names_no_folder_of_this_machine() -> None:
-    text = NOTEBOOK.read_text(encoding="utf-8")
-    assert len(text) < 600_000
-    assert str(Path.home()) not in text and "/tmp/" not in text
+def test_page_of_the_notebook_shows_its_pictures_and_tables_and_names_no_folder_of_this_machine() -> None:
+    page, stored = tool("document_notebook").document(), NOTEBOOK.read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 5 and "<table>" in page and "```python\nfrom pathlib import Path" in page
+    assert len(stored) < 600_000 and str(Path.home()) not in stored and "/tmp/" not in stored

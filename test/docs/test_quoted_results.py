@@ -33,14 +33,10 @@ def test_figures_of_the_blind_check(figure: str, quoted: str) -> None:
     assert quoted.format(f"{ {0: 'none', 1: 'one'}.get(hits, hits) } of {row['n']}") in README
 
 
-def test_errors_of_predicted_pushes() -> None:
-    pushes = result("pushes")
+def test_errors_of_predicted_pushes_and_successes_of_goals() -> None:
+    pushes, success = result("pushes"), result("pusht")["summary"]["kinds"]["identified"]["success"]
     later = [1e3 * error for error in pushes["errors_m"][2:]]
     assert f"reach {1e3 * max(pushes['equal_errors_m']):.1f} mm" in README
     assert f"{min(later):.1f} to {max(later):.1f} mm" in README
-
-
-def test_goals_and_push_t() -> None:
-    success = result("pusht")["summary"]["kinds"]["identified"]["success"]
     assert f"{success['successes']} of {success['n']} starts" in README
     assert "100 of 100 goals" in README and "100 of 100 goals" in result("goals")["remark"]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from helpers.commands import run_here
-from helpers.paths import EXAMPLE_BAG, ROOT
+from helpers.paths import ROOT
 
 PAGE = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
 
@@ -28,14 +29,23 @@ def assert_shown(page: dict[str, list[float]], output: dict[str, list[float]]) -
         assert output[first] == pytest.approx(numbers, rel=0.1, abs=0.2), first
 
 
-def test_tables_of_the_tutorial_are_those_of_its_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "120")
-    identified, predicted = PAGE.split("```text\n")[1:3]
-    done = run_here("identify", EXAMPLE_BAG, "--train", "0,1,2", "--out", tmp_path)
-    assert_shown(rows(identified.split("```")[0], "│"), rows(done.stdout, "│"))
-    assert re.search(r"maps: .*", identified)[0] in done.stdout  # type: ignore[index]
-    done = run_here("predict", tmp_path / "model.json", EXAMPLE_BAG)
-    assert_shown(rows(predicted.split("```")[0], "│"), rows(done.stdout, "│"))
+def stored(case: str) -> dict[str, Any]:
+    """Answer of a command, which `test/system/test_baseline.py` holds equal to what the command gives."""
+    answer: dict[str, Any] = json.loads((ROOT / "test" / "system" / "baseline" / f"{case}.json").read_text(encoding="utf-8"))["content"]
+    return answer
+
+
+def test_tables_of_the_tutorial_are_the_answers_of_its_commands() -> None:
+    identified, predicted = (rows(text.split("```")[0], "│") for text in PAGE.split("```text\n")[1:3])
+    found, pushes = stored("identify-hammer_depth"), stored("predict-hammer_depth")["pushes"]
+    errors = {f"{kind} ({len(found[kind]['pushes'])})": found[kind] for kind in ("train", "test")}
+    output = {name: [1e3 * error[f"{maps}_m"] for maps in ("uniform", "scalar", "identified")] for name, error in errors.items()}
+    for quantity in found["knowledge"]["quantities"]:
+        unit = 1e3 if quantity["unit"] == "m" else 1.0
+        output[quantity["name"]] = [unit * quantity[key] for key in ("value", "std", "prior_std")]
+    assert_shown(identified, output)
+    errors_of_pushes = [[1e3 * push[key] for key in ("cell_error_m", "cell_error_std_m")] for push in pushes]
+    assert_shown(predicted, {str(number): errors for number, errors in enumerate(errors_of_pushes, start=1)})
 
 
 @pytest.mark.long

@@ -28,14 +28,14 @@ class Socket:
 
     pid: int
     is_udp: bool
-    address: str
+    is_loopback: bool
+    """Whether only this machine reaches it."""
     port: int
 
-    @property
-    def is_loopback(self) -> bool:
-        """Whether only this machine reaches it."""
-        address = ip_address(self.address)
-        return (getattr(address, "ipv4_mapped", None) or address).is_loopback
+
+def is_loopback(text: str) -> bool:
+    address = ip_address(text)
+    return (getattr(address, "ipv4_mapped", None) or address).is_loopback
 
 
 def sockets_of(pid: int) -> list[Socket]:
@@ -44,7 +44,7 @@ def sockets_of(pid: int) -> list[Socket]:
         found = psutil.Process(pid).net_connections("inet")
     except psutil.Error:
         return []
-    return [Socket(pid, one.type == socket.SOCK_DGRAM, one.laddr.ip, one.laddr.port) for one in found if one.laddr]
+    return [Socket(pid, one.type == socket.SOCK_DGRAM, is_loopback(one.laddr.ip), one.laddr.port) for one in found if one.laddr]
 
 
 _PORTS = {"grpc_port": 19876, "web_port": 19090}
@@ -70,14 +70,13 @@ def viewer(**environ: str) -> Iterator[subprocess.Popen[str]]:
         node.communicate(timeout=30.0)
 
 
-def sockets_below(pid: int, *, until: set[int]) -> list[Socket]:
-    """Sockets of a process and of all that it has started, as soon as the ports `until` are among them."""
+def sockets_below(pid: int, *, n_participants: int = 1) -> list[Socket]:
+    """Sockets of a process and of all that it has started, once those of the viewer and of each participant are among them."""
     deadline = time.monotonic() + _START_WITHIN
     while True:
-        found = [
-            s for process in (pid, *(child.pid for child in psutil.Process(pid).children(recursive=True))) for s in sockets_of(process)
-        ]
-        if until <= {s.port for s in found}:
+        processes = (pid, *(child.pid for child in psutil.Process(pid).children(recursive=True)))
+        found = [one for process in processes for one in sockets_of(process)]
+        if set(_PORTS.values()) <= {s.port for s in found} and len({s.pid for s in found if s.is_udp}) >= n_participants:
             return found
         assert time.monotonic() < deadline, found
         time.sleep(0.2)
@@ -89,22 +88,16 @@ def test_every_process_of_a_cell_listens_on_loopback_only(monkeypatch: pytest.Mo
     monkeypatch.setenv("ROS_DOMAIN_ID", str(own_domain()))
     commands = node_commands("sim", view=True, parameters={"viewer_node": dict(_PORTS)})
     with Supervisor(commands):
-        sockets_below(os.getpid(), until=set(_PORTS.values()))
-        deadline = time.monotonic() + _START_WITHIN
-        # Every node is there once it has the two sockets of its participant.
-        while len({s.pid for s in sockets_below(os.getpid(), until=set()) if s.is_udp}) < len(commands):
-            assert time.monotonic() < deadline
-            time.sleep(0.2)
+        sockets_below(os.getpid(), n_participants=len(commands))
         time.sleep(1.0)
-        found = sockets_below(os.getpid(), until=set(_PORTS.values()))
-    assert {s.port for s in found if not s.is_udp} >= set(_PORTS.values())
+        found = sockets_below(os.getpid(), n_participants=len(commands))
     assert [s for s in found if not s.is_loopback] == []
 
 
 @pytest.mark.live
 def test_the_network_is_opened_by_the_discovery_range() -> None:
     with viewer(ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET") as node:
-        found = sockets_below(node.pid, until=set(_PORTS.values()))
+        found = sockets_below(node.pid)
     assert any(not s.is_loopback for s in found if s.is_udp), "the test cannot see an open socket"
     assert all(s.is_loopback for s in found if not s.is_udp), "the range of ROS does not open the viewer"
 
@@ -112,7 +105,7 @@ def test_the_network_is_opened_by_the_discovery_range() -> None:
 @pytest.mark.alone
 def test_viewer_listens_on_loopback_leads_from_its_plain_address_to_the_data_and_ends_with_its_node() -> None:
     with viewer() as node:
-        found = sockets_below(node.pid, until=set(_PORTS.values()))
+        found = sockets_below(node.pid)
         assert {s.is_udp for s in found} == {True, False} and [s for s in found if not s.is_loopback] == []
         servers = {s.pid for s in found if s.port in _PORTS.values()} - {node.pid}
         assert len(servers) == 1

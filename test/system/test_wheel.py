@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from packaging.requirements import Requirement
 
-from helpers.commands import run_here
+from helpers.commands import run_here, run_in_one_process
 from helpers.paths import EXAMPLE_BAG, ROOT, SOURCE
 from push_ident import __version__
 from push_ident.extras import EXTRAS, how_to_get
@@ -27,24 +27,6 @@ from push_ident.physics.simulation import compile_kernels
 
 pytestmark = pytest.mark.release
 EXTRA = "report"
-PROGRAM = """
-import contextlib, io, json, sys
-import push_ident as pi
-from push_ident.cli.main import main
-done = []
-for arguments in json.load(sys.stdin):
-    sys.argv, text, code = ["push-ident", *arguments], io.StringIO(), 0
-    with contextlib.redirect_stdout(text), contextlib.redirect_stderr(text):
-        try:
-            main()
-        except SystemExit as ended:
-            code = ended.code or 0
-    done.append((code, text.getvalue()))
-done.append((0, pi.__file__))
-done.append((0, str(len(pi.load(sys.argv[-1])))))
-print(json.dumps(done))
-"""
-"""Runs commands one after the other: a process of its own for each would take a second each."""
 NEEDS_ROS = (
     ("up", "sim"),
     ("replay", EXAMPLE_BAG),
@@ -132,13 +114,12 @@ def test_wheel_identifies_a_bag_without_ros_as_the_project_does_and_says_what_ne
     own = (*asked, "--out", tmp_path / "out", "--json", tmp_path / "own.json")
     predicted = ("predict", tmp_path / "out" / "model.json", EXAMPLE_BAG)
     calls = [("--version",), own, *NEEDS_ROS, *NEEDS_MORE, predicted]
-    lines = json.dumps([[str(word) for word in call] for call in calls])
+    (tmp_path / "loads.py").write_text("import sys, push_ident as pi\nprint(len(pi.load(sys.argv[1])), pi.__file__)")
     plain = {"PATH": os.defpath, "HOME": str(tmp_path), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    ended = subprocess.run([python, "-c", PROGRAM], input=lines, cwd=tmp_path, env=plain, capture_output=True, text=True, timeout=300)
-    assert ended.returncode == 0, ended.stderr
-    done: list[tuple[int, str]] = json.loads(ended.stdout)
-    said: dict[Any, tuple[int, str]] = dict(zip([*calls, "file", "pushes"], done, strict=True))
-    assert said["file"][1].startswith(str(python.parent.parent)) and said["pushes"][1] == "4"
+    programs = [*(("push-ident", *call) for call in calls), (tmp_path / "loads.py", EXAMPLE_BAG)]
+    done, _ = run_in_one_process(programs, plain, python)
+    said: dict[Any, tuple[int, str]] = dict(zip([*calls, "loads"], done, strict=True))
+    assert said["loads"][1].startswith(f"4 {python.parent.parent}")
     assert said["--version",][1].strip() == f"push-ident {__version__}"
     for call in (own, predicted):
         assert said[call][0] == 0, said[call][1]

@@ -26,16 +26,7 @@ def test_outline_of_cells_of_an_l_is_its_six_corners_whatever_the_yaw() -> None:
     np.testing.assert_allclose(turned, traced @ rotation(0.3).T, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("rows", "area"),
-    [
-        (["#"], 1),
-        (["###", "#.#", "###"], 9),
-        (["#.", ".#"], 1),
-        (["####.#", "#..#.#", "##.#.."], 9),
-        (["###.", "#.##", "##.#", ".###"], 14),
-    ],
-)
+@pytest.mark.parametrize(("rows", "area"), [(["#.", ".#"], 1), (["####.#", "#..#.#", "##.#.."], 9), (["###.", "#.##", "##.#", ".###"], 14)])
 def test_outline_is_the_largest_outer_loop_without_holes(rows: list[str], area: int) -> None:
     centres = np.array([(x, -y) for y, row in enumerate(rows) for x, mark in enumerate(row) if mark == "#"], dtype=float)
     outline = outline_of_cells(centres, 1.0)

@@ -37,16 +37,13 @@ def test_shapes_of_objects_are_accepted(shape: ObjectShape) -> None:
     ("shape", "text"),
     [
         (outlined(2.0 * ASYMMETRIC), "Cells lie up to 0.035 m outside the outline"),
-        (outlined(0.5 * ASYMMETRIC), "outside the outline"),
         (outlined(ASYMMETRIC * [-1.0, 1.0]), "cells"),
-        (outlined(ASYMMETRIC + np.array([0.05, 0.0])), "cells"),
         (outlined(1e3 * ASYMMETRIC), "extent of an object is"),
         (outlined(1e-3 * ASYMMETRIC), "wide, expected at least"),
         (outlined(ASYMMETRIC[[0, 1, 3, 2, 4, 5]]), "crosses itself: its edges"),
         (ObjectShape(square().cells, 2.0 * square().outline), "0.0707 m away from the cells"),
         (ObjectShape(CellGrid(1e3 * shape_in(ASYMMETRIC).cells.centres, 10.0), 1e3 * ASYMMETRIC), "extent of an object is 200"),
         (sized(1.05 * 0.01), "apart, expected at least their size"),
-        (sized(0.02), "apart, expected at least their size"),
         (sized(0.006), "expected about the"),
     ],
 )

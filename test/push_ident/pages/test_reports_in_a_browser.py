@@ -20,7 +20,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 
 from helpers.commands import run_here
-from helpers.depth_scene import CAMERA, Prism, rectangle, render
+from helpers.depth_scene import CAMERA, box, render
 from helpers.diagnosis import simulated_pushes
 from helpers.objects import hammer, random_records
 from helpers.recordings import table_file, tracked_rows
@@ -83,10 +83,6 @@ class Tab:
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
-    def picture(self) -> bytes:
-        """The whole page as PNG."""
-        return base64.b64decode(self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True)["data"])
-
     def printed_pages(self) -> int:
         """Number of A4 pages of the print."""
         pdf = base64.b64decode(self.call("Page.printToPDF", paperWidth=8.27, paperHeight=11.69, printBackground=False)["data"])
@@ -115,7 +111,7 @@ SMALLEST_TEXT = 11.0
 """[CSS px]; smaller letters are hard to read."""
 CONTRAST = 4.5
 """Least ratio of luminances of text and ground (WCAG 2.2, 1.4.3)."""
-MOST_PAGES = {"identification": 4, "diagnosis": 5, "goal": 3, "broken_off": 2, "fleet": 2, "look": 3, "import_meets": 3, "import_misses": 3}
+MOST_PAGES = {"identification": 4, "diagnosis": 5, "goal": 3, "fleet": 2, "look": 3, "import": 3}
 """Of A4, for a handful of pushes."""
 NAMES = list(MOST_PAGES)
 WIDER = "letter-spacing: 0.04em"
@@ -165,108 +161,57 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     write_report(folder / "identification.html", result, *errors, Provenance("o1", sources), 0.01)
     tilted = diagnose(simulated_pushes(8, 1, {"table_tilt": [0.02, 0.0]}))
     write_diagnosis(folder / "diagnosis.html", tilted, object_id="o1", sources=sources)
-    write_goal_page(folder / "goal.html", goal_content("SUCCESS", 4) | AT_EDGE)
-    write_goal_page(folder / "broken_off.html", goal_content("CANCELED", 1))
+    write_goal_page(folder / "goal.html", goal_content())
     write_index(folder / "fleet.html", fleet(result, *errors))
     look(folder)
-    imports(folder, records)
+    import_with_a_wrong_radius(folder, records)
     return {path.stem: path for path in folder.glob("*.html")}
-
-
-AT_EDGE = {
-    "kind": "edge",
-    "edge": [[0.09, -0.4], [0.09, 0.4]],
-    "wanted_overhang_m": 0.04,
-    "wanted_margin_m": 0.01,
-    "overhang_m": 0.037,
-    "margin_m": 0.024,
-}
-"""What comes beside it for a goal at an edge."""
 
 
 def fleet(result: Identification, train: PushErrors, test: PushErrors) -> list[dict[str, object]]:
     """Outcomes of four bags, one of which failed."""
-    done = {
-        "state": "done",
-        "error": "",
-        "host": "workstation",
-        "seconds": 2.1,
-        "result": result_json(result, "o1", train, test, []),
-        "model_file": "models/a.json",
-        "page_file": "pages/a.html",
-    }
-    failed = {
-        "state": "failed",
-        "error": "in none of its 6 pushes the object moves; see the note on clocks.",
-        "host": "workstation",
-        "seconds": 0.4,
-    }
-    return [*(done | {"bag": f"recordings/2026/cell_2/monday_{k}.mcap"} for k in range(3)), failed | {"bag": "recordings/noise.mcap"}]
+    done = {"state": "done", "error": "", "result": result_json(result, "o1", train, test, []), "page_file": "pages/a.html"}
+    done |= {"host": "workstation", "seconds": 2.1, "model_file": "models/a.json"}
+    failed = {"state": "failed", "error": "in none of its 6 pushes the object moves; see the note on clocks.", "host": "workstation"}
+    failed |= {"bag": "recordings/noise.mcap", "seconds": 0.4}
+    return [*(done | {"bag": f"recordings/2026/cell_2/monday_{k}.mcap"} for k in range(3)), failed]
 
 
 def look(folder: Path) -> None:
     """What `push-ident look` writes of a box, and of one that is partly hidden behind a taller one."""
-    box = Prism(rectangle(-0.06, -0.04, 0.06, 0.04), 0.05)
-    taller = Prism(rectangle(-0.03, -0.04, 0.03, 0.04), 0.15)
-    scene = [box.at((-0.12, 0.0, 0.4)), box.at((0.12, 0.12, 0.0)), taller.at((0.12, -0.01, 0.1))]
-    images = folder / "images"
-    images.mkdir()
+    scene = [box(-0.12, 0.0, 0.12, 0.08, 0.05, 0.4), box(0.12, 0.12, 0.12, 0.08, 0.05), box(0.12, -0.01, 0.06, 0.08, 0.15, 0.1)]
+    intrinsics = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
+    (folder / "images").mkdir()
     for number in range(2):
-        depth = render(
-            scene, CAMERA, rng=np.random.default_rng(number), intrinsics=CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
-        ).depth
-        cv2.imwrite(str(images / f"{number}.png"), np.rint(np.nan_to_num(depth) * 1e3).astype(np.uint16))
-    done = run_here("look", images, "--intrinsics", "300,300,159.5,119.5", "--known", "0.12x0.08x0.05", "--out", folder)
+        depth = render(scene, CAMERA, rng=np.random.default_rng(number), intrinsics=intrinsics).depth
+        cv2.imwrite(str(folder / "images" / f"{number}.png"), np.rint(np.nan_to_num(depth) * 1e3).astype(np.uint16))
+    given = ("--intrinsics", "300,300,159.5,119.5", "--known", "0.12x0.08x0.05", "--out", folder)
+    done = run_here("look", folder / "images", *given)
     assert done.returncode == 0, done.stderr
 
 
-def imports(folder: Path, records: list[PushRecord]) -> None:
-    """Pages of an import of tables, and of the same with a wrong radius of the pusher."""
+def import_with_a_wrong_radius(folder: Path, records: list[PushRecord]) -> None:
     poses, pusher = tracked_rows(records)
-    tables = folder / "tables"
-    tables.mkdir()
     files = {
-        "poses": table_file(tables / "poses.csv", "time,x,y,yaw", poses),
-        "pusher": table_file(tables / "pusher.csv", "time,x,y,push", pusher),
-        "outline": table_file(tables / "outline.csv", "x,y", records[0].shape.outline),
+        "poses": table_file(folder / "poses.csv", "time,x,y,yaw", poses),
+        "pusher": table_file(folder / "pusher.csv", "time,x,y,push", pusher),
+        "outline": table_file(folder / "outline.csv", "x,y", records[0].shape.outline),
     }
-    for name, radius in (("meets", 0.008), ("misses", 0.020)):
-        given = TrackedPoses(**files, radius=radius, position_std=1e-3, yaw_std=8.7e-3, cell_size=0.011)
-        report = import_tracked_poses(given, folder / f"bag_{name}")
-        write_import_page(folder / f"import_{name}.html", report, "poses.csv, pusher.csv, outline.csv")
+    given = TrackedPoses(**files, radius=0.020, position_std=1e-3, yaw_std=8.7e-3, cell_size=0.011)
+    write_import_page(folder / "import.html", import_tracked_poses(given, folder / "bag"), "poses.csv, pusher.csv, outline.csv")
 
 
-def goal_content(code: str, n_pushes: int) -> dict[str, object]:
-    """What `push-to --json` writes of a goal."""
-    poses = np.linspace([0.0, -0.05, -0.5], [0.048, 0.055, 0.62], n_pushes + 1)
-    pushes = [
-        {
-            "number": k,
-            "seen": poses[k].tolist(),
-            "expected": None if k == 1 else (poses[k] + 0.003).tolist(),
-            "chance": None if k == 1 else 0.2 * k,
-            "risk": None if k == 1 else 0.001 * k,
-            "position_error_m": 0.1 / k,
-            "yaw_error_rad": 0.5 / k,
-        }
-        for k in range(1, n_pushes + 1)
-    ]
-    return {
-        "reached": code == "SUCCESS",
-        "code": code,
-        "text": "" if code == "SUCCESS" else "broken off before it ended: the arm holds.",
-        "object_id": "o1",
-        "goal": [0.05, 0.06, 0.6],
-        "tolerance_m": 0.02,
-        "tolerance_rad": 0.1,
-        "start": poses[0].tolist(),
-        "outline": hammer(3).shape.outline.tolist(),
-        "position_error_m": 0.1 / n_pushes,
-        "yaw_error_rad": 0.5 / n_pushes,
-        "n_pushes": n_pushes,
-        "time_s": 41.0,
-        "pushes": pushes,
-    }
+def goal_content() -> dict[str, object]:
+    """What `push-to --json` writes of a goal at an edge that was given up after four pushes."""
+    poses = np.linspace([0.0, -0.05, -0.5], [0.048, 0.055, 0.62], 5).tolist()
+    error = {"position_error_m": 0.1, "yaw_error_rad": 0.5}
+    first = {"number": 1, "seen": poses[1], "expected": None, "chance": None, "risk": None} | error
+    later = [{"number": k, "seen": poses[k], "expected": poses[k], "chance": 0.2 * k, "risk": 0.001 * k} | error for k in (2, 3, 4)]
+    ended = {"reached": False, "code": "CANCELED", "text": "broken off before it ended: the arm holds.", "n_pushes": 4, "time_s": 41.0}
+    goal = {"object_id": "o1", "goal": [0.05, 0.06, 0.6], "tolerance_m": 0.02, "tolerance_rad": 0.1, "start": poses[0]}
+    at_edge = {"kind": "edge", "edge": [[0.09, -0.4], [0.09, 0.4]], "wanted_overhang_m": 0.04, "wanted_margin_m": 0.01}
+    at_edge |= {"overhang_m": 0.037, "margin_m": 0.024}
+    return ended | goal | error | at_edge | {"outline": hammer(3).shape.outline.tolist(), "pushes": [first, *later]}
 
 
 @pytest.fixture(scope="module")
@@ -275,37 +220,20 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
         yield opened
 
 
-@pytest.mark.parametrize(("width", "dark"), [(380, False), (820, True), (1600, False)])
 @pytest.mark.parametrize("name", NAMES)
-def test_page_is_readable(pages: dict[str, Path], browser: Tab, name: str, width: int, dark: bool) -> None:
-    browser.show(pages[name], width, dark=dark)
-    if folder := os.environ.get("PUSH_IDENT_SCREENSHOTS"):
-        (Path(folder) / f"{name}_{width}_{'dark' if dark else 'light'}.png").write_bytes(browser.picture())
-    assert browser.value(OVERFLOW) <= 0
-    assert browser.value(HIDDEN) == []
-    browser.value(f"document.body.style.cssText = '{WIDER}'")
-    assert browser.value(OVERFLOW) <= 0 and browser.value(HIDDEN) == [], "with another font of the family"
-    assert browser.value(TEXT_SIZES) >= SMALLEST_TEXT
-    assert browser.value(CONTRASTS) >= CONTRAST
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_page_is_printed_on_few_sheets_also_from_a_dark_screen(pages: dict[str, Path], browser: Tab, name: str) -> None:
+def test_page_is_readable_and_printed_on_few_sheets_and_every_figure_has_a_title(pages: dict[str, Path], browser: Tab, name: str) -> None:
+    for width, dark in ((380, False), (820, True), (1600, False)):
+        browser.show(pages[name], width, dark=dark)
+        assert browser.value(OVERFLOW) <= 0 and browser.value(HIDDEN) == [], width
+        browser.value(f"document.body.style.cssText = '{WIDER}'")
+        assert browser.value(OVERFLOW) <= 0 and browser.value(HIDDEN) == [], (width, "with another font of the family")
+        assert browser.value(TEXT_SIZES) >= SMALLEST_TEXT and browser.value(CONTRASTS) >= CONTRAST, width
+    assert browser.value("[...document.querySelectorAll('figure')].every(f => f.querySelector('figcaption').textContent.length > 10)")
+    assert browser.value("[...document.querySelectorAll('svg.chart')].every(s => s.querySelector('title'))")
+    if name == "identification":
+        cells = "[...document.querySelectorAll('svg.chart rect title')].filter(t => /^cell 1 at .* mm: /.test(t.textContent))"
+        assert browser.value(f"{cells}.length") == 5
     browser.show(pages[name], 1600, dark=True)
     assert 1 <= browser.printed_pages() <= MOST_PAGES[name]
     browser.call("Emulation.setEmulatedMedia", media="print", features=[{"name": "prefers-color-scheme", "value": "dark"}])
     assert browser.value("getComputedStyle(document.documentElement).getPropertyValue('--ink').trim()") == "#1c2430"
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_figure_has_a_title_and_its_marks_say_what_they_are(pages: dict[str, Path], browser: Tab, name: str) -> None:
-    browser.show(pages[name], 820)
-    assert browser.value("[...document.querySelectorAll('figure')].every(f => f.querySelector('figcaption').textContent.length > 10)")
-    assert browser.value("[...document.querySelectorAll('svg.chart')].every(s => s.querySelector('title'))")
-    if name == "identification":
-        assert (
-            browser.value(
-                "[...document.querySelectorAll('svg.chart rect title')].filter(t => /^cell 1 at .* mm: /.test(t.textContent)).length"
-            )
-            == 5
-        )

@@ -21,7 +21,6 @@ from push_ident.perception.recording import observe_offline
 from push_ident.perception.refusals import Reason
 from push_ident.perception.search import search
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.survey.survey import survey_frames
 from push_ident.types import DepthFrame
 
 POSE = np.array([0.03, -0.02, 0.4])
@@ -46,11 +45,6 @@ def observe(prisms, n=REST, *, settings=SETTINGS, robot=(), change=lambda depth:
 
 def of(reason, observation):
     return [refusal for refusal in observation.refused if refusal.reason is reason]
-
-
-@pytest.mark.parametrize("height", [0.06, 0.25])
-def test_a_tall_object_is_no_robot(height):
-    assert list(observe([Prism(BOX, height).at(POSE)])[1]) == ["o1"]
 
 
 def test_each_refusal_says_why_and_where():
@@ -104,24 +98,16 @@ def test_a_segment_without_a_shape_leaves_the_others_and_is_tried_less_and_less_
 
 
 def test_an_outline_that_does_not_cover_its_segment_is_refused(monkeypatch):
-    original = search.trace_object
-
-    def displaced(views, **settings):
-        traced = original(views, **settings)
-        return replace(traced, pose=np.add(traced.pose, (0.06, 0.0, 0.0)))
-
-    monkeypatch.setattr(search, "trace_object", displaced)
-    monkeypatch.setattr(search, "fuse_views", lambda traced, views: traced)
+    monkeypatch.setattr(search, "fuse_views", lambda traced, views: replace(traced, pose=np.add(traced.pose, (0.06, 0.0, 0.0))))
     observation, shapes, _ = observe([Prism(BOX, 0.05)])
     assert not shapes and "covers" in of(Reason.NO_SHAPE, observation)[0].why
 
 
 def test_points_under_the_table_and_a_rough_table_are_named():
-    rng = np.random.default_rng(0)
-    points = points_in_table(render([], rng=rng), CAMERA)
+    points = points_in_table(render([], rng=np.random.default_rng(0)), CAMERA)
     bin_floor, rough = points.copy(), points.copy()  # the rim of a bin lies at the height of the table
     bin_floor[(np.abs(points[..., 0]) < 0.2) & (np.abs(points[..., 1]) < 0.2), 2] -= 0.03
-    rough[..., 2] += rng.normal(size=points.shape[:2]).astype(np.float32) * np.float32(0.009)
+    rough[..., 2] += np.random.default_rng(1).normal(scale=0.009, size=points.shape[:2]).astype(np.float32)
     for wrong, why in ((bin_floor, "under the table"), (rough, "deviate by|agree on a plane")):
         with pytest.raises(PerceptionError, match=why):
             fit_table(wrong, PerceptionSettings())
@@ -133,26 +119,20 @@ def test_the_least_height_of_an_object_follows_the_noise():
 
 
 @pytest.mark.parametrize(
-    ("prisms", "reach", "doubt"),
+    ("prisms", "lowest", "doubt"),
     [
-        (hammer(POSE), (0.012, 0.092), ""),
-        ([Prism(BOX, 0.15)], (0.012, 0.092), ""),  # higher than the tool
-        ([Prism(circle(0.03), 0.02), Prism(circle(0.05), 0.07, 0.05)], (0.012, 0.092), ""),  # a mushroom whose cap the tool meets
-        ([Prism(BOX, 0.010)], (0.006, 0.092), ""),
-        ([Prism(BOX, 0.010)], (0.012, 0.092), "mm high"),
-        ([Prism(BOX, 0.010), Prism(0.6 * BOX, 0.025)], (0.012, 0.092), "of its edge is lower"),
-        ([Prism(circle(0.015), 0.10), Prism(circle(0.05), 0.12, 0.10)], (0.012, 0.092), "no side below it"),
+        (hammer(POSE), 0.012, ""),
+        ([Prism(BOX, 0.25)], 0.012, ""),  # higher than the tool, and no robot
+        ([Prism(circle(0.03), 0.02), Prism(circle(0.05), 0.07, 0.05)], 0.012, ""),  # a mushroom whose cap the tool meets
+        ([Prism(BOX, 0.010)], 0.006, ""),
+        ([Prism(BOX, 0.010)], 0.012, "mm high"),
+        ([Prism(BOX, 0.010), Prism(0.6 * BOX, 0.025)], 0.012, "of its edge is lower"),
+        ([Prism(circle(0.015), 0.10), Prism(circle(0.05), 0.12, 0.10)], 0.012, "no side below it"),
     ],
 )
-def test_an_object_that_the_tool_may_not_touch_where_its_outline_is_has_a_doubt(prisms, reach, doubt):
-    _, shapes, doubts = observe(prisms, 4, settings=replace(SETTINGS, min_object_height=0.004, tool_reach=reach), rng=0)
+def test_an_object_that_the_tool_may_not_touch_where_its_outline_is_has_a_doubt(prisms, lowest, doubt):
+    _, shapes, doubts = observe(prisms, 4, settings=replace(SETTINGS, min_object_height=0.004, tool_reach=(lowest, 0.092)), rng=0)
     assert shapes and len(doubts) == bool(doubt) and all(doubt in one for one in doubts)
-
-
-def test_a_survey_says_so():
-    rng = np.random.default_rng(0)
-    survey = survey_frames([render([Prism(BOX, 0.010)], rng=rng, stamp=i / 30) for i in range(10)], CAMERA)
-    assert any(note.startswith("object o1: it is") and "lower the tool" in note for note in survey.notes)
 
 
 STEP = 0.006
@@ -195,38 +175,37 @@ class Watched:
         return [refusal.reason for refusal in self.seen.refused]
 
 
-@pytest.mark.parametrize(
-    ("scene", "areas"),
-    [
-        (lambda x: [box(0, -0.03, 0.08, 0.06, 0.05), box(0, 0.03 + x, 0.08, 0.06, 0.05)], (48, 48)),
-        (lambda x: [box(0, 0, 0.15, 0.10, 0.05), box(0, 0.065 + x, 0.03, 0.03, 0.05)], (9, 150)),
-    ],
-    ids=["two equal boxes", "a small box beside a large one"],
-)
-def test_touching_boxes_that_come_apart_are_given_up_and_become_two_new_objects(scene, areas):
-    watched = Watched().see(scene(0.0), REST + 1)
-    assert watched.areas == {"o1": pytest.approx(sum(areas), rel=0.03)} and watched.tracked == ["o1"]
-    watched.push(scene, 0.05).see(scene(0.05), REST + 2)
+def apart(x, along=0.0):
+    """Two equal boxes that touch at x = 0."""
+    return [box(0, -0.03, 0.08, 0.06, 0.05), box(along, 0.03 + x, 0.08, 0.06, 0.05)]
+
+
+def slid(x, away=0.0):
+    """A small box that slides along a large one."""
+    return [box(0, 0, 0.15, 0.10, 0.05), box(x, 0.065 + away, 0.03, 0.03, 0.05)]
+
+
+def test_touching_boxes_that_come_apart_are_given_up_and_become_two_new_objects():
+    watched = Watched().see(apart(0.0), REST + 1)
+    assert watched.areas == {"o1": pytest.approx(96, rel=0.03)} and watched.tracked == ["o1"]
+    watched.push(apart, 0.05).see(apart(0.05), REST + 2)
     assert watched.removed == {"o1": Reason.TOUCHING} and watched.tracked == ["o2", "o3"]
-    assert sorted(watched.areas[name] for name in ("o2", "o3")) == pytest.approx(areas, rel=0.08)
+    assert [watched.areas[name] for name in ("o2", "o3")] == pytest.approx([48, 48], rel=0.08)
 
 
 def test_boxes_that_slide_along_each_other_are_refused_until_they_are_apart():
-    def scene(x, apart=0.0):
-        return [box(0, 0, 0.15, 0.10, 0.05), box(x, 0.065 + apart, 0.03, 0.03, 0.05)]
-
-    watched = Watched().see(scene(0.0), REST + 1)
+    watched = Watched().see(slid(0.0), REST + 1)
     assert watched.tracked == ["o1"]
-    watched.push(scene, 0.042).see(scene(0.042), 2 * REST)
+    watched.push(slid, 0.042).see(slid(0.042), 2 * REST)
     assert watched.reasons == [Reason.TOUCHING] and watched.removed == {"o1": Reason.TOUCHING} and not watched.seen.objects
     # The last pose before it was noticed is off by less than half of what the parts moved against each other.
     assert np.linalg.norm(watched.poses["o1"][-1][:2] - watched.poses["o1"][0][:2]) < 0.012
-    watched.push(lambda x: scene(0.042, x), 0.04).see(scene(0.042, 0.04), REST + 2)
+    watched.push(lambda x: slid(0.042, x), 0.04).see(slid(0.042, 0.04), REST + 2)
     assert watched.tracked == ["o2", "o3"] and watched.reasons == []
 
 
 def test_what_is_left_where_a_part_was_taken_away_is_a_new_object():
-    large, small = box(0, 0, 0.15, 0.10, 0.05), box(0, 0.065, 0.03, 0.03, 0.05)
+    large, small = slid(0.0)
     watched = Watched().see([large, small], REST + 1).see([large], 2 * REST)
     assert watched.removed == {"o1": Reason.TOUCHING}
     assert watched.tracked == ["o2"] and watched.areas["o2"] == pytest.approx(150, rel=0.03)
@@ -243,9 +222,8 @@ def test_known_objects_in_contact_stay_what_they_are():
     assert travels == pytest.approx([0.0, 0.03, 0.03, 0.03, 0.09], abs=0.001)
 
 
-@pytest.mark.parametrize("new", [box(0, 0.08, 0.10, 0.10, 0.05), box(0, 0.04, 0.03, 0.02, 0.05)], ids=["larger", "smaller"])
-def test_a_new_thing_that_touches_a_known_one_is_refused_until_they_are_apart(new):
-    known = box(0, 0, 0.06, 0.06, 0.05)
+def test_a_new_thing_that_touches_a_known_one_is_refused_until_they_are_apart():
+    known, new = box(0, 0, 0.06, 0.06, 0.05), box(0, 0.08, 0.10, 0.10, 0.05)
     watched = Watched().see([known], REST + 1).see([known, new], 3 * REST)
     assert list(watched.areas) == ["o1"] and not watched.removed and watched.reasons == [Reason.TOUCHES_KNOWN]
     assert watched.see([known, new.at((0.0, 0.05, 0.0))], REST + 2).tracked == ["o1", "o2"]
@@ -259,9 +237,9 @@ def test_offline_an_object_that_came_apart_is_none():
         frames = [render(scene(x), rng=rng, stamp=0.3 * i) for i, x in enumerate(travel)]
         return sorted(observe_offline(frames, CAMERA, settings=settings))
 
-    assert tracks(lambda x: [box(0, -0.03, 0.08, 0.06, 0.05), box(0, 0.03 + x, 0.08, 0.06, 0.05)]) == ["o2", "o3"]
+    assert tracks(apart) == ["o2", "o3"]
     with pytest.raises(PerceptionError, match="object o1 is several things that touch"):  # in the end as well
-        tracks(lambda x: [box(0, -0.03, 0.08, 0.06, 0.05), box(0.8 * x, 0.03, 0.08, 0.06, 0.05)])
+        tracks(lambda x: apart(0.0, 0.8 * x))
 
 
 @pytest.mark.parametrize("height", [0.015, 0.04])
@@ -278,23 +256,14 @@ def test_a_thing_on_another_one_is_refused_at_the_latest_when_it_slides(height):
     assert len(watched.tracked) == 2 and not watched.reasons
 
 
-def test_a_thing_with_steps_stays_one_object_on_its_way():
-    def scene(x):
-        return hammer((0.03 + x, -0.02 + x, 0.4 + 3 * x))
-
-    watched = Watched().see(scene(0.0), REST + 1).push(scene, 0.09).see(scene(0.09), REST)
-    assert watched.tracked == ["o1"] and len(watched.poses["o1"]) == watched.n - REST and not watched.removed
-
-
 @pytest.mark.parametrize(
     ("outer", "inner", "top", "floor"),
     [
-        (circle(0.07, 16), circle(0.066, 16), 0.05, 0.004),
         (circle(0.04, 16), circle(0.036, 16), 0.09, 0.004),
         (rectangle(-0.08, -0.05, 0.08, 0.05), rectangle(-0.076, -0.046, 0.076, 0.046), 0.06, 0.004),
         (circle(0.05, 16), circle(0.038, 16), 0.03, 0.0),
     ],
-    ids=["bowl", "mug", "box without a lid", "roll of tape"],
+    ids=["mug", "box without a lid", "roll of tape"],
 )
 def test_a_hollow_thing_is_one_object_with_the_outline_of_its_rim(outer, inner, top, floor):
     def scene(x):

@@ -53,18 +53,12 @@ def test_touching_objects_are_separated_by_steps_and_folds(prisms, n_whole):
         assert min(np.linalg.norm(segment.centre - prism.polygon.mean(axis=0)) for prism in prisms) < 0.06
 
 
-@pytest.mark.parametrize("yaw", np.arange(4) * 1.6)
-def test_a_step_lower_than_min_step_is_part_of_one_object(yaw):
-    assert find_segments(noisy_view(hammer((0.02, 0.01, yaw)), PerceptionSettings()))[1]["segments"] == 1
-
-
 @pytest.mark.parametrize(("head", "n_segments"), [(0.032, 1), (0.06, 2)])
-@pytest.mark.parametrize("shadow", [0.002, 0.005])
-def test_the_shadow_of_a_step_of_an_object_does_not_divide_it(head, n_segments, shadow):
+def test_the_shadow_of_a_step_of_an_object_does_not_divide_it(head, n_segments):
     """Nothing is measured on the handle beside the head, which a projector on the other side does not light."""
     view = noisy_view([box(0.0, 0.0, 0.2, 0.03, 0.02), box(0.12, 0.0, 0.04, 0.1, head)])
     depth, points = view.frame.depth.copy(), view.points
-    depth[(points[..., 0] > 0.1 - shadow) & (points[..., 0] < 0.1) & (points[..., 2] > 0.012)] = np.nan
+    depth[(points[..., 0] > 0.095) & (points[..., 0] < 0.1) & (points[..., 2] > 0.012)] = np.nan
     shadowed = replace(view, frame=replace(view.frame, depth=depth))
     segments, counts = find_segments(shadowed)
     assert counts["segments"] == n_segments
@@ -99,11 +93,18 @@ def registered(main, side, side_camera=SIDE, robot=()):
     return SimpleNamespace(shape=observation.new_shapes["o1"], pose=perception.first_pose("o1")), observation.further_views
 
 
+def moved(shift=(0.0, 0.0, 0.0), yaw=0.0):
+    camera = np.eye(4)
+    camera[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    camera[:3, 3] = shift
+    return camera @ SIDE
+
+
 @pytest.fixture(scope="module")
 def two_cameras():
-    """Frames of both, and the outline from the main one alone."""
-    main = rest(CAMERA, 0.4, 7)
-    return SimpleNamespace(main=main, side=rest(SIDE, 0.4, 8), single=registered(main, [])[0])
+    """Frames of both, the outline from the main one alone, and from both."""
+    main, side = rest(CAMERA, 0.4, 7), rest(SIDE, 0.4, 8)
+    return SimpleNamespace(main=main, side=side, single=registered(main, []), both=registered(main, side))
 
 
 def test_a_further_camera_shows_what_a_taller_part_hides_from_the_main_one():
@@ -118,16 +119,9 @@ def test_a_further_camera_shows_what_a_taller_part_hides_from_the_main_one():
 
 
 def test_extrinsics_of_a_further_camera_may_have_errors_of_millimetres(two_cameras):
-    camera = moved((0.003, -0.002, 0.008))
-    (both, left_out), (exact, _) = (registered(two_cameras.main, two_cameras.side, c) for c in (camera, SIDE))
-    assert left_out == {"side": ""} and outline_error(both, FIRST) == pytest.approx(outline_error(exact, FIRST), abs=5e-5)
-
-
-def moved(shift=(0.0, 0.0, 0.0), yaw=0.0):
-    camera = np.eye(4)
-    camera[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    camera[:3, 3] = shift
-    return camera @ SIDE
+    both, left_out = registered(two_cameras.main, two_cameras.side, moved((0.003, -0.002, 0.008)))
+    assert left_out == {"side": ""}
+    assert outline_error(both, FIRST) == pytest.approx(outline_error(two_cameras.both[0], FIRST), abs=5e-5)
 
 
 @pytest.mark.parametrize(
@@ -150,7 +144,7 @@ def test_a_further_camera_that_disagrees_is_left_out_with_the_reason(two_cameras
         side.append(replace(frame, stamp=stamp, depth=depth, intrinsics=intrinsics))
     traced, left_out = registered(two_cameras.main, side, camera, robot)
     assert re.search(why, left_out["side"]), left_out
-    np.testing.assert_array_equal(traced.shape.outline, two_cameras.single.shape.outline)
+    np.testing.assert_array_equal(traced.shape.outline, two_cameras.single[0].shape.outline)
 
 
 # The arm
@@ -213,10 +207,9 @@ def distance(known, pose):
     return np.linalg.norm((known.pose - pose)[:2])
 
 
-@pytest.mark.parametrize("seed", [5, 10])
-def test_behind_the_arm_a_pose_is_right_or_not_reported(seed):
+def test_behind_the_arm_a_pose_is_right_or_not_reported():
     """An arm across the table passes over an object that slides and turns: in some of the frames too much of it is hidden."""
-    rng, (observe, offset), n_poses = np.random.default_rng(seed), followed(), 0
+    rng, (observe, offset), n_poses = np.random.default_rng(10), followed(), 0
     velocity, angle, width = rng.uniform(-1, 1, 3) * (0.004, 0.004, 0.04), rng.uniform(0, np.pi), rng.uniform(0.06, 0.2)
     begin, speed = rng.uniform(-0.15, 0.15), rng.uniform(-0.02, 0.02)
     for i in range(22):
@@ -226,10 +219,10 @@ def test_behind_the_arm_a_pose_is_right_or_not_reported(seed):
         if known.pose is not None:
             n_poses += 1
             assert distance(known, compose(pose, offset)) < 0.0015 and abs(known.pose[2] - compose(pose, offset)[2]) < 0.02
-    assert n_poses < 22
+    assert 0 < n_poses < 22
 
 
-@pytest.mark.parametrize("along", [-0.08, -0.02, 0.03, 0.07])
+@pytest.mark.parametrize("along", [-0.08, 0.03])
 def test_an_object_put_elsewhere_half_hidden_has_the_right_pose_or_none_and_the_right_one_once_uncovered(along):
     observe, offset = followed(search_period=0.0)
     moved = np.array([-0.05, 0.1, 2.2])
@@ -282,14 +275,10 @@ def test_joints_are_interpolated_between_states_and_held_outside(history: RobotH
     history.add_joints(4.0, ["a", "b", "c"], np.ones(3))  # other joints
     assert history.joints_at(1.0) == {"a": 1.0, "b": 1.0, "c": 1.0}
     history.add_joints(2.0, ["a", "b", "c"], np.zeros(3))  # time set back
+    for position in ([0.0], [0.0, np.nan]):
+        with pytest.raises(InputError, match="positions for 2 joints"):
+            history.add_joints(1.0, ["a", "b"], np.array(position))
     assert history.joints_at(9.0) == {"a": 0.0, "b": 0.0, "c": 0.0}
-
-
-@pytest.mark.parametrize("position", [[0.0], [0.0, np.nan]], ids=["too few", "not finite"])
-def test_states_that_cannot_be_used_are_refused(history: RobotHistory, position: list[float]) -> None:
-    with pytest.raises(InputError, match="positions for 2 joints"):
-        history.add_joints(1.0, ["a", "b"], np.array(position))
-    assert history.joints_at(1.0) == {}
 
 
 def test_links_of_the_arm_follow_the_joints_and_those_above_every_object_are_left_out(history: RobotHistory) -> None:
