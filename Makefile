@@ -80,13 +80,13 @@ test: setup  ## lint, types and tests
 	  >log/tests.log 2>&1 & others=$$!; \
 	$(call in_session,10,$(VENV)/pytest -m "live and not alone and not long and not release" $(call with_marker,live)) >log/live.log 2>&1 & live=$$!; \
 	trap 'kill -- -$$others -$$live 2>/dev/null' EXIT; \
-	$(VENV)/pytest -m "alone and not long and not release and not faults" $(call with_marker,alone); status=$$?; \
+	$(VENV)/pytest -m "alone and not long and not release" $(call with_marker,alone); status=$$?; \
 	echo "Lint and the other tests (log/live.log, log/tests.log):"; \
 	wait $$live || status=1; wait $$others || status=1; cat log/lint.log log/live.log log/tests.log; \
 	exit $$status
 
 test-long: setup  ## the tests that `make test` leaves out since they take long
-	OMP_NUM_THREADS=1 $(VENV)/pytest -m "long and not release and not faults"
+	OMP_NUM_THREADS=1 $(VENV)/pytest -m "long and not release"
 
 test-release: setup  ## the tests that a release needs beside those: browser, wheel, strict site, notebook, SROS 2
 	OMP_NUM_THREADS=1 $(VENV)/pytest -m release $(call with_marker,release)

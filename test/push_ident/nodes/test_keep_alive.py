@@ -24,7 +24,7 @@ TIMEOUT = 1.0
 """client_timeout [s]: twice the arm timeout of these executors would be as much."""
 MISSED = TIMEOUT + 0.3
 """From the last sign of a client until it is missed [s]: the executor looks every 0.1 s, late on a busy machine."""
-REACTION = 0.15
+REACTION, BRAKING = 0.15, 0.05
 """From the end of a push until the arm stands [s]: 50 ms in the executor, and braking."""
 COMMAND = (
     *["-m", "push_ident.cli", "push", "--object", "box", "--in-object", "--at", "0.05,0", "--direction"],
@@ -134,13 +134,15 @@ def test_client_whose_thread_is_stuck_leaves_no_moving_arm(cell: Cell, domain: i
     assert stands < MISSED + REACTION + 4 * stalls.worst
 
 
-def test_client_hears_soon_that_the_executor_was_killed(cell: Cell, domain: int, executor: subprocess.Popen[str]) -> None:
+def test_arm_stands_and_the_client_hears_soon_of_a_killed_executor(cell: Cell, domain: int, executor: subprocess.Popen[str]) -> None:
     with client(domain, *COMMAND) as process:
         wait_until_it_pushes(cell, process)
         with Stalls() as stalls:
             executor.kill()
             gone = time.monotonic()
+            stands = stands_after(cell, gone)
             output = process.communicate(timeout=30.0)[0]
             heard = time.monotonic() - gone
+    assert stands < 0.1 + BRAKING + 4 * stalls.worst
     assert process.returncode == 1 and "push_executor_node has not answered for 3 s" in output and "Traceback" not in output
     assert heard < 4.5 + 4 * stalls.worst  # and the end of its process

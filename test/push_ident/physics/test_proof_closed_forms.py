@@ -9,11 +9,8 @@ from hypothesis import strategies as st
 
 from helpers.random_pushes import DT, examples
 from push_ident.geometry.outline import outline_of_cells
-from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts, StepGeometry
-from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_step
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import GRAVITY, BodyParameters, SimulationSettings, body_of_cells, cell_gradient, simulate_body
-from push_ident.physics.step import new_step_scratch, step
 from push_ident.physics.support import support_friction
 from push_ident.types import CellGrid, Float64Array, ObjectShape, PusherPath, SolveStatus
 
@@ -91,43 +88,6 @@ def test_pusher_that_slips_carries_along_at_mu_times_its_normal_speed(
     assert motion.force[0] == pytest.approx((0.7 * normal_speed / DT + load / np.hypot(mu, 1.0)) * along, rel=1e-9, abs=1e-9)
     assert motion.jacobian[-1, :2, 7] / DT == pytest.approx([sign * normal_speed, 0.0], rel=1e-9, abs=1e-9)
     assert motion.jacobian[-1, :, [3, *range(8, 33)]] == pytest.approx(0.0, abs=1e-12)
-
-
-# Spinning
-
-
-def spin_once(
-    twist: Float64Array, arms: Float64Array, limit: Float64Array, inertia: Float64Array, dt: float, diamond: bool, eps: float
-) -> None:
-    """Advance a body that nothing touches by one step, in place."""
-    rows, impulse = np.zeros((2 * MAX_CONTACTS, Row.WIDTH)), np.zeros(MAX_CONTACTS + 1)
-    geometry = StepGeometry(arms, limit, inertia, 0.05, np.zeros(2), np.array([1.0, 0.0]), dt)
-    contacts = StepContacts(rows, 0, 0.3)
-    if diamond:
-        code, _ = pyramid_step(twist, geometry, contacts, 0, impulse, new_step_scratch(), new_pyramid_scratch(len(limit)))
-    else:
-        code, _ = step(twist, geometry, contacts, eps, 0, impulse, new_step_scratch())
-    assert code != Mode.NONE
-
-
-@pytest.mark.parametrize("diamond", [False, True], ids=["circle", "pyramid"])
-def test_spinning_ring_loses_its_friction_times_its_radius(diamond: bool) -> None:
-    # n supports of f each at radius R: torque n f R for the cone; the pyramid takes f max(|vx|, |vy|), so f R sum max(|sin|, |cos|).
-    n, radius, dt = 24, 0.05, 1e-3
-    arms = ring(n, radius)
-    lever = np.abs(arms).max(axis=1) if diamond else np.full(n, radius)
-    limit, inertia = np.full(n, 0.13), np.array([0.9, 0.9, 0.9 * radius**2])
-    twist = np.array([0.0, 0.0, 9.0])
-    slowing = dt * limit[0] * lever.sum() / inertia[2]
-    whole_steps = int(9.0 / slowing)
-    for k in range(1, whole_steps + 1):
-        spin_once(twist, np.ascontiguousarray(arms.T), limit, inertia, dt, diamond, 1e-7)
-        assert twist[2] == pytest.approx(9.0 - k * slowing, rel=1e-9, abs=1e-9)
-        assert twist[:2] == pytest.approx([0.0, 0.0], abs=1e-10)
-    spin_once(twist, np.ascontiguousarray(arms.T), limit, inertia, dt, diamond, 1e-4)
-    # Friction stops it, to the speed at which it is smoothed, and never turns it back.
-    assert 0.0 <= twist[2] * radius < 1e-3
-    assert twist[:2] == pytest.approx([0.0, 0.0], abs=1e-10)
 
 
 # The limit surface

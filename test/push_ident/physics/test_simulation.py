@@ -16,7 +16,6 @@ from push_ident.physics.simulation import (
     Motion,
     SimulationSettings,
     body_of_cells,
-    loss_gradient,
     simulate,
     simulate_body,
 )
@@ -32,41 +31,10 @@ def moved(model: ObjectModel, pusher: PusherPath, **settings: float | bool) -> M
     return simulate(model, PushScenario(pusher, np.zeros(3), pusher.time), settings=SimulationSettings(**settings))  # type: ignore[arg-type]
 
 
-def test_gradient_reaches_the_cells() -> None:
-    model, pose = hammer(3), np.array([0.02, -0.05, 0.4])
-    pusher = random_push(model.shape, pose, np.random.default_rng(3))
-    scenario = PushScenario(pusher, pose, pusher.time[::9])
-    target = simulate(hammer(8), scenario).pose
-
-    def loss(poses: Float64Array) -> tuple[float, Float64Array]:
-        return 0.5 * float(np.sum((poses - target) ** 2)), poses - target
-
-    gradient = loss_gradient(model, scenario, loss)
-    assert gradient.loss == loss(simulate(model, scenario).pose)[0]
-    for cell in (0, 20, 44, 69):
-        for kind in ("mass", "friction"):
-            values = []
-            for sign in (1, -1):
-                cells = getattr(model, kind).copy()
-                cells[cell] *= 1 + 1e-5 * sign
-                values.append(loss(simulate(replace(model, **{kind: cells}), scenario).pose)[0])
-            differences = (values[0] - values[1]) / (2e-5 * getattr(model, kind)[cell])
-            exact = getattr(gradient, kind)
-            assert exact[cell] == pytest.approx(differences, rel=1e-4, abs=1e-6 * np.abs(exact).max())
-
-
 def test_push_left_of_the_centre_of_friction_turns_the_object_clockwise() -> None:
     model = hammer(1)
     pusher = straight_push((model.centre_of_friction[0] - 0.02, -0.04), np.pi / 2)
     assert moved(model, pusher).pose[-1, 2] < -0.1
-
-
-def test_cells_carry_their_own_weight() -> None:
-    shape = hammer_shape()
-    mass = np.linspace(0.001, 0.01, len(shape.cells))
-    body = body_of_cells(shape, mass, np.full(len(mass), 0.3))
-    assert body.limit == pytest.approx(0.3 * mass * GRAVITY)
-    assert body.centre == pytest.approx(mass @ shape.cells.centres / mass.sum())
 
 
 def test_an_overlap_is_taken_back_without_throwing_the_object_away() -> None:

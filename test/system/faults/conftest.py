@@ -29,7 +29,7 @@ def cells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cells]:
 @pytest.fixture
 def trial(request: pytest.FixtureRequest, cells: Cells) -> Iterator[Trial]:
     """Of the row that the test is marked with."""
-    row = request.node.get_closest_marker("fault").args[0]
+    row = request.node.get_closest_marker("faults").args[0]
     with trial_of(row, cells) as trial:
         RESULTS.begin(trial)
         yield trial
@@ -40,7 +40,7 @@ def trial(request: pytest.FixtureRequest, cells: Cells) -> Iterator[Trial]:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
     report = yield
-    if marker := item.get_closest_marker("fault"):
+    if marker := item.get_closest_marker("faults"):
         RESULTS.take(marker.args[0], report, call)
     return report
 

@@ -71,8 +71,6 @@ class Reported:
 class Goal:
     phases: list[int] = field(default_factory=list)
     """Of the feedback so far."""
-    push_id: int = 0
-    """0: nothing moved yet."""
     handle: Any = None
     future: Any = None
 
@@ -133,12 +131,7 @@ class Monitor(Node):
         """Request a push; returns when it was accepted."""
         until(self._push.server_is_ready, patience, "execute_push was not served")
         sent = Goal()
-
-        def on_feedback(msg: Any) -> None:
-            sent.phases.append(int(msg.feedback.phase))
-            sent.push_id = int(msg.feedback.push_id) or sent.push_id
-
-        asked = ask(self, lambda: self._push.send_goal_async(goal, feedback_callback=on_feedback))
+        asked = ask(self, lambda: self._push.send_goal_async(goal, feedback_callback=lambda m: sent.phases.append(int(m.feedback.phase))))
         until(asked.done, patience, "execute_push did not answer")
         sent.handle = asked.result()
         assert sent.handle.accepted, "execute_push refused the goal"

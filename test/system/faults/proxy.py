@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, WrenchStamped
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from push_ident_msgs.msg import PushCorrection, PushRecord
+from push_ident_msgs.msg import PushRecord
 
 OBJECT = "truth"
 """Id of the object whose poses come from the simulated world, without a camera."""
@@ -34,7 +34,6 @@ OBJECT_POSE = f"objects/{OBJECT}/pose"
 class Topic:
     kind: type
     latched: bool = False
-    best_effort: bool = False
 
 
 TOPICS = {
@@ -44,7 +43,6 @@ TOPICS = {
     "pusher/wrench": Topic(WrenchStamped),
     "pusher/pose": Topic(PoseStamped),
     "push_record": Topic(PushRecord),
-    "push_correction": Topic(PushCorrection, best_effort=True),
     "/clock": Topic(Clock),
     OBJECT_POSE: Topic(PoseWithCovarianceStamped),
 }
@@ -56,7 +54,6 @@ def qos_of(topic: str) -> QoSProfile:
     return QoSProfile(
         depth=1 if known.latched else 100,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if known.latched else DurabilityPolicy.VOLATILE,
-        reliability=ReliabilityPolicy.BEST_EFFORT if known.best_effort else ReliabilityPolicy.RELIABLE,
     )
 
 

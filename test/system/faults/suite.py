@@ -48,15 +48,12 @@ def fault(
     cell: CellPlan | None = ARM_CELL,
     within: float = 0.0,
     only_executor: bool = True,
-    fast: bool = False,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Mark a test as a row of the suite. A `fast` one runs with the tests, all others with `make faults` only."""
+    """Mark a test as a row of the suite."""
 
     def decorate(test: Callable[..., None]) -> Callable[..., None]:
         name = test.__name__.removeprefix("test_").replace("_", "-")
-        row = Fault(number, name, what, expected, cell, within, only_executor)
-        test = pytest.mark.fault(row)(test)
-        return test if fast else pytest.mark.faults(test)
+        return pytest.mark.faults(Fault(number, name, what, expected, cell, within, only_executor))(test)
 
     return decorate
 

@@ -7,7 +7,6 @@ import signal
 import time
 
 import numpy as np
-import pytest
 from builtin_interfaces.msg import Duration
 from std_msgs.msg import String
 from system.faults.cell import EXECUTOR
@@ -19,8 +18,6 @@ from push_ident.cli.supervisor import NodeCommand
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array
 from push_ident_sim.cell.robot import JOINT_NAMES, robot_description
-
-pytestmark = pytest.mark.alone
 
 KILLS = int(os.environ.get("KILLS", "1"))
 """How often a node is killed at a random moment of a push; `make faults` sets 20."""
@@ -101,7 +98,7 @@ def test_interrupt(trial: Trial) -> None:
     cell.recover()
 
 
-@fault(26, f"SIGKILL to the executor at a random moment of a push ({KILLS} times)", "the arm stands within 100 ms and braking", fast=True)
+@fault(26, f"SIGKILL to the executor at a random moment of a push ({KILLS} times)", "the arm stands within 100 ms and braking")
 def test_executor_killed(trial: Trial) -> None:
     cell = trial.cell
     for moment in np.random.default_rng(0).uniform(0.0, LASTS, KILLS):

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from system.faults.cell import EXECUTOR, IDENTIFICATION
 from system.faults.monitor import until
@@ -16,8 +15,6 @@ from system.faults.suite import Trial, fault
 from helpers.wrong_poses import wrong_poses
 from push_ident.nodes.convert.messages import stamp_from_msg, stamp_to_msg
 from push_ident.pushing.push import PushCode
-
-pytestmark = pytest.mark.alone
 
 BACK = 3.0
 """How far time goes back [s]."""
@@ -88,7 +85,6 @@ def test_messages_in_disorder(trial: Trial) -> None:
     27,
     "poses with NaN, zero, negative or infinite values, wrong frames and markup, during a push",
     "refused, counted and named; the push goes on",
-    fast=True,
 )
 def test_impossible_poses(trial: Trial) -> None:
     cell = trial.cell

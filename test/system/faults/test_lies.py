@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable
 from typing import Any
 
-import pytest
-from system.faults.cell import IDENTIFICATION
-from system.faults.oracles import learned_pushes
-from system.faults.proxy import OBJECT_POSE
 from system.faults.suite import Trial, fault
 
 from push_ident.pushing.push import PushCode
-
-pytestmark = pytest.mark.alone
 
 
 def push_under_false_states(trial: Trial, lie: Callable[[Any], None]) -> None:
@@ -102,36 +95,6 @@ def test_wrench_repeated(trial: Trial) -> None:
     trial.expect_code(result, PushCode.FORCE)
 
 
-@fault(67, "SIGSTOP to the recorder for two pushes", "RECORDING for both; pushes again when it goes on")
-def test_recorder_stopped(trial: Trial) -> None:
-    cell = trial.cell
-    with cell.with_recorder(trial.folder / "bag") as recorder:
-        recorder.signal(signal.SIGSTOP)
-        ended = [cell.push() for _ in range(2)]
-        recorder.signal(signal.SIGCONT)
-        for result in ended:
-            trial.expect_code(result, PushCode.RECORDING)
-        time.sleep(1.5)
-        assert cell.push().error_code == PushCode.NONE, "no push was made after the recorder went on"
-
-
-@fault(68, "the covariance of the object's pose is 1 m²", "refused, saying so; nothing moves")
-def test_pose_uncertain(trial: Trial) -> None:
-    cell = trial.cell
-
-    def doubt(msg: Any) -> None:
-        msg.pose.covariance[0] = msg.pose.covariance[7] = 1.0
-
-    cell.proxy.change(OBJECT_POSE, doubt)
-    time.sleep(0.5)
-    refused = cell.push()
-    cell.proxy.clear()
-    trial.expect_code(refused, PushCode.UNKNOWN_OBJECT, says="too uncertain")
-    assert refused.push_id == 0, "the arm moved"
-    time.sleep(0.5)
-    cell.whole_push()
-
-
 @fault(
     69,
     "joint 1 is reported 0.3 rad off from after one push until after the next was requested",
@@ -148,39 +111,3 @@ def test_states_wrong_before(trial: Trial) -> None:
     cell.proxy.clear()
     time.sleep(1.5)
     assert cell.push().error_code == PushCode.NONE, "no push was made once the states were right again"
-
-
-def aside(distance: float) -> Callable[[Any], None]:
-    """The pose of the object, displaced [m]."""
-
-    def change(msg: Any) -> None:
-        msg.pose.pose.position.x += distance
-
-    return change
-
-
-@fault(72, "the object's pose is 25 cm aside from the middle of a push to its end", "OBJECT_LOST; not learned; the next push is")
-def test_pose_aside(trial: Trial) -> None:
-    cell = trial.cell
-    sent = cell.begin()
-    since = cell.proxy.change(OBJECT_POSE, aside(0.25))
-    trial.expect_code(cell.end(sent), PushCode.OBJECT_LOST)
-    cell.proxy.clear()
-    assert learned_pushes(cell) == trial.learned, "the push was learned"
-    time.sleep(0.5)
-    cell.whole_push(cell.goal(-1))
-    trial.expect_learned()
-    worse = [report.message for report in cell.monitor.reports_of(IDENTIFICATION, since) if "far worse" in report.message]
-    assert not worse
-
-
-@fault(73, "the object's pose is 8 cm aside for 0.4 s during a push", "the push is made and learned without them")
-def test_pose_excursion(trial: Trial) -> None:
-    cell = trial.cell
-    sent = cell.begin(cell.goal(distance=0.08, speed=0.1))
-    since = cell.proxy.change(OBJECT_POSE, first(12, aside(0.08)))
-    result = cell.end(sent)
-    cell.proxy.clear()
-    trial.expect_code(result, PushCode.NONE)
-    trial.expect_learned()
-    trial.expect_report(IDENTIFICATION, "impossible poses, left out", since=since)

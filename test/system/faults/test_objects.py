@@ -13,34 +13,18 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Point
 from system.faults.cell import IDENTIFICATION
-from system.faults.hold import ARM, STANDS
 from system.faults.oracles import learned_pushes
-from system.faults.proxy import OBJECT, OBJECT_POSE, drop
+from system.faults.proxy import OBJECT_POSE, drop
 from system.faults.suite import Trial, fault
 
 from push_ident.bags.reader import read_bag
-from push_ident.geometry.outline import signed_distance
-from push_ident.nodes.convert.tool_path import correction_to_msg, path_goal
 from push_ident.pushing.push import PushCode
-from push_ident.pushing.steering import PathRequest, ToolCorrection
-from push_ident.pushing.tool_path import Corridor, ToolPath
 from push_ident_msgs.msg import MassFrictionMap
-from push_ident_sim.objects import make_object
-
-pytestmark = pytest.mark.alone
 
 ASIDE = 0.2
 """Where the object seems to be, from where it is [m]: the tool comes down more than its width away."""
 CONFIDENT = 0.2
 """Relative standard deviation of a cell below which a map claims to know it; that of the prior is about 1."""
-TOOL_SPEED = 0.05
-"""Along the path [m/s]."""
-CORRECTION_TIMEOUT = 1.0
-"""[s]: the executor of this cell allows no less than twice its `arm_timeout`."""
-CORRECTION_PERIOD = 1.0 / 30.0
-N_CORRECTIONS = 20
-STOPS = 0.2
-"""Motion that the arm is given ahead, and its braking [s]."""
 DISK, LEAST_FREE = 24, 8
 """Size of the small disk, and `min_free_mib` of the recorder [MiB]."""
 
@@ -94,48 +78,6 @@ def test_poses_that_jump(trial: Trial) -> None:
         spread = float(np.median(np.array(msg.mass_friction_std) / np.array(msg.mass_friction)))
         trial.note = f"status of the map: {msg.status_text}, deviations of {100 * spread:.0f} %"
         assert msg.status != MassFrictionMap.STATUS_OK or spread > CONFIDENT, trial.note
-
-
-# ---- a push along a path
-
-
-def path_of_the_tool() -> PathRequest:
-    """Against the long side of the object in the middle, from positive y, for 12 cm."""
-    y = np.linspace(0.2, 0.0, 2001)
-    gap = signed_distance(np.column_stack([np.zeros_like(y), y]), make_object().outline) - 0.018  # default of pusher_radius
-    touch = float(y[int(np.argmax(gap <= 0.0))])
-    line = np.column_stack([np.zeros(3), [touch + 0.03, touch, touch - 0.12]])
-    return PathRequest(ToolPath(np.array([0.0, 0.03, 0.15]) / TOOL_SPEED, line), Corridor(line, 0.03), CORRECTION_TIMEOUT)
-
-
-@fault(
-    61,
-    "the corrections of a push along a path stop in the middle of it, some before were of another push",
-    "foreign ones refused and counted; stopped within the time-out, then home",
-)
-def test_corrections_stop(trial: Trial) -> None:
-    cell, request = trial.cell, path_of_the_tool()
-    sent, since = cell.begin(path_goal(OBJECT, request), after=0.03 / TOOL_SPEED), time.monotonic()
-    # On a slow machine fewer: the path must go on for longer than the executor waits for the next one.
-    nearest = request.path.position[-1, 1] + 1.6 * CORRECTION_TIMEOUT * TOOL_SPEED
-    for number in range(N_CORRECTIONS):
-        state = cell.monitor.states()[-1]
-        tip = ARM.forward(state.q)[:2, 3]
-        if tip[1] < nearest:
-            break
-        # Straight on from where the tool is. Every fifth one is of another push.
-        position = tip + np.outer([0.0, 1.5 * CORRECTION_TIMEOUT], [0.0, -TOOL_SPEED])
-        push_id = sent.push_id + 9 * (number % 5 == 4)
-        correction = ToolCorrection(push_id, state.stamp, False, np.array([0.0, 1.5 * CORRECTION_TIMEOUT]), position)
-        since = cell.monitor.publish("push_correction", correction_to_msg(correction))
-        time.sleep(CORRECTION_PERIOD)
-    result = cell.end(sent)
-    stood = next(state.received - since for state in cell.monitor.states(since) if state.speed < STANDS)
-    allowed = CORRECTION_TIMEOUT + CORRECTION_PERIOD + STOPS + cell.monitor.stalls.worst
-    assert stood <= allowed, f"the arm stood {stood:.2f} s after the last correction, allowed are {allowed:.2f} s"
-    trial.expect_code(result, PushCode.CORRECTION, says="FOREIGN")
-    assert result.corrections > 5, f"{result.corrections} corrections were made, expected most of {N_CORRECTIONS}"
-    trial.note = f"{result.corrections} made, {result.corrections_refused} refused, then none: stopped, and home"
 
 
 # ---- disks

@@ -16,25 +16,18 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
 from system.faults.cell import BARE_CELL, IDENTIFICATION, Cell
-from system.faults.hold import ARM
 from system.faults.monitor import until
 from system.faults.oracles import learned_pushes
 from system.faults.process import TRACEBACK, Process
-from system.faults.proxy import OBJECT, OBJECT_POSE
 from system.faults.suite import Trial, fault
 
 from push_ident.cli.supervisor import NodeCommand, node_commands
 from push_ident.nodes.base.network import own_domain
 from push_ident.pushing.push import PushCode
 
-pytestmark = pytest.mark.alone
-
 CLI = (sys.executable, "-m", "push_ident.cli")
 OF_A_MAP = ("mass", "friction", "mass_friction", "mass_friction_std")
-LOWERED = 0.02
-"""A tip that moves below this pushes [m]; `push_height` is 0.012."""
 N_MOMENTS = 100
 LATEST = 3.0
 """A signal comes at a random moment up to this after the start of a node [s]."""
@@ -151,47 +144,6 @@ def plans_a_push(cell: Cell) -> bool:
     goal = cell.goal()
     goal.dry_run = True
     return cell.push(goal).error_code == PushCode.NONE
-
-
-def pushing_client(cell: Cell) -> None:
-    """Wait until the lowered tool of a push of `push-ident push` goes on."""
-
-    def is_pushing() -> bool:
-        state = cell.monitor.latest_state()
-        return state is not None and ARM.forward(state.q)[2, 3] < LOWERED and cell.is_moving()
-
-    assert not is_pushing(), "the arm moves by itself"
-    until(is_pushing, 30.0, "the push of the client did not begin")
-
-
-PUSH_CLIENT = NodeCommand("client", (*CLI, "push", "--at", "0.0,0.1", "--direction", "-1.5708", "--in-object", "--object", OBJECT))
-
-
-@fault(70, "SIGKILL to `push-ident push` in the middle of its push", "CANCELED; held within the client's time-out", within=1.2)
-def test_client_killed(trial: Trial) -> None:
-    cell = trial.cell
-    with cell.with_process(PUSH_CLIENT) as client:
-        pushing_client(cell)
-        trial.expect_hold(client.kill())
-
-
-@fault(
-    71,
-    "a pose of the object in a wrong frame while `push-ident push` runs, then Ctrl-C",
-    "held at once; the client ends without a traceback",
-    within=0.1,
-)
-def test_client_interrupted(trial: Trial) -> None:
-    cell = trial.cell
-    with cell.with_process(PUSH_CLIENT) as client:
-        pushing_client(cell)
-        wrong = PoseWithCovarianceStamped()
-        wrong.header.frame_id = "no_such_frame"
-        cell.monitor.publish(OBJECT_POSE, wrong)
-        time.sleep(0.2)
-        trial.expect_hold(client.signal(signal.SIGINT))
-        assert client.wait(5.0) is not None, "the client goes on 5 s after Ctrl-C"
-        assert TRACEBACK not in client.output, "the client wrote a traceback"
 
 
 def spin_forever() -> None:
