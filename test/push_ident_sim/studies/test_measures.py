@@ -11,7 +11,7 @@ import pytest
 
 from push_ident.identification.fitting.budget import Budget
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth
-from push_ident_sim.studies.common.measuring import error_row, failures, growth_exponent, interleaved, mean_of, root_mean_square, share
+from push_ident_sim.studies.common.measuring import error_row, failures, interleaved, mean_of, root_mean_square, share
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings
 from push_ident_sim.studies.common.tables import causes_text
 from push_ident_sim.studies.convergence import error_at
@@ -25,7 +25,6 @@ def test_statistics_of_known_numbers() -> None:
     np.testing.assert_array_equal(errors, [0.02, 0.02, 0.01, 0.01, 0.005, 0.005])
     # 90 % quantiles of the chi-square distribution with one, two and three degrees of freedom.
     assert [float(gaussian_level(q, n)) for n, q in ((1, 2.7055), (2, 4.6052), (3, 6.2514))] == pytest.approx([0.9] * 3, abs=1e-5)
-    assert growth_exponent([100, 1000, 10000], [3e-3, 3e-3 * 10**1.5, 3.0]) == pytest.approx(1.5)
     # Clopper and Pearson (1934): 9 of 10 lie within 55.5 to 99.7 %; none of 500 below 0.74 %.
     row = share([True] * 9 + [False])
     assert (row["low"], row["high"]) == (0.555, 0.9975)

@@ -48,8 +48,8 @@ def pushed() -> Iterator[PushedObject]:
 
 def test_known_object_is_steered_along_a_line_in_one_contact_and_returns_to_it_after_a_displacement(pushed: PushedObject) -> None:
     planner, displacement = PathSteps(pushed.truth.shape, pushed.settings, HALF_WIDTH), Displacement()
-    steered = follow_steered(pushed, planner, "ahead", 0.2).values()
-    displaced = follow_steered(pushed, planner, "ahead", 0.2, displacement).values()
+    steered = follow_steered(pushed, planner, "ahead", 0.2)
+    displaced = follow_steered(pushed, planner, "ahead", 0.2, displacement)
     assert steered["end"] == "ARRIVED" and steered["contacts"] == 1 and steered["rms_m"] < 0.003 and steered["rms_rad"] < np.radians(2.0)
     assert displaced["end"] == "ARRIVED" and displacement.at > 0.5 and displaced["back_s"] < 3.0
     study, case = EXPERIMENTS["paths"], Case("uneven", 1, "truth")

@@ -22,7 +22,7 @@ from push_ident_sim.studies import sensors as study
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings
 from push_ident_sim.studies.recorded import draw_pushes, find_sets, known_of
 from push_ident_sim.studies.registry import EXPERIMENTS
-from push_ident_sim.studies.sensors import FilmedObject, outline_errors
+from push_ident_sim.studies.sensors import FilmedObject, outline_error
 
 STUDY = EXPERIMENTS["recorded"]
 
@@ -100,13 +100,10 @@ def test_table_has_verdicts_named_effects_measured_friction_and_refusals() -> No
 SENSORS = EXPERIMENTS["sensors"]
 
 
-def test_placed_outline_has_the_error_of_its_form_alone():
+def test_error_of_an_outline_is_its_distance_from_the_true_one():
     square = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
-    moved = outline_errors(square + np.array([0.002, -0.001]), square)
-    assert moved["placed_m"] < 2e-5 and 0.001 < moved["outline_m"] < 0.0024
-    # An object that is wider by 1 mm on every side, wherever it is placed.
-    wider = outline_errors(np.sign(square) * (np.abs(square) + 1e-3), square)
-    assert wider["placed_m"] == pytest.approx(1e-3, rel=0.05) and wider["outline_m"] == pytest.approx(1e-3, rel=0.05)
+    # An object that is wider by 1 mm on every side.
+    assert outline_error(np.sign(square) * (np.abs(square) + 1e-3), square) == pytest.approx(1e-3, rel=0.05)
 
 
 def test_true_motion_is_the_same_before_every_camera_and_exact_poses_are_as_the_camera_reports_them():
@@ -132,5 +129,5 @@ def test_case_gives_all_that_the_table_shows(tmp_path, monkeypatch):
     settings = CaseSettings(tmp_path, Budget(max_seconds=10.0, processor_time=True), TruthSettings(), CameraNoise())
     case = Case("toolbox", 3, "kinect_v1")
     summary = SENSORS.summarise([CaseResult(case, SENSORS.run(case, settings))])
-    assert 5e-4 < summary["sensors"]["kinect_v1"]["last_placed_m"] < 5e-3
+    assert 5e-4 < summary["sensors"]["kinect_v1"]["last_outline_m"] < 5e-3
     assert "kinect_v1" in SENSORS.tables(summary) and "(kinect_v1)" in SENSORS.answer(summary)

@@ -152,11 +152,6 @@ class Perception:
         """Optical frame in the table frame, shape (4, 4): the extrinsics, corrected by the plane of the table."""
         return self._table.camera_in_table
 
-    @property
-    def is_refining(self) -> bool:
-        """Whether a better outline is being worked on."""
-        return self._rests.is_refining
-
     def view(self, frame: DepthFrame, robot: Sequence[RobotPart] = ()) -> FrameView:
         """A frame of this camera with the limits in force.
 

@@ -325,10 +325,6 @@ class InjectedEffects:
         """Parameters of the injected effects by name."""
         return dict(self.values)
 
-    def acting_on(self, *parts: str) -> tuple[str, ...]:
-        """Names of the injected effects that act on one of `parts`."""
-        return tuple(name for name, _ in self.values if INJECTED[name].acts_on in parts)
-
 
 def _checked(effect: InjectedEffect, given: Sequence[float]) -> tuple[float, ...]:
     """The values with defaults added. Those that the world chooses are given all or not at all."""

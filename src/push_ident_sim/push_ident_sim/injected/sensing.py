@@ -103,6 +103,6 @@ class PoseSensor:
 
 def check_rendered(effects: InjectedEffects) -> None:
     """Raise InputError for effects that a rendered camera cannot have."""
-    if on_poses := effects.acting_on("poses"):
+    if on_poses := [name for name, _ in effects.values if INJECTED[name].acts_on == "poses"]:
         known = ", ".join(name for name, effect in INJECTED.items() if effect.acts_on == "camera")
         raise InputError(f"Effect {on_poses[0]} acts on poses and needs a cell without camera; a rendered camera can have {known}.")

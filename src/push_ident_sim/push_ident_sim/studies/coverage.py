@@ -47,7 +47,9 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     truth, posterior = true_model(sim_object), result.posterior
     predicted = [_predicted_end(posterior, record, true.poses.pose[-1]) for record, true in zip(test, clean, strict=True)]
     ends = [end for end in predicted if end is not None]
-    samples = _samples(posterior, np.random.default_rng([case.model, 2]))
+    rng = np.random.default_rng([case.model, 2])
+    drawn = rng.multivariate_normal(posterior.z, posterior.covariance, size=500, method="eigh")
+    samples = [model_at(posterior.unknowns, z) for z in drawn]
     pusher = posterior.pusher_friction
     distance = np.log(truth.pusher_friction / pusher.value) * pusher.value / pusher.std
     return values | {
@@ -75,11 +77,6 @@ def _predicted_end(posterior: ModelPosterior, record: PushRecord, true_end: Floa
     level = gaussian_level(error @ np.linalg.solve(prediction.covariance[-1], error), 3)
     actual = cell_error(record.shape.cells, prediction.pose[-1], true_end)
     return round(float(level), 4), round(prediction.cell_error_std, 6), round(actual, 6)
-
-
-def _samples(posterior: ModelPosterior, rng: np.random.Generator) -> list[ObjectModel]:
-    z = rng.multivariate_normal(posterior.z, posterior.covariance, size=500, method="eigh")
-    return [model_at(posterior.unknowns, row) for row in z]
 
 
 def _centre_level(truth: ObjectModel, samples: Sequence[ObjectModel]) -> float:

@@ -83,14 +83,10 @@ class PathOutcome:
     rms_rad: float | None = None
     followed: float = 0.0
     """Share of the path [1]."""
-    corrections_s: list[float] = field(default_factory=list)
-    """Median and 99 % quantile of the time of a correction by the wall clock; empty where none was made."""
+    correction_s: float | None = None
+    """99 % quantile of the time of a correction by the wall clock; None where none was made."""
     back_s: float | None = None
     """Time from a displacement until the object was back."""
-
-    def values(self) -> Json:
-        """For JSON."""
-        return {key: round(value, 5) if isinstance(value, float) else value for key, value in asdict(self).items()}
 
 
 @dataclass(slots=True)
@@ -107,7 +103,7 @@ class _Run:
     """Time of each correction [s]."""
 
 
-def follow_by_straight_pushes(pushed: PushedObject, planner: PathPlanner, name: str) -> PathOutcome:
+def follow_by_straight_pushes(pushed: PushedObject, planner: PathPlanner, name: str) -> Json:
     """Push an object, put at the start of a path, along it without corrections."""
     run = _Run(pushed, named_path(name), PathOutcome(name))
     pushed.pose = run.path.poses[0].copy()
@@ -120,9 +116,7 @@ def follow_by_straight_pushes(pushed: PushedObject, planner: PathPlanner, name: 
     return _measured(run, plan.status.name if plan.plan is None else "MAX_CONTACTS")
 
 
-def follow_steered(
-    pushed: PushedObject, planner: PathSteps, name: str, speed: float, displacement: Displacement | None = None
-) -> PathOutcome:
+def follow_steered(pushed: PushedObject, planner: PathSteps, name: str, speed: float, displacement: Displacement | None = None) -> Json:
     """Push an object, put at the start of a path, along it as a goal of the cell is pursued."""
     path = replace(named_path(name, speed), position=0.003, yaw=float(np.radians(2.0)))
     run, steers = _Run(pushed, path, PathOutcome(name, speed), displacement), True
@@ -215,12 +209,12 @@ def _pose_beside(run: _Run, tool: Float64Array | None) -> Float64Array | None:
     return None
 
 
-def _measured(run: _Run, end: str) -> PathOutcome:
+def _measured(run: _Run, end: str) -> Json:
     """The outcome, with errors weighted by the length of path that they last."""
     outcome, places, errors = run.outcome, [0.0], []
     outcome.end = end
     if run.corrections:
-        outcome.corrections_s = [float(v) for v in np.quantile(run.corrections, [0.5, 0.99])]
+        outcome.correction_s = float(np.quantile(run.corrections, 0.99))
     if run.displacement is not None and np.isfinite(run.displacement.back):
         outcome.back_s = run.displacement.back - run.displacement.at
     for pose in np.concatenate(run.poses) if run.poses else ():
@@ -231,7 +225,7 @@ def _measured(run: _Run, end: str) -> PathOutcome:
     if moved.sum() > 0:
         outcome.rms_m, outcome.rms_rad = (float(v) for v in np.sqrt(moved @ np.array(errors) ** 2 / moved.sum()))
     outcome.followed = places[-1] / run.path.length
-    return outcome
+    return {key: round(value, 5) if isinstance(value, float) else value for key, value in asdict(outcome).items()}
 
 
 _STRAIGHT, _DISPLACED = "straight", "displaced"
@@ -250,13 +244,11 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     try:
         if case.variant == _STRAIGHT:
             straight = PathPlanner(pushed.truth.shape, pushed.settings, SPEED)
-            return {"paths": [follow_by_straight_pushes(pushed, straight, name).values() for name in PATHS]}
+            return {"paths": [follow_by_straight_pushes(pushed, straight, name) for name in PATHS]}
         planner = PathSteps(pushed.truth.shape, pushed.settings, HALF_WIDTH)
         if case.variant == _DISPLACED:
-            runs = [follow_steered(pushed, planner, name, v, Displacement()) for name in _DISPLACED_ON for v in _SPEEDS]
-        else:
-            runs = [follow_steered(pushed, planner, name, SPEED) for name in PATHS]
-        return {"paths": [run.values() for run in runs]}
+            return {"paths": [follow_steered(pushed, planner, name, v, Displacement()) for name in _DISPLACED_ON for v in _SPEEDS]}
+        return {"paths": [follow_steered(pushed, planner, name, SPEED) for name in PATHS]}
     finally:
         pushed.close()
 
@@ -271,7 +263,6 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
 
 
 def _row(runs: Sequence[Json]) -> Json:
-    corrections = [run["corrections_s"] for run in runs if run["corrections_s"]]
     return {
         "followed": share(run["end"] == PathStatus.ARRIVED.name for run in runs),
         "causes": failures((run["end"] for run in runs), PathStatus.ARRIVED.name),
@@ -280,8 +271,7 @@ def _row(runs: Sequence[Json]) -> Json:
         "rms_rad": root_mean_square((run["rms_rad"] for run in runs), 5),
         "contacts": mean_of(run["contacts"] for run in runs),
         "time_s": mean_of(run["time_s"] for run in runs),
-        "correction_median_s": mean_of((median for median, _ in corrections), 4),
-        "correction_p99_s": max((late for _, late in corrections), default=None),
+        "correction_p99_s": max((run["correction_s"] for run in runs if run["correction_s"] is not None), default=None),
     }
 
 

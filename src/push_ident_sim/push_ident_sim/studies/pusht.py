@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
@@ -266,23 +266,6 @@ class Knowledge:
     """Mean cell error on held-out pushes by the law of friction [m]; empty where nothing was learned."""
 
 
-@dataclass(slots=True)
-class Played:
-    """What became of a start."""
-
-    won: bool = False
-    coverage: float = 0.0
-    """At best [1]."""
-    ticks: int = 0
-    pushes: int = 0
-    end: str = "TIME"
-    """WON; TIME where the actions were used up; else how planning ended."""
-
-    def values(self) -> Json:
-        """For JSON."""
-        return asdict(self) | {"coverage": round(self.coverage, 4)}
-
-
 def drive(game: Game, targets: Float64Array) -> list[tuple[Float64Array, Float64Array]]:
     """Act, and give the place of the disc and the pose of the block after each tick."""
     states = []
@@ -342,10 +325,10 @@ def _begin(game: Game, seed: int) -> None:
     drive(game, np.tile(game.disc, (2, 1)))  # bodies that were put into one another come apart
 
 
-def play(game: Game, seed: int, known: Knowledge, planner: GoalPlanner) -> Played:
-    """One start, until it is won or over."""
+def play(game: Game, seed: int, known: Knowledge, planner: GoalPlanner) -> Json:
+    """One start, until it is won or over; its `end`: WON, TIME where the actions were used up, or how planning ended."""
     _begin(game, seed)
-    played, level, failed = Played(), 0, list[PushPlan2D]()
+    end, pushes, level, failed = "TIME", 0, 0, list[PushPlan2D]()
     while not game.is_over:
         goal_push = planner.plan(known.belief, game.pose, np.diag(_EXACT**2) * 0.1, Goal(GOAL, *_TOLERANCES[level]), failed=failed)
         plan = goal_push.plan
@@ -357,17 +340,15 @@ def play(game: Game, seed: int, known: Knowledge, planner: GoalPlanner) -> Playe
             plan = _to_the_middle(game, failed)
         if plan is None:
             # The disc has no way to any contact that is left.
-            played.end = "NO_WAY" if failed else goal_push.status.name
+            end = "NO_WAY" if failed else goal_push.status.name
             break
         if push(game, plan) is None:
             failed.append(plan)
             continue
         failed.clear()
-        played.pushes += 1
-    played.won, played.coverage, played.ticks = game.is_won, game.coverage, game.ticks
-    if game.is_won:
-        played.end = "WON"
-    return played
+        pushes += 1
+    end = "WON" if game.is_won else end
+    return {"won": game.is_won, "coverage": round(game.coverage, 4), "ticks": game.ticks, "pushes": pushes, "end": end}
 
 
 def _to_the_middle(game: Game, failed: Sequence[PushPlan2D]) -> PushPlan2D | None:
@@ -383,7 +364,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         known = learn(game, case.model * 1000 + 7) if case.variant == IDENTIFIED else nothing
         planner = GoalPlanner(BLOCK, SETTINGS)
         first = 100_000 + case.model * settings.goals  # starts of the game below this seed are for tuning
-        starts = [{"seed": seed} | play(game, seed, known, planner).values() for seed in range(first, first + settings.goals)]
+        starts = [{"seed": seed} | play(game, seed, known, planner) for seed in range(first, first + settings.goals)]
     finally:
         game.close()
     return {"law": known.law, "errors_m": known.errors_m, "starts": starts}

@@ -18,7 +18,7 @@ from push_ident.geometry.cells import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, compile_kernels, loss_gradient, simulate
 from push_ident.types import Float64Array, ObjectModel, PusherPath
-from push_ident_sim.studies.common.measuring import growth_exponent, interleaved, milliseconds, statistics
+from push_ident_sim.studies.common.measuring import interleaved, milliseconds, statistics
 from push_ident_sim.studies.common.objects import FRAMES, distance_to, plate, plate_pushes
 from push_ident_sim.studies.common.study import Benchmark, Json, Piece, Settings, Target
 from push_ident_sim.studies.common.tables import markdown_table, millimetres
@@ -171,7 +171,9 @@ def _summarise(results: Sequence[Json]) -> Json:
     large = [row for row in summary["cells"] if row["cells"] >= _GROWTH_FROM]
     sizes = [row["cells"] for row in large]
     summary["exponents"] = (
-        {what: round(growth_exponent(sizes, [row[what]["median_s"] for row in large]), 3) for what in _CALLS} if len(large) > 1 else {}
+        {what: round(float(np.polyfit(np.log(sizes), np.log([row[what]["median_s"] for row in large]), 1)[0]), 3) for what in _CALLS}
+        if len(large) > 1
+        else {}
     )
     return summary | {"memory": [result["memory"] for result in results if "memory" in result]}
 

@@ -57,18 +57,12 @@ def _measure(camera: str, n_objects: int, n_pushes: int, n_runs: int, seed: int)
     runs = [_run(shown, reported) for _ in range(n_runs + 1)][1:]
     first = next(i for i, row in enumerate(runs[0]) if row["new"])
     known = [row for run in runs for row in run[first + 1 :]]
-    live = [_delays(run[first + 1 :]) for run in runs]
     return {
         "camera": camera,
         "n_objects": n_objects,
         "n_taken_in": runs[0][first]["new"],
-        "n_frames": len(known),
-        "n_refined": sum(row["refined"] for row in runs[0]),
         "frame": late_quantiles([row["cpu"] for row in known]),
-        "frame_with_parts": late_quantiles([row["cpu"] for row in known if row["parts"]]),
-        "frame_wall": late_quantiles([row["wall"] for row in known]),
-        "to_poses": late_quantiles([delay for delays, _ in live for delay in delays]),
-        "left_out": sum(n for _, n in live) / len(known),
+        "to_poses": late_quantiles([delay for run in runs for delay in _delays(run[first + 1 :])]),
         "taking_in_s": float(np.median([run[first]["cpu"] for run in runs])),
         "pose_error_m": float(np.median([error for row in known for error in row["errors"]])),
     }
@@ -106,10 +100,9 @@ def _run(shown: list[_Shown], reported: ArrayLike) -> list[Json]:
     perception, offsets, rows = Perception(reported), {}, []
     for view in shown:
         posed_at: list[float] = []
-        is_refining = perception.is_refining
-        wall, cpu = time.perf_counter(), time.process_time()
+        cpu = time.process_time()
         observed = perception.observe(view.frame, (), partial(_note_time, posed_at))
-        done, wall = time.process_time(), time.perf_counter() - wall
+        done = time.process_time()
         for object_id in observed.new_shapes:
             # The object that is nearest to it.
             at = perception.first_pose(object_id)
@@ -118,11 +111,8 @@ def _run(shown: list[_Shown], reported: ArrayLike) -> list[Json]:
         rows.append(
             {
                 "cpu": done - cpu,
-                "wall": wall,
                 "posed": (posed_at[0] if posed_at else done) - cpu,
                 "new": len(observed.new_shapes),
-                "refined": len(observed.refined),
-                "parts": is_refining,
                 "errors": _errors(observed, view.poses, offsets),
             }
         )
@@ -141,17 +131,16 @@ def _errors(observed: Observation, poses: dict[str, Float64Array], offsets: dict
     return [float(np.hypot(*(pose - compose(poses[name], offset))[:2])) for pose, name, offset in tracked]
 
 
-def _delays(run: list[Json]) -> tuple[list[float], int]:
-    """From images to their poses [s], and how many images are left out: of those that come while a frame is worked on, the newest waits."""
+def _delays(run: list[Json]) -> list[float]:
+    """From images to their poses [s]: of the images that come while a frame is worked on, the newest waits."""
     delays: list[float] = []
-    n_left_out, i, free = 0, 0, 0.0
+    i, free = 0, 0.0
     while i < len(run):
-        newest = min(int(free * _RATE), len(run) - 1)
-        n_left_out, i = n_left_out + max(newest - i, 0), max(newest, i)
+        i = max(min(int(free * _RATE), len(run) - 1), i)
         start = max(i / _RATE, free)
         delays.append(start + run[i]["posed"] - i / _RATE)
         free, i = start + run[i]["cpu"], i + 1
-    return delays, n_left_out
+    return delays
 
 
 def _targets(summary: Json) -> list[Target]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -84,10 +83,6 @@ def _tables(summary: Json) -> str:
     return markdown_table(head, rows)
 
 
-def _summarise(results: Sequence[Json]) -> Json:
-    return {"solves": list(results)}
-
-
 STUDY = Benchmark(
     name="identification",
     title="Identification to convergence",
@@ -96,7 +91,7 @@ STUDY = Benchmark(
         "mean cell error on six held-out pushes."
     ),
     pieces=_pieces,
-    summarise=_summarise,
+    summarise=lambda results: {"solves": list(results)},
     targets=_targets,
     tables=_tables,
 )

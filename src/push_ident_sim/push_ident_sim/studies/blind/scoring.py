@@ -1,19 +1,15 @@
-"""One case of the blind check: the diagnosis, the detectability of the truth, and a fit of the true effects."""
+"""One case of the blind check: the diagnosis, and the detectability of the truth."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from push_ident.diagnosis.diagnose import diagnose
-from push_ident.diagnosis.fits import fit_effects
-from push_ident.diagnosis.held_out import Gap, measure_gap
+from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.odds import SOMETHING_ELSE
-from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.scores import EffectInformation
 from push_ident.diagnosis.settings import DiagnosisSettings
@@ -75,7 +71,6 @@ def score_case(
         values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
         if wanted:
             values["detectability"] = _detectability(diagnosis.selection.steps[0].information, wanted)
-            values["oracle"] = _oracle(diagnosis, base, wanted)
     if truth.scenario.kind == "outside" and make_plain is not None:
         values["visibility"] = _visibility(base, make_plain())
     if truth.scenario.kind == "single" and make_push is not None and _is_open(diagnosis):
@@ -124,35 +119,17 @@ def _resolve(diagnosis: Diagnosis, records: list[PushRecord], settings: Diagnosi
 
 
 def _detectability(information: EffectInformation | None, wanted: Mapping[str, Float64Array]) -> Json:
-    """Detectability of each true effect: its noncentrality beside everything that the base model fits.
-
-    `alone`: beside the base. `hardest`: also beside the rival of the catalogue that reduces it most. `gain`: mean increase of the log
-    evidence at its true size.
-    """
+    """Detectability of each true effect beside all that the base model fits: noncentrality (`alone`), mean `gain` of the log evidence."""
     if information is None:
         return {}
-    places, precision = information.indices, information.precision
-
-    def place(name: str) -> NDArray[np.int64]:
-        return places[name][[not p.shape for p in EFFECTS[name].parameters]]
-
     shown = {}
     for name, values in wanted.items():
-        at = place(name)
         acting = [i for i, p in enumerate(EFFECTS[name].parameters) if not p.shape]
+        at = information.indices[name][acting]
         size = np.array([(values[i] - EFFECTS[name].nominal[i]) / EFFECTS[name].parameters[i].scale for i in acting])
-        held = precision[np.ix_(at, at)]
-        fisher = held - np.eye(len(at))
-        beside_base = float(size @ fisher @ size)
-        hardest = beside_base
-        for other in places:
-            if other in (name, *twins_of(name)):
-                continue
-            between = precision[np.ix_(at, place(other))]
-            rest = fisher - between @ np.linalg.solve(precision[np.ix_(place(other), place(other))], between.T)
-            hardest = min(hardest, float(size @ rest @ size))
-        gain = 0.5 * beside_base - 0.5 * float(np.linalg.slogdet(held)[1])
-        shown[name] = {"alone": beside_base, "hardest": max(hardest, 0.0), "gain": gain}
+        held = information.precision[np.ix_(at, at)]
+        alone = float(size @ (held - np.eye(len(at))) @ size)
+        shown[name] = {"alone": alone, "gain": 0.5 * alone - 0.5 * float(np.linalg.slogdet(held)[1])}
     return shown
 
 
@@ -181,28 +158,3 @@ def _nearest(record: PushRecord, time: Float64Array) -> Float64Array:
     """Poses that were reported nearest to some times, shape (n, 3)."""
     frames = np.abs(record.poses.time[:, None] - time).argmin(axis=0)
     return np.asarray(record.poses.pose[frames])
-
-
-def _oracle(diagnosis: Diagnosis, base: Fit, wanted: Mapping[str, Float64Array]) -> Json:
-    """The same computation with the true effects given. `apart`: noncentrality between a single one and the nearest of its rivals when
-    both are fitted, which is less than their derivatives at null give."""
-    assert diagnosis.gap is not None
-    start = np.concatenate([(v - EFFECTS[name].nominal) / [p.scale for p in EFFECTS[name].parameters] for name, v in wanted.items()])
-    fit = fit_effects(base, (*base.names, *wanted), np.concatenate([base.effect_unknowns, start]))
-    is_named = {effect.name for effect in diagnosis.effects} == set(wanted)
-    after = diagnosis.gap.after if is_named else measure_gap(fit, fit, ValidationPolicy()).before
-    first = diagnosis.selection.steps[0] if diagnosis.selection else None
-    same = {*wanted, *(twin for name in wanted for twin in twins_of(name))}
-    rivals = {c.name: _separation(fit, c.fit) for c in first.candidates if c.name not in same} if first and len(wanted) == 1 else {}
-    return {
-        "gain": fit.log_evidence - base.log_evidence,
-        "apart": min(rivals.values()) if rivals else None,
-        "gap": _gap(replace(diagnosis.gap, after=after)),
-        "parameters": {name: fit.effects.values[fit.effects.slice_of(name)].tolist() for name in wanted},
-    }
-
-
-def _separation(a: Fit, b: Fit) -> float:
-    """Noncentrality between two fits of the same pushes: squared distance of their standardized residuals in all frames."""
-    residuals = [[fit.problem.residual(fit.x, m, push) for push, m in enumerate(fit.problem.simulate(fit.x))] for fit in (a, b)]
-    return float(sum(np.sum((one - other) ** 2) for one, other in zip(*residuals, strict=True)))

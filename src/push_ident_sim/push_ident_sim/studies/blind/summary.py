@@ -23,8 +23,8 @@ _Z90: Final = 1.6449
 """Standard normal quantile: between minus this and this lie 90 %."""
 _DETECTABLE: Final = 5.0
 """An effect is detectable where its true size increases the log evidence by this on average [nat]; odds of 150 to 1."""
-_PLAIN: Final = 25.0
-"""Noncentrality from which a confusion is rare [1]."""
+_VISIBLE: Final = 25.0
+"""Noncentrality from which an effect outside the catalogue is visible [1]."""
 _SIZED: Final = (
     "outline_error", "pusher_lag", "pusher_speed_scale", "pose_latency", "tool_offset", "camera_translation", "camera_rotation",
     "camera_scale", "pusher_friction", "table_anisotropy", "base_anisotropy",
@@ -52,8 +52,6 @@ class Judged:
     """Effects that were added, in their order."""
     set: frozenset[str]
     """The named effects and the confusion set."""
-    noncentrality: float
-    """Of the weakest true effect, beside its hardest rival; by slopes at null, and of a single one by fits of both as well."""
     detectable: bool
     """Every true effect is detectable on average."""
     clearly_detectable: bool
@@ -90,17 +88,10 @@ def judge(result: CaseResult) -> Judged:
         verdict=values["verdict"],
         named=named,
         set=frozenset((*named, *map(_one_of_twins, values["confusable"]))),
-        noncentrality=_noncentrality(values),
         detectable=bool(detectability) and all((d["gain"] or 0.0) >= _DETECTABLE for d in detectability),
         clearly_detectable=bool(detectability) and all(_in_nine_of_ten(d) >= _DETECTABLE for d in detectability),
         values=values,
     )
-
-
-def _noncentrality(values: Json) -> float:
-    hardest = min((t["hardest"] or 0.0 for t in values.get("detectability", {}).values()), default=0.0)
-    separation = values.get("oracle", {}).get("apart")
-    return float(hardest if separation is None else min(hardest, separation))
 
 
 def _in_nine_of_ten(detectability: Json) -> float:
@@ -142,19 +133,17 @@ def figures(cases: Sequence[Judged]) -> Json:
     """All figures of one group of cases."""
     nulls, singles, pairs, outside = ([c for c in cases if c.kind == kind] for kind in ("null", "single", "pair", "outside"))
     detected = [c for c in singles if c.detectable]
-    plain = [c for c in detected if c.noncentrality >= _PLAIN]
     below = [c for c in singles if not c.detectable]
     both_detectable = [c for c in pairs if c.detectable]
     visible = [c for c in outside if _is_visible(c)]
-    shrinks = [(c.values["gap"]["shrink"], c.values["oracle"]["gap"]["shrink"]) for c in (*detected, *both_detectable)]
-    shrinks = [pair for pair in shrinks if None not in pair]
-    sized = [s for c in detected if c.right for s in _size_errors(c)]
+    shrinks = [c.values["gap"]["shrink"] for c in (*detected, *both_detectable)]
+    sized = [held for c in detected if c.right for held in _sizes_held(c)]
+    stated = [right for value, right in _stated(_counted(cases)) if value >= _SURE]
     ties = [c for c in detected if "requested" in c.values]
     return {
         "false_alarms": _share(nulls, lambda c: c.verdict not in ("no_gap", "not_trustworthy")),
         "top1_detectable": _share(detected, lambda c: c.right),
         "top1_surely": _share([c for c in singles if c.clearly_detectable], lambda c: c.right),
-        "top1_plain": _share(plain, lambda c: c.right),
         "wrong_names": _share(singles, lambda c: c.wrong),
         "in_set": _share([c for c in detected if c.set], lambda c: c.truth[0] in c.set),
         "set_size": _statistic([len(c.set) for c in detected if c.set], np.mean),
@@ -165,11 +154,9 @@ def figures(cases: Sequence[Judged]) -> Json:
         "pairs_one": _share(both_detectable, lambda c: set(c.truth) & set(c.named)),
         "unknown_flagged": _share(visible, lambda c: c.verdict in ("unknown", "not_trustworthy")),
         "unknown_misnamed": _share(outside, lambda c: c.verdict in ("named", "several")),
-        **_calibration(_counted(cases)),
-        "shrink": _statistic([by_named for by_named, _ in shrinks]),
-        "shrink_of_oracle": _statistic([by_named / oracle for by_named, oracle in shrinks if oracle > 0.1]),
-        "sizes_within_tenth": interval(sum(error <= 0.1 for error, _ in sized), len(sized)),
-        "size_intervals": interval(sum(held for _, inside in sized for held in inside), sum(len(inside) for _, inside in sized)),
+        "stated_surely": interval(sum(stated), len(stated)),
+        "shrink": _statistic([share for share in shrinks if share is not None]),
+        "size_intervals": interval(sum(sized), len(sized)),
         "seconds": _statistic([c.values["seconds"] for c in cases]),
     }
 
@@ -177,7 +164,7 @@ def figures(cases: Sequence[Judged]) -> Json:
 def _is_visible(case: Judged) -> bool:
     """Of a case outside the catalogue; one in which the base model is not trustworthy counts as visible."""
     visibility = case.values.get("visibility")
-    return visibility is None or visibility >= _PLAIN
+    return visibility is None or visibility >= _VISIBLE
 
 
 def _counted(cases: Sequence[Judged]) -> list[Judged]:
@@ -200,15 +187,6 @@ def _stated(cases: Sequence[Judged]) -> list[tuple[float, bool]]:
     return stated
 
 
-def _calibration(cases: Sequence[Judged]) -> Json:
-    """Of causes that are stated with a high probability: the share that is right, and the mean of what was stated."""
-    stated = [(value, right) for value, right in _stated(cases) if value >= _SURE]
-    return {
-        "stated_surely": interval(sum(right for _, right in stated), len(stated)),
-        "stated_surely_mean": _statistic([value for value, _ in stated], np.mean),
-    }
-
-
 def _by_probability(cases: Sequence[Judged]) -> list[Json]:
     stated, rows = _stated(_counted(cases)), []
     for low, high in pairwise(_PROBABILITIES):
@@ -224,9 +202,9 @@ def _resolved_rightly(case: Judged) -> bool:
     return requested["resolved"] and [_one_of_twins(name) for name in requested["named"]] == list(case.truth)
 
 
-def _size_errors(case: Judged) -> list[tuple[float, list[bool]]]:
-    """Relative error of an effect that was rightly named, and whether each parameter lies in its interval at 90 %; none where the law of
-    the world is not that of the model."""
+def _sizes_held(case: Judged) -> list[bool]:
+    """Whether each parameter of an effect that was rightly named lies in its interval at 90 %; none where the law of the world is not that
+    of the model."""
     effect = case.values["effects"][0]
     name = effect["name"]
     if name not in _SIZED or name not in case.values["true_parameters"]:
@@ -234,8 +212,7 @@ def _size_errors(case: Judged) -> list[tuple[float, list[bool]]]:
     shown = [i for i, p in enumerate(EFFECTS[name].parameters) if not p.shape]
     true = np.array(case.values["true_parameters"][name])[shown]
     estimate, std = (np.array(list(effect[key].values()))[shown] for key in ("parameters", "std"))
-    error = float(np.linalg.norm(estimate - true) / np.linalg.norm(true))
-    return [(error, [bool(v) for v in np.abs(estimate - true) <= _Z90 * std])]
+    return [bool(v) for v in np.abs(estimate - true) <= _Z90 * std]
 
 
 def summarise_cases(results: Sequence[CaseResult]) -> Json:

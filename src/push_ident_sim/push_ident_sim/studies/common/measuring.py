@@ -138,11 +138,6 @@ def late_quantiles(seconds: Sequence[float]) -> dict[str, float]:
     return {"median_s": median, "p99_s": late, "worst_s": worst}
 
 
-def growth_exponent(sizes: ArrayLike, seconds: ArrayLike) -> float:
-    """Slope of the straight line through the logarithms of both: 1 where the time grows with the size."""
-    return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
-
-
 def milliseconds(timing: Mapping[str, Any]) -> str:
     """Median and quartiles for a table."""
     return f"{1e3 * timing['median_s']:.3g} ({1e3 * timing['q25_s']:.3g}–{1e3 * timing['q75_s']:.3g})"
