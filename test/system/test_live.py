@@ -88,7 +88,8 @@ def test_demo_sees_pushes_identifies_and_predicts_in_the_live_simulated_cell(tmp
     assert content["per_push"][0]["predicted_m"] < 0.02 and content["per_push"][0]["ways"]
     assert "push 2 predicted, expected to" in said
     folder = next(path for path in tmp_path.iterdir() if path.is_dir())
-    assert {path.name for path in folder.iterdir()} >= FILES and count_pushes(read_bag(folder / "bag")) == 2
+    # Pushes back to the middle come on top.
+    assert {path.name for path in folder.iterdir()} >= FILES and count_pushes(read_bag(folder / "bag")) >= 2
 
 
 @pytest.mark.alone
