@@ -138,7 +138,7 @@ def content_for(target: Target) -> st.SearchStrategy[Any]:
         return st.one_of(*[messages_like(base)] * 5, bytes_like(serialize_message(base)), st.just(base))
     bases = [kind.Request()]
     if name.endswith("/send_goal"):
-        bases = [kind.Request(goal=goal) for goal in right_goals()[name.partition("/")[0]]]
+        bases += [kind.Request(goal=goal) for goal in right_goals().get(name.partition("/")[0], ())]
     elif name.endswith(("/set_parameters", "/set_parameters_atomically")):
         bases = [kind.Request(parameters=[Parameter(name="use_sim_time", value=ParameterValue(type=1))])]
     return st.sampled_from(bases).flatmap(messages_like)
