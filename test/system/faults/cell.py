@@ -31,7 +31,7 @@ TRIES = 3
 """A push that fails before its fault is injected is requested so many times."""
 PUSH = 60.0
 """Longest push [s]."""
-MOVING, STILL = 0.05, 0.01
+MOVING, STILL = 0.02, 0.01
 """A joint that turns faster makes a moving arm; no joint of a standing arm does [rad/s]."""
 
 
