@@ -254,19 +254,17 @@ def test_every_frame_of_a_push_improves_the_estimate_as_the_whole_push_does_and_
 
 
 @pytest.mark.parametrize("start", ["failed fit", "adopted model"])
-def test_cell_by_cell_solver_goes_on_past_its_window(start: str, tmp_path: Path) -> None:
-    """After a fit that failed, and after a model was adopted: neither leaves unknowns that the next pushes do not have, nor does a file."""
-    state = OnlineIdentifier.known(prior_posterior(TRUTH.shape)) if start == "adopted model" else OnlineIdentifier.new(TRUTH.shape)
-    online = OnlineIdentifier(state, method="fast_gradient", window=1, max_seconds=0.1)
+def test_cell_by_cell_solver_goes_on_past_its_window_and_from_its_file(start: str, tmp_path: Path) -> None:
+    """After a fit that failed, and after a model was adopted: neither leaves unknowns that the next pushes or the file do not have."""
+    far = replace(PUSHES[0], pusher=replace(PUSHES[0].pusher, position=PUSHES[0].pusher.position + 1.0))
+    state, records = OnlineIdentifier.known(prior_posterior(TRUTH.shape)), PUSHES[1:3]
     if start == "failed fit":
-        far = replace(PUSHES[0], pusher=replace(PUSHES[0].pusher, position=PUSHES[0].pusher.position + 1.0))
-        assert online.add(far).status is SolveStatus.NO_CONTACT
-    online.add(PUSHES[1])
-    if start == "failed fit":
+        state, records = OnlineIdentifier.new(TRUTH.shape), [far, *records]
+    for record in records:
+        online = OnlineIdentifier(state, method="fast_gradient", window=1, max_seconds=0.1)
+        assert (online.add(record).status is SolveStatus.NO_CONTACT) == (record is far)
         save_state(tmp_path / "o1.state.json", online.state, object_id="o1", sources=["bag"])
         kept = load_state(tmp_path / "o1.state.json")
-        assert (kept.object_id, kept.sources) == ("o1", ("bag",)) and np.array_equal(kept.state.posterior.z, online.posterior.z)
-        online = OnlineIdentifier(kept.state, method="fast_gradient", window=1, max_seconds=0.1)
-    online.add(PUSHES[2])
-    assert online.n_pushes == (3 if start == "failed fit" else 2)
-    assert len(online.posterior.z) == 2 * len(TRUTH.shape.cells) + 2
+        state = kept.state
+        assert (kept.object_id, kept.sources) == ("o1", ("bag",)) and np.array_equal(state.posterior.z, online.posterior.z)
+    assert state.n_pushes == len(records) and len(state.posterior.z) == 2 * len(TRUTH.shape.cells) + 2

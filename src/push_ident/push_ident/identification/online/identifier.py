@@ -138,9 +138,6 @@ class OnlineIdentifier:
         options = self._options
         while len(records) >= self._window:
             oldest = summarise(records[0], state.posterior, noise_at_rest(records, options.noise), options.numerics)
-            if past is not None and len(past.cost.point) != len(oldest.cost.point):
-                # A solver that fits cell by cell uses no past, and its unknowns are not those of a model that was adopted.
-                oldest = Summary(1, past.modes, Quadratic.zero(len(past.cost.point)), past.feet)
             n_of_push = unknowns_of_push(state.shape, options.noise)
             starts = tuple(replace(start, x=without_first_push(start.x, len(records), n_of_push)) for start in starts)
             records, past = records[1:], oldest if past is None else past + oldest
@@ -172,6 +169,9 @@ class OnlineIdentifier:
         self.result, self.posterior, self._under_way = result, result.posterior, None
         self._frame_options = replace(self._frame_options, noise=noise_at_rest(records, self._options.noise))
         posterior, status = result.posterior, result.status
+        if past is not None and len(past.cost.point) != (n := posterior.unknowns.size):
+            # A solver that fits cell by cell uses no past, and its unknowns are not those of a model that was adopted.
+            past = Summary(past.n_pushes, posterior.unknowns.modes, Quadratic.zero(n), posterior.prior.feet)
         self.state = OnlineState(state.shape, prior, records, past, result.warm_starts, posterior, status, state.known)
         return result
 
