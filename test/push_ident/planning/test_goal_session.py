@@ -64,26 +64,44 @@ class Computed:
 
 @dataclass
 class Push:
-    """A push that ends after a while, or when it is cancelled."""
+    """A push that leads the object for a while, until it ends or is cancelled."""
 
     cell: Cell
     outcome: PushReport
-    motion: Float64Array
-    ends: float
+    lead: Callable[[float], Float64Array]
+    """Pose after a share of the time."""
+    seconds: float = PUSH_SECONDS
+    first: float = 0.0
+    travel: float = 0.0
+    """Of the path [m]: what is behind at first, and how much more at the end."""
     is_over: bool = False
     cancelled_at: float | None = None
+    n_corrections: int = 30
+    tool: Float64Array | None = None
+
+    def __post_init__(self) -> None:
+        self.begun = self.cell.time
+
+    @property
+    def share(self) -> float:
+        return min((self.cell.time - self.begun) / self.seconds, 1.0)
+
+    @property
+    def done(self) -> float:
+        return self.first + self.travel * self.share
 
     def report(self) -> PushReport | None:
         if self.cancelled_at is not None:
             return PushReport(PushCode.CANCELED, "canceled on request; the arm holds.", 1)
-        if self.cell.now() < self.ends:
+        if self.outcome.n_made:
+            self.cell.pose = self.lead(self.share)
+        if self.share < 1.0:
             return None
         if not self.is_over:
             self.is_over = True
             if self.outcome.code is PushCode.NONE:
-                self.cell.pose = self.cell.pose + self.motion
                 self.cell.learned = (self.cell.now() + LEARN_SECONDS, self.cell.now())
-        return replace(self.outcome, stamp=self.ends - 1.0)
+        return replace(self.outcome, stamp=self.begun)
 
     def cancel(self) -> None:
         self.cancelled_at = self.cancelled_at or self.cell.now()
@@ -108,6 +126,8 @@ class Cell:
     learns: bool = True
     pushed: float = -np.inf
     """Start of a push that somebody made before."""
+    motion: Float64Array | None = None
+    """Of a push; None: towards the goal."""
     settings: PushSettings | None = field(default_factory=PushSettings)
     pushes: list[Any] = field(default_factory=list)
     asked: list[PushPlan2D | int] = field(default_factory=list)
@@ -163,9 +183,10 @@ class Cell:
 
     def begin_push(self, object_id: str, push: PushPlan2D | int) -> Any:
         self.asked.append(push)
-        outcome = self.outcomes.pop(0) if self.outcomes else PushReport(PushCode.NONE, "", 1)
-        motion = np.array([0.02, 0.0, 0.1]) if isinstance(push, int) else 0.9 * (GOAL.pose - self.pose)
-        self.pushes.append(Push(self, outcome, motion, self.time + PUSH_SECONDS))
+        outcome, first = self.outcomes.pop(0) if self.outcomes else PushReport(PushCode.NONE, "", 1), self.pose
+        motion = np.array([0.02, 0.0, 0.1]) if isinstance(push, int) else 0.9 * (GOAL.pose - first)
+        motion = (outcome.code is PushCode.NONE) * (motion if self.motion is None else self.motion)
+        self.pushes.append(Push(self, outcome, lambda share: first + share * motion))
         return self.pushes[-1]
 
     def wish(self) -> Wish:
@@ -324,20 +345,11 @@ def test_where_each_push_would_risk_a_fall_another_place_is_chosen_once() -> Non
     np.testing.assert_array_equal(outcome.progress.target.goal.pose, AT_EDGE.pose)
 
 
-class Falling(Cell):
-    """Its object is seen where it was pushed to, which is beside the table."""
-
-    def begin_push(self, object_id: str, push: PushPlan2D | int) -> Push:
-        begun: Push = super().begin_push(object_id, push)
-        begun.motion = np.array([0.4, 0.0, 0.0])
-        return begun
-
-
 def test_object_that_is_lost_at_the_edge_fell() -> None:
     gone = {"is_visible": lambda time: time < 105.0}
     outcome, _ = run(Cell(targets=[place(0.13, 0.0, 0.0)], **gone), goal=OVER)  # type: ignore[arg-type]
     assert outcome.code is GoalCode.FELL and "less overhang" in outcome.text and outcome.progress.pushes == 1
-    outcome, _ = run(Falling(targets=[place(0.4, 0.0, 0.0)]), goal=OVER)
+    outcome, _ = run(Cell(targets=[place(0.4, 0.0, 0.0)], motion=np.array([0.4, 0.0, 0.0])), goal=OVER)
     assert outcome.code is GoalCode.FELL and "beside the table" in outcome.text
     # Far from the edge it is only lost.
     assert run(Cell(targets=[place(0.0, 0.1, 0.0)], **gone), goal=OVER)[0].code is GoalCode.OBJECT_LOST  # type: ignore[arg-type]
@@ -359,37 +371,12 @@ STRAIGHT = PathPush(PathStatus.PUSH, 0.0, PUSH)
 
 
 @dataclass
-class PathPushing:
-    """A push that carries the object along the path for two seconds, beside it."""
-
-    cell: PathCell
-    travel: float
-    code: PushCode
-    first: float
-    begun: float
-    n_corrections: int = 30
-    tool: Float64Array | None = None
-
-    @property
-    def done(self) -> float:
-        return self.first + self.travel * min((self.cell.time - self.begun) / 2.0, 1.0)
-
-    def report(self) -> PushReport | None:
-        self.cell.pose = PATH.at(self.done) + np.array([0.0, self.cell.beside, 0.0])
-        return PushReport(self.code, "as told", 1, self.begun) if self.cell.time >= self.begun + 2.0 else None
-
-    def cancel(self) -> None:
-        self.cell.cancelled = True
-
-
-@dataclass
 class PathCell(Cell):
     """`PathPorts` in memory; `travels` says how far each push brings the object [m] and how it ends."""
 
     travels: list[tuple[float, PushCode]] = field(default_factory=list)
     pose: Float64Array = field(default_factory=lambda: PATH.poses[0].copy())
     std: float = 1e-4
-    learned: tuple[float, float] = (-1.0, np.inf)
     settings: PushSettings | None = field(default_factory=lambda: PushSettings(workspace=(-0.3, 0.3, -0.3, 0.3)))
     steers: list[bool] = field(default_factory=list)
     """As each plan was asked for."""
@@ -398,7 +385,6 @@ class PathCell(Cell):
     beside: float = 0.002
     """Of the path [m]: where the object is led."""
     unreachable: bool = False
-    cancelled: bool = False
 
     def begin_step(self, model: Any, seen: TrackedObject, path: PathGoal, done: float, *others: Any, steers: bool) -> Computed:
         self.steers.append(steers)
@@ -413,10 +399,14 @@ class PathCell(Cell):
         self.beside = 0.0
         return super().begin_plan(model, seen, target, obstacles, failed)
 
-    def begin_steered(self, *arguments: Any) -> PathPushing:
-        return PathPushing(self, *self.travels.pop(0), float(PATH.error(self.pose, 0.0, 1.0)[0]), self.time)
+    def begin_steered(self, *arguments: Any) -> Push:
+        travel, code = self.travels.pop(0)
+        first = float(PATH.error(self.pose, 0.0, 1.0)[0])
+        lead = lambda share: PATH.at(first + share * travel) + np.array([0.0, self.beside, 0.0])  # noqa: E731
+        self.pushes.append(Push(self, PushReport(code, "as told", 1), lead, 2.0, first, travel))
+        return self.pushes[-1]
 
-    def begin_push(self, object_id: str, push: PushPlan2D | int) -> PathPushing:
+    def begin_push(self, object_id: str, push: PushPlan2D | int) -> Push:
         return self.begin_steered()
 
 
@@ -467,4 +457,4 @@ def test_path_that_cannot_be_followed_is_refused_before_anything_moves_and_a_can
         assert refused.value.code is code
     cell = PathCell(wants=lambda cell: Wish.HOLD if cell.time > 101.0 else Wish.GO_ON)
     outcome, _ = follow((0.12, PushCode.NONE), cell=cell)
-    assert outcome.code is GoalCode.CANCELED and cell.cancelled and cell.time < 103.0
+    assert outcome.code is GoalCode.CANCELED and cell.pushes[0].cancelled_at is not None and cell.time < 103.0

@@ -104,63 +104,59 @@ def test_ends_of_the_interval_are_the_shares_at_which_the_count_is_just_likely(h
     assert interval(0, 0)["share"] is None
 
 
-def outcome(kind: str, truth: list[str], verdict: str, named: list[str], confusable: list[str], gain: float, alone: float) -> CaseResult:
+def outcome(
+    kind: str, truth: str, verdict: str, named: str = "", confusable: str = "", gain: float = 0.0, alone: float = 0.0, **more: Any
+) -> CaseResult:
+    """Of one case; names are separated by blanks."""
     values: dict[str, Any] = {
         "verdict": verdict,
-        "effects": [{"name": n, "parameters": {"offset": 1.05e-3}, "std": {"offset": 1e-4}, "evidence": 20.0} for n in named],
-        "confusable": confusable,
+        "effects": [{"name": n, "parameters": {"offset": 1.05e-3}, "std": {"offset": 1e-4}, "evidence": 20.0} for n in named.split()],
+        "confusable": confusable.split(),
         "gap": {"before_m": 4e-3, "after_m": 1e-3, "noise_m": 5e-4, "shrink": 0.8},
         "seconds": 10.0,
-        "truth": {"engine": "planar", "kind": kind, "names": truth, "size": 1.0},
-        "true_parameters": {name: [1e-3] for name in truth},
-        "detectability": {name: {"alone": alone, "gain": gain} for name in truth},
+        "truth": {"engine": "planar", "kind": kind, "names": truth.split(), "size": 1.0},
+        "true_parameters": {name: [1e-3] for name in truth.split()},
+        "detectability": {name: {"alone": alone, "gain": gain} for name in truth.split()},
     }
-    return CaseResult(Case("book", 0, "14-pushes"), values)
+    return CaseResult(Case("book", 0, "14-pushes"), values | more)
+
+
+def asked(n: int, named: str) -> dict[str, Any]:
+    return {"n": n, "named": [named], "resolved": True}
 
 
 def test_figures_count_what_they_say() -> None:
     results = [
-        outcome("null", [], "no_gap", [], [], 0, 0),
-        outcome("null", [], "one_of", ["wear"], ["tether"], 0, 0),
-        outcome("single", ["outline_error"], "named", ["outline_error"], [], 30, 60),
-        outcome("single", ["pusher_lag"], "one_of", ["pose_latency"], ["pusher_lag"], 8, 10),
-        outcome("single", ["wear"], "named", ["table_tilt"], [], 9, 30),
-        outcome("single", ["wear"], "no_gap", [], [], -1, 0.5),
+        outcome("null", "", "no_gap"),
+        outcome("null", "", "one_of", "wear", "tether"),
+        outcome("single", "outline_error", "named", "outline_error", "", 30, 60),
+        outcome("single", "pusher_lag", "one_of", "pose_latency", "pusher_lag", 8, 10, requested=asked(1, "pusher_lag")),
+        outcome("single", "wear", "named", "table_tilt", "", 9, 30),
+        outcome("single", "wear", "no_gap", "", "", -1, 0.5),
         # Twins that no push can tell apart.
-        outcome("single", ["tool_offset"], "one_of", ["camera_translation"], ["tool_offset"], 40, 90),
-        outcome("pair", ["pusher_lag", "wear"], "several", ["wear", "table_tilt"], [], 20, 40),
-        outcome("outside", ["viscous_film"], "unknown", [], [], 0, 0),
-        outcome("outside", ["gust"], "named", ["table_tilt"], [], 0, 0),
-        outcome("outside", ["compliant_table"], "no_gap", [], [], 0, 0),
+        outcome("single", "tool_offset", "one_of", "camera_translation", "tool_offset", 40, 90, requested=asked(0, "wear")),
+        outcome("pair", "pusher_lag wear", "several", "wear table_tilt", "", 20, 40),
+        outcome("outside", "viscous_film", "unknown", visibility=80.0),
+        outcome("outside", "gust", "named", "table_tilt", visibility=None),
+        outcome("outside", "compliant_table", "no_gap", visibility=2.0),
     ]
-    for result, visibility in zip(results[-3:], (80.0, None, 2.0), strict=True):
-        result.values["visibility"] = visibility
-    results[3].values["requested"] = {"n": 1, "named": ["pusher_lag"], "resolved": True}
-    results[6].values["requested"] = {"n": 0, "named": ["wear"], "resolved": True}
     counted = figures([judge(r) for r in results])
     shares = {name: (round(f["share"] * f["n"]), f["n"]) for name, f in counted.items() if f.get("share") is not None}
-    assert shares["false_alarms"] == (1, 2)
-    assert shares["top1_detectable"] == (2, 4)
-    assert shares["top1_surely"] == (2, 2)
-    assert shares["wrong_names"] == (1, 5)
-    assert shares["in_set"] == (3, 4)
-    assert shares["ties_resolved"] == (1, 2) and shares["ties_beyond_pushes"] == (1, 2)
-    assert shares["silent_undetectable"] == (1, 1)
-    assert shares["pairs_both"] == (0, 1) and shares["pairs_one"] == (1, 1)
-    assert shares["unknown_flagged"] == (1, 2) and shares["unknown_misnamed"] == (1, 3)
-    assert counted["set_size"]["value"] == pytest.approx(1.25)
-    assert shares["size_intervals"] == (1, 1)
-    assert counted["shrink"]["value"] == pytest.approx(0.8)
+    expected = {
+        "false_alarms": (1, 2), "top1_detectable": (2, 4), "top1_surely": (2, 2), "wrong_names": (1, 5), "in_set": (3, 4),
+        "ties_resolved": (1, 2), "ties_beyond_pushes": (1, 2), "silent_undetectable": (1, 1), "pairs_both": (0, 1), "pairs_one": (1, 1),
+        "unknown_flagged": (1, 2), "unknown_misnamed": (1, 3), "size_intervals": (1, 1),
+    }  # fmt: skip
+    assert {name: shares[name] for name in expected} == expected
+    assert counted["set_size"]["value"] == pytest.approx(1.25) and counted["shrink"]["value"] == pytest.approx(0.8)
 
 
 def test_causes_that_are_stated_surely_are_counted_with_their_twins() -> None:
-    null = outcome("null", [], "no_gap", [], [], 0, 0)
-    single = outcome("single", ["tool_offset"], "one_of", ["camera_translation"], ["tool_offset"], 20.0, 50.0)
-    outside = outcome("outside", [], "named", ["wear"], [], 0, 0)
-    null.values["probabilities"] = {"nothing": 0.92, "wear": 0.08, "something_else": 0.03}
-    single.values["probabilities"] = {"nothing": 0.0, "tool_offset": 0.5, "camera_translation": 0.49, "something_else": 0.02}
-    outside.values["probabilities"] = {"nothing": 0.01, "wear": 0.95, "something_else": 0.3}
-    found = figures([judge(case) for case in (null, single, outside, outcome("null", [], "no_gap", [], [], 0, 0))])
+    stated = {"nothing": 0.0, "tool_offset": 0.5, "camera_translation": 0.49, "something_else": 0.02}
+    null = outcome("null", "", "no_gap", probabilities={"nothing": 0.92, "wear": 0.08, "something_else": 0.03})
+    single = outcome("single", "tool_offset", "one_of", "camera_translation", "tool_offset", 20.0, 50.0, probabilities=stated)
+    outside = outcome("outside", "", "named", "wear", probabilities={"nothing": 0.01, "wear": 0.95, "something_else": 0.3})
+    found = figures([judge(case) for case in (null, single, outside, outcome("null", "", "no_gap"))])
     assert found["stated_surely"]["n"] == 3 and found["stated_surely"]["share"] == pytest.approx(2 / 3)
     ranges = {row["from"]: row for row in summarise_cases([null, single, outside])["by_probability"]}
     assert ranges[0.9]["right"]["n"] == 2 and ranges[0.9]["right"]["share"] == pytest.approx(0.5)

@@ -99,17 +99,17 @@ def test_absent_game_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -
 # --- demo
 
 
-def test_page_of_the_demo_counts_pushes_and_runs() -> None:
-    def push(predicted: float, expected: float, uniform: float, n_ways: int = 1) -> dict[str, object]:
-        return {"predicted_m": predicted, "expected_m": expected, "uniform_m": uniform, "ways": n_ways * [{"chance": 1.0 / n_ways}]}
+def test_pushes_and_runs_of_the_demo_are_counted() -> None:
+    def run(*pushes: tuple[float, float, float, int]) -> dict[str, object]:
+        keys = ("predicted_m", "expected_m", "uniform_m")
+        test = [dict(zip(keys, push, strict=False)) | {"ways": push[3] * [{"chance": 1.0 / push[3]}]} for push in pushes]
+        return {"training": [{"moved_m": 0.05}, test[0]], "per_push": test[1:], "time_s": 100.0}
 
-    def run(*test: dict[str, object]) -> dict[str, object]:
-        return {"training": [{"moved_m": 0.05}, push(0.001, 0.001, 0.01)], "per_push": list(test), "time_s": 100.0}
-
-    good = run(push(0.001, 0.001, 0.008), push(0.002, 0.001, 0.008, 2))
-    bad = run(push(0.009, 0.001, 0.004), push(0.001, 0.002, 0.002))
+    first = (0.001, 0.001, 0.01, 1)
+    good, bad = (
+        run(first, (0.001, 0.001, 0.008, 1), (0.002, 0.001, 0.008, 2)),
+        run(first, (0.009, 0.001, 0.004, 1), (0.001, 0.002, 0.002, 1)),
+    )
     study = EXPERIMENTS["demo"]
     summary = study.summarise([CaseResult(Case("hammer", seed, "plain"), values) for seed, values in enumerate((good, bad))])
     assert (summary["pushes"], summary["far"], summary["within"], summary["two_ways"], summary["worse"]) == (6, 1, 4, 1, 1)
-    text = study.tables(summary)
-    assert "1 of 2" in text and "1 of 6" in text

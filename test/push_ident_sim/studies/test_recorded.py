@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -71,30 +69,15 @@ def test_what_authors_measured_is_read_by_patterns_of_names(folder: Path, tmp_pa
         known_of(tmp_path, "even-rect1")
 
 
-def outcome(verdict: str, named: list[str], probability: float) -> dict[str, Any]:
-    passed = verdict != "not_trustworthy"
-    return {
-        "n": 14, "n_all": 60, "verdict": verdict, "seconds": 10.0,
-        "effects": [{"name": name, "parameters": {"w": -0.02}} for name in named],
-        "refused": [] if passed else ["1 of 1 pushes touch the object"],
-        "something_else": 1 - probability if passed else None,
-        "gap": {"before_m": 3e-3, "after_m": 1e-3, "noise_m": 5e-4} if passed else None,
-        "friction": 0.25 if passed else None,
-        "known": {"friction": 0.28},
-    }  # fmt: skip
-
-
-def test_table_has_verdicts_named_effects_measured_friction_and_refusals() -> None:
-    draws = [outcome("named", ["wear"], 0.95), outcome("no_gap", [], 0.35)]
-    results = [CaseResult(Case("pu-hex", seed, "14-pushes"), values) for seed, values in enumerate(draws)]
-    results.append(CaseResult(Case("abs-hex", 0, "14-pushes"), outcome("not_trustworthy", [], 0.0)))
-    predicted = {"identified_m": 1e-3, "scalar_m": 2e-3, "uniform_m": 3e-3}
-    results.append(CaseResult(Case("pu-hex", 0, "predict-5"), predicted))
-    summary = json.loads(json.dumps(STUDY.summarise(results)))
-    text = STUDY.tables(summary)
-    assert "wear 1×, -0.02" in text and "0.250" in text and "0.280" in text and "1.00" in text
-    assert "abs-hex, 14-pushes was refused: 1 of 1 pushes touch the object" in text
-    assert "3 draws" in STUDY.answer(summary) and "1 named" in STUDY.answer(summary)
+def test_draws_of_a_set_are_counted_with_named_effects_measured_friction_and_refusals() -> None:
+    named = {"n": 14, "n_all": 60, "verdict": "named", "effects": [{"name": "wear", "parameters": {"w": -0.02}}], "refused": []}
+    named |= {"something_else": 0.05, "gap": None, "friction": 0.25, "known": {"friction": 0.28}, "seconds": 10.0}
+    other = named | {"verdict": "not_trustworthy", "effects": [], "refused": ["no push touches"], "something_else": None, "friction": None}
+    summary = STUDY.summarise([CaseResult(Case("hex", seed, "14-pushes"), draw) for seed, draw in enumerate((named, other))])
+    row = summary["diagnosed"]["hex, 14-pushes"]
+    assert row["draws"] == 2 and row["pushes"] == [14, 60] and row["verdicts"] == {"named": 1, "not_trustworthy": 1}
+    assert row["named"] == {"wear": {"n": 1, "mean": {"w": -0.02}}} and row["something_else"] == 0.05 and row["friction"] == 0.25
+    assert "hex, 14-pushes was refused: no push touches" in STUDY.tables(summary) and "2 draws" in STUDY.answer(summary)
 
 
 SENSORS = EXPERIMENTS["sensors"]
