@@ -10,20 +10,10 @@ import numpy as np
 from push_ident.geometry.outline import points_in_polygon
 from push_ident.geometry.se2 import transform_points
 from push_ident.types import CameraIntrinsics, DepthFrame
+from push_ident_sim.cell.camera import look_at
 
 INTRINSICS = CameraIntrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
 SMALL = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
-
-
-def look_at(position, target) -> np.ndarray:
-    """Optical frame (x right, y down, z forward) in the table frame, shape (4, 4)."""
-    forward = np.subtract(target, position) / np.linalg.norm(np.subtract(target, position))
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = position
-    return pose
 
 
 CAMERA = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
@@ -71,6 +61,9 @@ def box(x, y, width, depth, height, yaw=0.0, bottom=0.0) -> Prism:
     return Prism(rectangle(-width / 2, -depth / 2, width / 2, depth / 2), bottom + height, bottom).at((x, y, yaw))
 
 
+BOX = box(0, 0, 0.2, 0.12, 0.1, 0.4)
+
+
 def render(prisms, camera=CAMERA, *, rng=None, stamp=0.0, intrinsics=INTRINSICS) -> DepthFrame:
     """Depth of a table at z = 0 with prisms on it; with `rng` noisy and in whole millimetres."""
     scene = tuple((np.asarray(prism.polygon, dtype=float).tobytes(), prism.top, prism.bottom) for prism in prisms)
@@ -80,29 +73,26 @@ def render(prisms, camera=CAMERA, *, rng=None, stamp=0.0, intrinsics=INTRINSICS)
     return DepthFrame(stamp, depth.astype(np.float32), intrinsics)
 
 
+def frames(prisms, camera=CAMERA, n=4, seed=0) -> list[DepthFrame]:
+    """Noisy ones of a scene at rest, at 30 Hz."""
+    rng = np.random.default_rng(seed)
+    return [render(prisms, camera, rng=rng, stamp=i / 30) for i in range(n)]
+
+
 @lru_cache(maxsize=4)
 def _exact(scene, camera, intrinsics) -> tuple[np.ndarray, np.ndarray]:
     """Depth without noise and the deviation of the noise [m]; kept, since what rests is rendered again and again."""
     camera = np.frombuffer(camera).reshape(4, 4)
-    rays, table = _table(camera.tobytes(), intrinsics)
-    depth = table.copy()
+    u, v = np.meshgrid(np.arange(intrinsics.width), np.arange(intrinsics.height))
+    rays = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones(u.shape)], axis=-1)
+    rays = rays @ camera[:3, :3].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(rays[..., 2] < 0, -camera[2, 3] / rays[..., 2], np.nan)
     for polygon, top, bottom in scene:
         prism = Prism(np.frombuffer(polygon).reshape(-1, 2), top, bottom)
         part = _window(prism, camera, intrinsics)
         depth[part] = _hit(prism, camera[:3, 3], rays[part].reshape(-1, 3), depth[part].ravel()).reshape(depth[part].shape)
     return depth, 0.0012 + 0.0019 * (depth - 0.4) ** 2
-
-
-@lru_cache(maxsize=4)
-def _table(camera, intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    """Rays of the pixels in the table frame, shape (height, width, 3), and the depth of the empty table [m]."""
-    camera = np.frombuffer(camera).reshape(4, 4)
-    u, v = np.meshgrid(np.arange(intrinsics.width), np.arange(intrinsics.height))
-    rays = (
-        np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones(u.shape)], axis=-1) @ camera[:3, :3].T
-    )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return rays, np.where(rays[..., 2] < 0, -camera[2, 3] / rays[..., 2], np.nan)
 
 
 def _window(prism, camera, intrinsics) -> tuple[slice, slice]:

@@ -23,21 +23,18 @@ from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from helpers.node_process import NodeProcess
+from helpers.memory_cell import BOX, PARKED, RADIUS, SHAPE
+from helpers.node_process import NodeProcess, wait_for
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.geometry.outline import cells_in_outline, signed_distance
+from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.convert.messages import force_to_msg, planar_pose_to_msg, shape_to_msgs, stamp_from_msg
-from push_ident.types import ObjectShape
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import HandStatus, PushRecord
 from push_ident_sim.cell.robot import HOME, robot_description
 from push_ident_sim.cell.trajectory import JointTrajectory as Followed
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-RADIUS = 0.018
-BOX = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
-PARKED = [0.5, *HOME[1:]]
 ARM_TIMEOUT = 0.5  # five times the default: the processes of this test may have to share one core with other tests
 QUICK = {
     "max_joint_velocity": 2.0,
@@ -84,8 +81,7 @@ class Cell(Node):
         self.shapes: list[SolidPrimitive] = []
         self.diagnostics: list[DiagnosticArray] = []
         self._tip = self.kinematics.forward(self.q)[:3, 3]
-        shape = ObjectShape(cells_in_outline(BOX, 0.01), BOX)
-        cells, outline = shape_to_msgs(shape, "box", self.get_clock().now().to_msg())
+        cells, outline = shape_to_msgs(SHAPE, "box", self.get_clock().now().to_msg())
         self._publish_once(String, "robot_description", String(data=robot_description()))
         self._publish_once(OccupancyGrid, "objects/box/cells", cells)
         self._publish_once(PolygonStamped, "objects/box/outline", outline)
@@ -183,7 +179,7 @@ class Call:
     feedback: list[int] = field(default_factory=list)
 
     def end(self, timeout: float = 20.0) -> ExecutePush.Result:
-        wait_for(lambda: self.result.done(), timeout)
+        wait_for(self.result.done, timeout)
         return self.result.result().result
 
 
@@ -199,13 +195,6 @@ def ask(node: Node, question: Callable[[], Any]) -> Any:
 
 def is_hold(command: JointTrajectory) -> bool:
     return len(command.points) == 1 and not np.any(command.points[0].velocities)
-
-
-def wait_for(condition: Callable[[], object], timeout: float = 20.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, "timed out"
-        time.sleep(0.002)
 
 
 def wait_until_ready(cell: Cell, timeout: float = 120.0) -> None:

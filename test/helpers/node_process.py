@@ -149,11 +149,7 @@ class Talker:
 
     def until(self, condition: Callable[[], object], meanwhile: Callable[[], object] = lambda: None, timeout: float = 120.0) -> None:
         """Spin until `condition` is true, calling `meanwhile` again and again."""
-        deadline = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < deadline, f"timed out; the node says {self._reports[-1:]}"
-            meanwhile()
-            self.spin(0.05)
+        wait_for(condition, timeout, lambda: (meanwhile(), self.spin(0.05)), lambda: f"the node says {self._reports[-1:]}")
 
     def ask(self, client: Any, request: object, timeout: float = 60.0) -> Any:
         """The answer of a service.
@@ -161,23 +157,30 @@ class Talker:
         A server that has not found the reading end of a client yet drops its answer: what may be asked twice is asked again.
         """
         self.until(client.service_is_ready)
-        deadline, again = time.monotonic() + timeout, 0.0
         futures: list[Any] = []
-        while not (answered := [future for future in futures if future.done()]):
-            assert time.monotonic() < deadline, f"no answer to {type(request)}; the node says {self._reports[-1:]}"
-            if not futures or (isinstance(request, REPEATABLE) and time.monotonic() > again):
+        asked = 0.0
+
+        def ask_again() -> None:
+            nonlocal asked
+            if not futures or (isinstance(request, REPEATABLE) and time.monotonic() > asked + AGAIN):
                 futures.append(client.call_async(request))
-                again = time.monotonic() + AGAIN
-            self.spin(0.05)
-        return answered[0].result()
+                asked = time.monotonic()
+
+        self.until(lambda: any(future.done() for future in futures), ask_again, timeout)
+        return next(future for future in futures if future.done()).result()
 
 
-def wait_until(condition: Callable[[], object], timeout: Callable[[], float] = lambda: 60.0) -> None:
-    """`timeout` [s] may grow while it waits, with what the machine lets threads wait."""
+def wait_for(
+    condition: Callable[[], object],
+    timeout: float | Callable[[], float] = 60.0,
+    meanwhile: Callable[[], object] = lambda: time.sleep(0.002),
+    why: Callable[[], str] = str,
+) -> None:
+    """`timeout` [s] may grow while it waits, with what the machine lets threads wait; `why` says more of a condition that stays false."""
     began = time.monotonic()
     while not condition():
-        assert time.monotonic() - began < timeout(), "waited too long"
-        time.sleep(0.02)
+        assert time.monotonic() - began < (timeout() if callable(timeout) else timeout), f"timed out; {why()}"
+        meanwhile()
 
 
 def is_alive(process: int) -> bool:

@@ -31,18 +31,9 @@ def recording(*parts: str) -> Path:
 
 
 @cache
-def tree(path: Path) -> ast.Module:
+def nodes(path: Path) -> tuple[ast.AST, ...]:
     gc.disable()  # it would look at all trees again and again
     try:
-        return ast.parse(path.read_text(encoding="utf-8"))
-    finally:
-        gc.enable()
-
-
-@cache
-def nodes(path: Path) -> tuple[ast.AST, ...]:
-    gc.disable()
-    try:
-        return tuple(ast.walk(tree(path)))
+        return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
     finally:
         gc.enable()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from push_ident.types import Float64Array
-from push_ident_sim.cell.camera import INTRINSICS, look_at
+from helpers.depth_scene import CAMERA
+from push_ident.perception.frame import view
+from push_ident.types import DepthFrame, Float64Array
+from push_ident_sim.cell.camera import INTRINSICS
 from push_ident_sim.objects import Part, SimObject, object_from_picture
-
-CAMERA = look_at((0.55, 0.0, 0.85), (0.0, 0.0, 0.0))
 
 
 def block(columns: int = 10, rows: int = 6, friction: float = 0.3, mass: float = 0.6) -> SimObject:
@@ -25,6 +25,4 @@ def disc(friction: float = 0.3, mass: float = 0.6) -> SimObject:
 
 def points_in_table(depth: np.ndarray) -> Float64Array:
     """Points [m] of a depth image of `CAMERA` in the table frame, shape (height, width, 3)."""
-    v, u = np.indices(depth.shape)
-    rays = np.stack([(u - INTRINSICS.cx) / INTRINSICS.fx, (v - INTRINSICS.cy) / INTRINSICS.fy, np.ones(u.shape)], axis=-1)
-    return depth[..., None] * rays @ CAMERA[:3, :3].T + CAMERA[:3, 3]
+    return view.points_in_table(DepthFrame(0.0, depth, INTRINSICS), CAMERA)

@@ -53,18 +53,6 @@ def salt(depth: Image, rng: Generator, other: Image) -> None:
     depth[chosen] = rng.uniform(0.0, 5.0, n) if rng.random() < 0.5 else rng.choice(SPECIAL, n)
 
 
-def stripes(depth: Image, rng: Generator, other: Image) -> None:
-    image = depth if rng.random() < 0.5 else depth.T
-    period, width = int(rng.integers(2, 40)), int(rng.integers(1, 20))
-    for begin in range(int(rng.integers(period)), len(image), period):
-        image[begin : begin + width] = rng.choice([*SPECIAL, 0.5, 1.0])
-
-
-def roll(depth: Image, rng: Generator, other: Image) -> Image:
-    axis = int(rng.integers(2))
-    return np.roll(depth, int(rng.integers(1, depth.shape[axis] + 1)), axis=axis)
-
-
 def shift(depth: Image, rng: Generator, other: Image) -> Image:
     """Some pixels, as when the camera is touched; nothing is measured where the image ends."""
     rows, columns = (float(value) for value in rng.normal(0.0, 10.0, 2))
@@ -110,12 +98,6 @@ def bumps(depth: Image, rng: Generator, other: Image) -> None:
         depth[v : v + rows, u : u + columns] -= np.float32(10 ** rng.uniform(-2.5, -0.5))
 
 
-def torn(depth: Image, rng: Generator, other: Image) -> None:
-    """Each row displaced by its own amount."""
-    for row in range(int(rng.integers(depth.shape[0])), depth.shape[0]):
-        depth[row] = np.roll(depth[row], int(rng.integers(-20, 21)))
-
-
 def size(frame: DepthFrame, rng: Generator) -> DepthFrame:
     """An image of another size, with the intrinsics of that size or, sometimes, without."""
     rows, camera, factor = frame.depth.shape[0], frame.intrinsics, 1
@@ -150,11 +132,7 @@ def stamp(frame: DepthFrame, rng: Generator) -> DepthFrame:
 
 
 OF_DEPTH: dict[str, Callable[[Image, Generator, Image], Image | None]] = {
-    change.__name__: change
-    for change in (
-        *(block, salt, stripes, roll, shift, mix),
-        *(unit, constant, tilt, noise, bumps, torn),
-    )
+    change.__name__: change for change in (block, salt, shift, mix, unit, constant, tilt, noise, bumps)
 }
 OF_FRAME: dict[str, Callable[[DepthFrame, Generator], DepthFrame]] = {change.__name__: change for change in (size, intrinsics, stamp)}
 

@@ -9,7 +9,6 @@ import sqlite3
 import struct
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,11 +20,10 @@ import yaml
 from backports import zstd
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from helpers.bags import COVARIANCE, L_SHAPE, bag_error, make_record, pose_msg, write_cells, write_push
+from helpers.bags import COVARIANCE, L_SHAPE, bag_error, pose_msg, write_cells, write_push
 from push_ident.bags.contract import Role
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
-from push_ident.bags.records import write_records
 from push_ident.bags.typestore import jazzy_typestore
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
@@ -316,12 +314,3 @@ def test_a_pusher_that_is_recorded_for_hours_makes_no_push_of_hours(tmp_path: Pa
             writer.write_pusher(2.0 + 0.4 * k, (0.0, 0.0))
     with pytest.raises(BagError, match="duration of a push"):
         split_pushes(read_bag(tmp_path / "bag"), "7")
-
-
-def test_many_pushes_with_many_samples_are_cut_in_linear_time(tmp_path: Path) -> None:
-    """Each push took a copy of all samples: 500 pushes of 40 samples copied ten million numbers."""
-    write_records(tmp_path / "bag", [make_record(5.0 * k) for k in range(200)])
-    contents = read_bag(tmp_path / "bag")
-    began = time.process_time()
-    assert len(split_pushes(contents, "7")) == 200
-    assert time.process_time() - began < 1.2

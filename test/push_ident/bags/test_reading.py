@@ -25,7 +25,7 @@ from helpers.bags import (
     write_pusher_logged,
     write_raw,
 )
-from helpers.paths import EXAMPLE_BAG, recording
+from helpers.paths import EXAMPLE_BAG
 from push_ident.bags.contract import Role, TopicRole, role_of
 from push_ident.bags.decode import DEFAULT_COVARIANCE
 from push_ident.bags.pushes import split_pushes
@@ -34,7 +34,7 @@ from push_ident.bags.reader import BagContents, read_bag
 from push_ident.bags.records import write_records
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError, FrameError, InputError
-from push_ident.geometry.outline import outline_of_cells, polygon_area
+from push_ident.geometry.outline import polygon_area
 from push_ident.types import CameraIntrinsics, CellGrid, ObjectShape
 from push_ident_msgs.msg import PushRecord, PushScore
 
@@ -158,19 +158,6 @@ def test_depth_honours_step_and_byte_order(tmp_path: Path, bigendian: int, pad: 
     np.testing.assert_allclose(frame.depth, [[0.3, 1.0], [0.002, 65.535]], rtol=1e-6)
     with pytest.raises(FrameError, match="'mono16'.*16UC1"):
         list(depth_bag(tmp_path / "other", "mono16", 0, rows).depth_frames())
-
-
-def test_contract_sample_of_another_maker_is_read() -> None:
-    contents = read_bag(recording("contract_sample", "bag"))
-    pushes = split_pushes(contents, "1")
-    assert contents.notes == [] and len(pushes) == 8
-    assert sum(len(push.poses.time) for push in pushes) == sum(len(push.pusher.time) for push in pushes) == 359
-    shape = pushes[0].shape
-    assert len(shape.cells) == 70 and shape.cells.size == 0.011 and pushes[0].pusher.radius == 0.008
-    # The outline it states is the one of its cells.
-    assert polygon_area(shape.outline) == pytest.approx(70 * 0.011**2, rel=1e-5)
-    assert polygon_area(outline_of_cells(shape.cells.centres, 0.011)) == pytest.approx(70 * 0.011**2)
-    np.testing.assert_allclose(np.sqrt(np.diag(pushes[0].poses.covariance[0])), [1e-3, 1e-3, np.radians(0.5)])
 
 
 def test_accuracy_of_the_camera_is_that_of_every_push_and_one_that_is_none_is_noted(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import cv2
@@ -13,7 +12,7 @@ import yaml
 
 from helpers.commands import check_refused, run_here
 from helpers.depth_scene import CAMERA, SMALL, box, render
-from helpers.paths import EXAMPLE_BAG, recording
+from helpers.paths import EXAMPLE_BAG
 from push_ident.perception.frame.view import points_in_table
 from push_ident.types import DepthFrame
 
@@ -122,7 +121,6 @@ UNORGANISED = b"VERSION 0.7\nWIDTH 320\nHEIGHT 1\nPOINTS 320\nDATA ascii\n"
         ("nothing", None, (), "does not exist; give a bag, a folder"),
         ("none/", None, (), "has no depth image"),
         ("camera_info.yaml", None, (), "no camera_info.yaml beside it"),
-        ("camera_info.yaml", b"image_width: 320\n", (), "gives no intrinsics"),
         ("camera_info.yaml", b"a: [\n", (), "gives no intrinsics"),
         ("camera_info.yaml", DISTORTED, (), "distortion and no projection_matrix"),
         ("camera_info.yaml", INFO | {"image_width": 640}, (), "belong to different cameras"),
@@ -133,10 +131,8 @@ UNORGANISED = b"VERSION 0.7\nWIDTH 320\nHEIGHT 1\nPOINTS 320\nDATA ascii\n"
         ("c.pcd", UNORGANISED, (), "not organised"),
         ("b.mcap", b"nothing of the kind", (), "b.mcap"),
         (".", None, ("--intrinsics", "1,2"), "expected four numbers"),
-        (".", None, ("--intrinsics", "-300,300,1,1"), "focal lengths > 0"),
         (".", None, ("--known", "a box"), "expected width x depth x height"),
         (".", None, ("--known", "200x120"), "give metres"),
-        (".", None, ("--depth-unit", "2000"), "expected metres per unit"),
         (".", None, ("--depth-unit", "1"), "give the metres per unit"),
         (str(EXAMPLE_BAG), None, ("--intrinsics", NUMBERS), "is a bag"),
     ],
@@ -155,11 +151,3 @@ def test_each_bad_input_ends_in_one_line(
     elif isinstance(content, bytes):
         file.write_bytes(content)
     check_refused(expected, "look", folder if name == "camera_info.yaml" else file, *options, "--out", tmp_path / "out")
-
-
-def test_images_of_different_scenes_are_not_taken_for_one(tmp_path: Path) -> None:
-    for name in ("learn0", "learn10"):
-        shutil.copy(recording("kinect_tabletop", f"{name}.pcd"), tmp_path)
-    done, content = look(tmp_path, out=tmp_path / "out")
-    assert done.returncode == 0 and content["n_frames"] == 1
-    assert any("1 of the first 2 frames show something else" in note for note in content["notes"])

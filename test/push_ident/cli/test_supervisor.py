@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -17,7 +16,7 @@ import yaml
 from rich.console import Console
 
 from helpers.executor_cell import Stalls
-from helpers.node_process import is_alive, wait_until
+from helpers.node_process import is_alive, wait_for
 from push_ident.cli.processes import Backoff, RestartPolicy
 from push_ident.cli.supervisor import NodeCommand, Supervisor, SupervisorError, config_file, node_commands
 from push_ident.errors import InputError
@@ -94,7 +93,7 @@ def command(name: str, code: str, may_end: bool = False) -> NodeCommand:
 
 
 def wait_for_line(path: Path, word: str) -> str:
-    wait_until(lambda: path.exists() and word in path.read_text())
+    wait_for(lambda: path.exists() and word in path.read_text())
     return path.read_text()
 
 
@@ -156,13 +155,13 @@ def test_process_deaf_to_ctrl_c_is_ended_and_named(tmp_path: Path) -> None:
 def test_process_that_may_end_stops_nothing_but_may_not_fail_and_an_error_of_the_caller_stops_all(tmp_path: Path) -> None:
     processes = [command("player", "pass", may_end=True), command("one", SLEEP)]
     with pytest.raises(ZeroDivisionError), Supervisor(processes, log_dir=tmp_path) as supervisor:
-        wait_until(lambda: supervisor.exit_code("player") is not None)
+        wait_for(lambda: supervisor.exit_code("player") is not None)
         assert supervisor.exit_code("player") == 0
         assert supervisor.poll() is None and supervisor.exit_code("one") is None
         _ = 1 / 0
     assert supervisor.exit_code("one") is not None
     with Supervisor([command("player", DIES, may_end=True)], log_dir=tmp_path) as supervisor:
-        wait_until(lambda: supervisor.exit_code("player") is not None)
+        wait_for(lambda: supervisor.exit_code("player") is not None)
         with pytest.raises(SupervisorError, match="player ended with exit code 7"):
             supervisor.check()
 
@@ -198,7 +197,7 @@ def node(folder: Path, name: str, loading: float = 0.0) -> tuple[str, ...]:
 
 
 def written(file: Path) -> int:
-    wait_until(lambda: file.exists() and file.read_text())
+    wait_for(lambda: file.exists() and file.read_text())
     return int(file.read_text())
 
 
@@ -211,7 +210,7 @@ def children_of(process: int) -> list[int]:
 def test_killed_supervisor_leaves_no_process_and_every_node_that_runs_holds_first(tmp_path: Path, loads: bool) -> None:
     supervisor = start_in_own_process(tmp_path, **{name: node(tmp_path, name, loading=30.0 * loads) for name in ("one", "two")})
     if loads:
-        wait_until(lambda: len(children_of(supervisor.pid)) == 2)
+        wait_for(lambda: len(children_of(supervisor.pid)) == 2)
         family = children_of(supervisor.pid)
     else:
         family = [written(tmp_path / f"{name}.{what}") for name in ("one", "two") for what in ("pid", "child")]
@@ -225,7 +224,7 @@ def check_end_with(parent: subprocess.Popen[Any], family: list[int]) -> None:
     with Stalls() as stalls:
         parent.kill()
         parent.wait()
-        wait_until(lambda: not any(is_alive(pid) for pid in family), lambda: 2.0 + 4.0 * stalls.worst)
+        wait_for(lambda: not any(is_alive(pid) for pid in family), lambda: 2.0 + 4.0 * stalls.worst)
 
 
 @pytest.mark.alone
@@ -243,18 +242,6 @@ def test_killed_command_leaves_no_worker_of_a_study() -> None:
     check_end_with(command, [next(int(line) for line in command.stdout if line.strip().isdigit())])
 
 
-def test_stopped_supervisor_changes_nothing(tmp_path: Path) -> None:
-    supervisor = start_in_own_process(tmp_path, one=node(tmp_path, "one"))
-    process = written(tmp_path / "one.pid")
-    supervisor.send_signal(signal.SIGSTOP)
-    time.sleep(1.0)
-    assert is_alive(process)
-    supervisor.send_signal(signal.SIGCONT)
-    supervisor.send_signal(signal.SIGINT)
-    assert supervisor.wait(timeout=60.0) == 0
-    assert not is_alive(process)
-
-
 def test_killed_node_is_started_again_without_what_it_had_started(tmp_path: Path) -> None:
     console = Console(record=True, width=200, file=(tmp_path / "console").open("w"))
     command = NodeCommand("one", (sys.executable, "-c", *node(tmp_path, "one")), is_node=True)
@@ -262,7 +249,7 @@ def test_killed_node_is_started_again_without_what_it_had_started(tmp_path: Path
         first, child = written(tmp_path / "one.pid"), written(tmp_path / "one.child")
         (tmp_path / "one.pid").unlink()
         os.kill(first, signal.SIGKILL)
-        wait_until(lambda: supervisor.poll() is not None or (tmp_path / "one.pid").exists())
+        wait_for(lambda: supervisor.poll() is not None or (tmp_path / "one.pid").exists())
         assert written(tmp_path / "one.pid") == supervisor.pid("one") != first
         assert not is_alive(child)
     said = "one was ended by SIGKILL; it is started again in 0.1 s"
@@ -277,33 +264,6 @@ def test_node_that_dies_early_again_and_again_ends_the_cell_and_one_that_could_n
         assert supervisor.run() == 1
         assert len(supervisor.deaths) == deaths
         assert (tmp_path / str(code) / "camera.log").read_text().count("no camera") == deaths + 1
-
-
-@pytest.mark.alone
-@pytest.mark.parametrize("node_name", ["push_executor_node", pytest.param("identification_node", marks=pytest.mark.long)])
-def test_stop_at_any_moment_of_a_supervised_node_is_quiet_and_quick(tmp_path: Path, node_name: str) -> None:
-    rng = random.Random(node_name)
-    for number in range(3):
-        delay = rng.uniform(0.0, 3.0) if number else 0.0
-        # After 1.8 s a node ends itself by force: where the machine stalls for long meanwhile, the trial shows nothing of it.
-        for _ in range(5):
-            stubborn, code, stalled = stopped(node_name, delay, tmp_path)
-            if stalled < 0.3:
-                break
-        assert stubborn == [] and code == 0
-
-
-def stopped(node_name: str, delay: float, folder: Path) -> tuple[list[str], int | None, float]:
-    """Start a node and stop it after a delay [s]: what did not stop on SIGINT, its exit code, and the longest stall meanwhile [s]."""
-    supervisor = Supervisor([command for command in node_commands("sim") if command.name == node_name], log_dir=folder)
-    supervisor.start()
-    time.sleep(delay)
-    with Stalls() as stalls:
-        asked = time.monotonic()
-        stubborn, took = supervisor.stop(), time.monotonic() - asked
-    assert took < 2.0 + 4.0 * stalls.worst
-    assert "Traceback" not in (folder / f"{node_name}.log").read_text()
-    return stubborn, supervisor.exit_code(node_name), stalls.worst
 
 
 QUICK_ONES = [("up sim", 1.6), ("doctor", 0.0)]

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.commands import check_refused, run_here
+from helpers.commands import run_here
 from helpers.diagnosis import simulated_pushes
 from push_ident.bags.records import write_records
 from push_ident.fleet.job import FleetOptions, identify_bag
 from push_ident.offline.loading import load_pushes
-from push_ident.types import ObjectShape, PushRecord
+from push_ident.types import PushRecord
 
 Pushes = list[PushRecord]
 
@@ -35,15 +35,6 @@ def wide_pusher(tmp_path_factory: pytest.TempPathFactory, pushes: Pushes) -> Pat
     """A bag whose pusher is five times as wide as the one that pushed."""
     wide = [replace(push, pusher=replace(push.pusher, radius=0.04)) for push in pushes[:2]]
     return written(tmp_path_factory.mktemp("wide") / "bag", wide)
-
-
-def test_outline_and_radius_that_cannot_be_are_refused_at_reading(tmp_path: Path, pushes: Pushes) -> None:
-    shape = pushes[0].shape
-    for command, part, reason in (
-        ("identify", {"shape": ObjectShape(shape.cells, 2.0 * shape.outline)}, "cells"),
-        ("diagnose", {"pusher": replace(pushes[0].pusher, radius=8.0)}, "radius of a pusher is 8"),
-    ):
-        check_refused(reason, command, written(tmp_path / command, [replace(pushes[0], **part)]))  # type: ignore[arg-type]
 
 
 def test_fit_that_explains_nothing_exits_with_a_sentence_and_marked_results(wide_pusher: Path, tmp_path: Path) -> None:

@@ -10,21 +10,19 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 
-from helpers.depth_scene import CAMERA, box, hammer, look_at, render
+from helpers.depth_scene import CAMERA, SMALL, box, hammer, look_at, render
 from helpers.fuzzing import fuzzed
 from helpers.fuzzing.frames import Step, changed, sequences
 from push_ident.errors import FrameError, PushIdentError
 from push_ident.geometry.shape_check import check_shape
 from push_ident.limits import LIMITS
 from push_ident.perception.frame.depth_image import check_intrinsics, depth_from_buffer, usable_frame
-from push_ident.perception.frame.view import points_in_table
 from push_ident.perception.observation import Observation
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.search.segments import split_surfaces
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array
 
-SMALL = CameraIntrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
 SETTINGS = PerceptionSettings(rest_frames=3)
 
 
@@ -43,28 +41,6 @@ def test_millimetres_become_metres_and_what_is_no_depth_unknown() -> None:
     assert np.array_equal(depth, depth_from_buffer("16UC1", 2, 3, 8, False, padded.tobytes()), equal_nan=True)
     metres = np.array([[0.7, np.nan, np.inf, -np.inf, 0.0, -1.0]], dtype="<f4")
     np.testing.assert_array_equal(depth_from_buffer("32FC1", 1, 6, 24, False, metres.tobytes()), np.float32([[0.7] + [np.nan] * 5]))
-
-
-@pytest.mark.parametrize(
-    ("encoding", "height", "width", "step", "n_bytes", "text"),
-    [
-        ("rgb8", 2, 2, 6, 12, "'rgb8', expected one of 16UC1, 32FC1"),
-        ("16UC1", 2, 2, 4, 7, "7 bytes, expected step \\* height = 8"),
-        ("32FC1", 2, 2, 4, 8, "step is 4 bytes, expected at least 8"),
-        ("16UC1", 0, 2, 4, 0, "2 x 0 pixels"),
-        ("16UC1", 2**31, 2**31, 2**32, 8, "pixels, expected"),
-    ],
-)
-def test_images_that_lie_about_themselves_are_refused(encoding, height, width, step, n_bytes, text):
-    with pytest.raises(FrameError, match=text):
-        depth_from_buffer(encoding, height, width, step, False, bytes(n_bytes))
-
-
-def test_frame_and_intrinsics_of_different_sizes_are_refused():
-    without_focal = replace(SMALL, width=4, height=4, fx=0.0)
-    for intrinsics, text in ((SMALL, r"\(4, 4\), its camera info \(240, 320\)"), (without_focal, "focal lengths > 0")):
-        with pytest.raises(FrameError, match=text):
-            points_in_table(DepthFrame(0.0, np.ones((4, 4), np.float32), intrinsics), CAMERA)
 
 
 def test_what_is_no_depth_counts_as_not_measured(frames: list[DepthFrame]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from helpers.depth_scene import INTRINSICS, Prism, box, look_at, rectangle, render
+from helpers.depth_scene import INTRINSICS, Prism, box, frames, look_at, rectangle, render
 from push_ident.errors import InputError, PerceptionError
 from push_ident.perception.calibration import Mark, calibrate, camera_over_table
 from push_ident.types import DepthFrame
@@ -13,11 +13,6 @@ from push_ident.types import DepthFrame
 TRIANGLE = np.array([(0.0, 0.0), (0.15, 0.0), (0.0, 0.1)])
 L_SHAPE = np.array([(0.0, 0.0), (0.14, 0.0), (0.14, 0.04), (0.05, 0.04), (0.05, 0.1), (0.0, 0.1)])
 BOX = box(-0.2, 0.2, 0.06, 0.1, 0.05, 0.3)
-
-
-def frames(camera, prisms, seed, n=10):
-    rng = np.random.default_rng(seed)
-    return [render(prisms, camera, rng=rng, stamp=i / 30) for i in range(n)]
 
 
 @pytest.mark.parametrize(
@@ -30,7 +25,7 @@ def frames(camera, prisms, seed, n=10):
 )
 def test_the_camera_pose_is_found_from_any_viewpoint(position, target, outline, pose):
     camera = look_at(position, target)
-    found = calibrate(frames(camera, [Prism(outline, 0.03).at(pose), BOX], 1), Mark(outline, 0.03, pose))
+    found = calibrate(frames([Prism(outline, 0.03).at(pose), BOX], camera, 10, seed=1), Mark(outline, 0.03, pose))
     # What a point at the middle of the table seems to move, and the rotation between both frames.
     difference = found.camera_in_table @ np.linalg.inv(camera)
     assert np.linalg.norm(difference[:3, 3]) < 0.001
@@ -67,6 +62,6 @@ def test_nothing_like_the_mark_is_an_error_with_counts_and_never_a_guess():
     same_area, too_high = Prism(rectangle(-0.0375, -0.05, 0.0375, 0.05), 0.03), Prism(TRIANGLE, 0.045)
     for prisms, why in (([], "None of 0 segments"), ([same_area], "differs from it by"), ([too_high], "mm in height")):
         with pytest.raises(PerceptionError, match=why):
-            calibrate(frames(camera, prisms, 2, 3), mark)
+            calibrate(frames(prisms, camera, 3, seed=2), mark)
     with pytest.raises(PerceptionError, match="0 valid"):
         camera_over_table(DepthFrame(0.0, np.full((480, 640), np.nan, np.float32), INTRINSICS))

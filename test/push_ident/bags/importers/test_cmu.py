@@ -77,16 +77,6 @@ def test_icra16_pusher_touches_the_outline_when_force_sets_in_and_force_stays_in
         assert along > 1.0 and abs(across / along) < np.tan(np.radians(35))
 
 
-def test_icra16_refuses_files_of_another_form(tmp_path: Path) -> None:
-    for name, text in (("words", "no numbers here"), ("empty", ""), ("short", "30 1 2 3"), ("nan", "nan " * 40), ("long", "1e300 " * 99)):
-        (tmp_path / name).write_text(text)
-        with pytest.raises(BagError, match=name):
-            import_cmu_icra16(tmp_path / name, tmp_path / "bag")
-    with pytest.raises(BagError, match="no such file"):
-        import_cmu_icra16(tmp_path / "absent.txt", tmp_path / "bag")
-    assert not (tmp_path / "bag").exists()
-
-
 def test_mocap_is_cut_into_its_pushes_with_every_pose_kept_and_the_pusher_at_the_outline_in_contact(mocap: Imported) -> None:
     report, pushes = mocap
     assert report.n_pushes == len(pushes) == 5 and report.supports.shape == (3, 2) and report.warnings == ()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from html import unescape
@@ -10,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from helpers.commands import run_here
-from helpers.recordings import icra16_file
 from push_ident.bags.importers import TrackedPoses, import_tracked_poses
 from push_ident.bags.importers.import_page import write_import_page
 from push_ident.types import PushRecord
@@ -55,14 +52,3 @@ def test_page_of_a_wrong_radius_says_what_to_mend_and_does_not_lead_on(tmp_path:
     assert "push-ident identify" not in text and "leave this bag aside" in text
     assert drawn(text, "missed") > 6 and columns(text, "pusher and outline").count("misses") > 3
     assert all(-13 < float(cell.split()[0]) < -7 for cell in columns(text, "while it moves"))
-
-
-def test_page_of_pushes_known_by_their_ends_goes_where_it_is_asked_for(tmp_path: Path) -> None:
-    file = icra16_file(tmp_path / "30_90_30_30_30_90" / "two.txt")
-    given = ("--page", tmp_path / "seen.html", "--json", tmp_path / "it.json")
-    done = run_here("import", "cmu-icra16", file, "--out", tmp_path / "bag", *given)
-    assert done.returncode == 0 and "seen.html" in done.stdout.replace("\n", ""), done.stderr
-    text = unescape((tmp_path / "seen.html").read_text(encoding="utf-8"))
-    assert "<svg" not in text and "before and after each push only" in text and "--total-mass" in text
-    assert ("enough pushes for maps", "look at it") in re.findall(r"<tr><td>([^<]+)</td>.*>([^<]+)</td></tr>", text)
-    assert json.loads((tmp_path / "it.json").read_text())["page"] == str(tmp_path / "seen.html")

@@ -140,15 +140,11 @@ def test_malformed_truncated_huge_and_missing_files_end_in_one_line(tmp_path: Pa
     file = mit_file(tmp_path, mit_content(record))
     whole = file.read_text()
     for text, reason in (
-        ("\x00\x01\x02", "not a JSON file"),
         ("[" * 100_000, "not a JSON file"),
         (whole[: len(whole) // 2], "not a JSON file"),
         (" " * 17_000_000, "larger than"),
-        ("[1, 2]", "expected object_pose"),
         ('{"object": [], "tip": []}', "has object, tip"),
         ('{"object_pose": [[1, 2]], "tip_pose": [], "ft_wrench": []}', r"shape \(1, 2\)"),
-        ('{"object_pose": [[1, 2], [1]], "tip_pose": [], "ft_wrench": []}', "not rows of numbers"),
-        ('{"object_pose": "poses", "tip_pose": [], "ft_wrench": []}', "not rows of numbers"),
         ('{"object_pose": [[1, 2, 3, ' + "9" * 400 + ']], "tip_pose": [], "ft_wrench": []}', "not rows of numbers"),
         ('{"object_pose": [[1, 2, 3, NaN]], "tip_pose": [], "ft_wrench": []}', "not finite"),
         ('{"object_pose": [[0, 2000, 3, 0]], "tip_pose": [], "ft_wrench": []}', "at most 100 m"),
