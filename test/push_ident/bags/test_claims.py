@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
 import json
 import os
 import sqlite3
@@ -18,7 +17,9 @@ import numpy as np
 import pytest
 import yaml
 from backports import zstd
+from rosbags import rosbag1
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from helpers.bags import COVARIANCE, L_SHAPE, bag_error, pose_msg, write_cells, write_push
 from push_ident.bags.contract import Role
@@ -78,33 +79,29 @@ def bomb(path: Path, *, claimed: int | None = None, times: int = 1) -> Path:
     return mcap(path / "bomb.mcap", chunk(zstd.compress(content), b"zstd", len(content) if claimed is None else claimed) * times)
 
 
+def pusher_channel(definition: bytes) -> bytes:
+    schema = record(3, struct.pack("<H", 1) + text(Role.PUSHER.msgtype.encode()) + text(b"ros2msg") + text(definition))
+    return schema + record(4, struct.pack("<HH", 1, 1) + text(b"/pusher/pose") + text(b"cdr") + struct.pack("<I", 0))
+
+
 def with_index(path: Path, *, listed: int = 1, offset: int | None = None) -> Path:
     """A chunk of 100 000 empty messages that the index lists several times, or at another place."""
     messages = record(5, struct.pack("<HIQQ", 1, 0, 5, 5)) * 100_000
     begin = MAGIC + record(1, text(b"ros2") + text(b""))
     one = chunk(zstd.compress(messages), b"zstd", len(messages))
     at = len(begin) if offset is None else offset
-    entry = (
-        struct.pack("<QQQQ", 0, 2**62, at, len(one))
-        + struct.pack("<I", 0)
-        + bytes(8)
-        + text(b"zstd")
-        + struct.pack("<QQ", 0, len(messages))
-    )
+    entry = struct.pack("<QQQQI", 0, 2**62, at, len(one), 0) + bytes(8) + text(b"zstd") + struct.pack("<QQ", 0, len(messages))
     body = begin + one
-    pose = Role.PUSHER.msgtype.encode()
-    summary = record(3, struct.pack("<H", 1) + text(pose) + text(b"ros2msg") + text(b"uint8 x"))
-    summary += record(4, struct.pack("<HH", 1, 1) + text(b"/pusher/pose") + text(b"cdr") + struct.pack("<I", 0))
-    summary += record(8, entry) * listed
+    summary = pusher_channel(b"uint8 x") + record(8, entry) * listed
     (path / "indexed.mcap").write_bytes(body + summary + record(2, struct.pack("<QQI", len(body), 0, 0)) + MAGIC)
     return path / "indexed.mcap"
 
 
 def with_schema(path: Path, definition: bytes) -> Path:
     """One pusher pose of another definition."""
-    messages = record(3, struct.pack("<H", 1) + text(Role.PUSHER.msgtype.encode()) + text(b"ros2msg") + text(definition))
-    messages += record(4, struct.pack("<HH", 1, 1) + text(b"/pusher/pose") + text(b"cdr") + struct.pack("<I", 0))
-    return mcap(path / "schema.mcap", messages, record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + b"\x00\x01\x00\x00" + b"\xff" * 60))
+    return mcap(
+        path / "schema.mcap", pusher_channel(definition), record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + b"\x00\x01\x00\x00" + b"\xff" * 60)
+    )
 
 
 def with_more(path: Path, write: Callable[[BagWriter], object]) -> Path:
@@ -152,23 +149,12 @@ def with_statements(path: Path, statements: str) -> Path:
 
 def rosbag1_bomb(path: Path) -> Path:
     """Four chunks of 40 MB of zeros in a ROS 1 bag."""
-
-    def fields(**values: bytes) -> bytes:
-        joined = b"".join(struct.pack("<I", len(k) + 1 + len(v)) + k.encode() + b"=" + v for k, v in values.items())
-        return struct.pack("<I", len(joined)) + joined
-
-    data = bz2.compress(bytes(ZEROS))
-    one = fields(op=b"\x05", compression=b"bz2", size=struct.pack("<I", ZEROS)) + struct.pack("<I", len(data)) + data
-
-    def head(index: int) -> bytes:
-        counts = {"conn_count": bytes(4), "chunk_count": struct.pack("<I", 4)}
-        return b"#ROSBAG V2.0\n" + fields(op=b"\x03", index_pos=struct.pack("<Q", index), **counts) + bytes(4)
-
-    begin = len(head(0))
-    places = (struct.pack("<Q", begin + number * len(one)) for number in range(4))
-    times = {"ver": struct.pack("<I", 1), "start_time": bytes(8), "end_time": bytes(8), "count": bytes(4)}
-    index = b"".join(fields(op=b"\x06", chunk_pos=place, **times) + bytes(4) for place in places)
-    (path / "bomb.bag").write_bytes(head(begin + 4 * len(one)) + one * 4 + index)
+    writer = rosbag1.Writer(path / "bomb.bag")
+    writer.set_compression(writer.CompressionFormat.BZ2)
+    with writer:
+        link = writer.add_connection("/x", "std_msgs/msg/String", typestore=get_typestore(Stores.ROS1_NOETIC))
+        for stamp in range(4):
+            writer.write(link, stamp, bytes(ZEROS))
     return path / "bomb.bag"
 
 
@@ -204,10 +190,7 @@ CLAIMS: dict[str, tuple[Callable[[Path], Path], str]] = {
     "array of 2^31 numbers": (lambda path: with_schema(path, b"float64[2147483647] x"), "array of 2147483647"),
     "array without content": (lambda path: with_schema(path, NOTHING_INSIDE), "array of"),
     "long definition": (lambda path: with_schema(path, b"#" * 5_000_000), "message definition"),
-    "grid of a million cells": (
-        lambda path: with_more(path, lambda bag: write_cells(bag, 0.001, pose_msg(), np.full((1000, 1000), 100))),
-        "number of cells of one object",
-    ),
+    "grid of a million cells": (lambda path: with_more(path, many_cells), "number of cells of one object"),
     "more objects than a cell has": (lambda path: with_more(path, many_objects), "number of objects"),
     "more pushes than a bag can have": (lambda path: with_more(path, many_pushes), "number of pushes"),
     "nested metadata": (lambda path: with_metadata(path, "[" * 1_000_000), "nested deeper"),

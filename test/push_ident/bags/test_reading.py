@@ -30,7 +30,7 @@ from push_ident.bags.contract import Role, TopicRole, role_of
 from push_ident.bags.decode import DEFAULT_COVARIANCE
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.raw import raw_messages
-from push_ident.bags.reader import BagContents, read_bag
+from push_ident.bags.reader import read_bag
 from push_ident.bags.records import write_records
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError, FrameError, InputError
@@ -141,23 +141,18 @@ def test_depth_frames_come_one_by_one_in_metres(tmp_path: Path) -> None:
     assert any("1 of 3 images are not usable" in note for note in contents.notes)
 
 
-def depth_bag(path: Path, encoding: str, bigendian: int, rows: np.ndarray) -> BagContents:
-    with BagWriter(path) as writer:
-        write_push(writer, 2.0)
-        writer.write_camera_info(2.0, CameraIntrinsics(2, 2, 3.0, 3.0, 0.5, 0.5))
-        fields = header_msg(2.0, "camera_depth_optical_frame"), 2, 2, encoding, bigendian, rows.shape[1], rows.ravel()
-        write_raw(writer, Role.DEPTH.msgtype, "/depth/image_rect", 2 * 10**9, *fields)
-    return read_bag(path)
-
-
-@pytest.mark.parametrize(("bigendian", "pad"), [(0, 6), (1, 0)])
-def test_depth_honours_step_and_byte_order(tmp_path: Path, bigendian: int, pad: int) -> None:
-    values = np.array([[300, 1000], [2, 65535]], dtype=">u2" if bigendian else "<u2")
-    rows = np.hstack([values.view(np.uint8).reshape(2, 4), np.full((2, pad), 7, dtype=np.uint8)])
-    (frame,) = depth_bag(tmp_path / "bag", "16UC1", bigendian, rows).depth_frames()
+def test_depth_honours_step_and_byte_order_and_says_which_encodings_it_knows(tmp_path: Path) -> None:
+    padded = np.hstack([np.array([[300, 1000], [2, 65535]], dtype=">u2").view(np.uint8), np.full((2, 6), 7, dtype=np.uint8)])
+    for encoding in ("16UC1", "mono16"):
+        with BagWriter(tmp_path / encoding) as writer:
+            write_push(writer, 2.0)
+            writer.write_camera_info(2.0, CameraIntrinsics(2, 2, 3.0, 3.0, 0.5, 0.5))
+            fields = header_msg(2.0, "camera_depth_optical_frame"), 2, 2, encoding, 1, padded.shape[1], padded.ravel()
+            write_raw(writer, Role.DEPTH.msgtype, "/depth/image_rect", 2 * 10**9, *fields)
+    (frame,) = read_bag(tmp_path / "16UC1").depth_frames()
     np.testing.assert_allclose(frame.depth, [[0.3, 1.0], [0.002, 65.535]], rtol=1e-6)
     with pytest.raises(FrameError, match="'mono16'.*16UC1"):
-        list(depth_bag(tmp_path / "other", "mono16", 0, rows).depth_frames())
+        list(read_bag(tmp_path / "mono16").depth_frames())
 
 
 def test_accuracy_of_the_camera_is_that_of_every_push_and_one_that_is_none_is_noted(tmp_path: Path) -> None:
