@@ -13,7 +13,6 @@ from geometry_msgs.msg import Point, PoseStamped
 
 from helpers.objects import hammer
 from push_ident.errors import InputError, PushIdentError
-from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.geometry.table import Table
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.nodes.convert.messages import planar_pose_of
@@ -45,9 +44,7 @@ DEFAULTS = {parameter.name: parameter.default for parameter in PARAMETERS}
 def goal_msg(x: float, y: float, yaw: float, frame: str = "table", **fields: object) -> PushToGoal.Goal:
     msg = PushToGoal.Goal(**fields)
     msg.goal.header.frame_id = frame
-    msg.goal.pose.position.x, msg.goal.pose.position.y = float(x), float(y)
-    turn = msg.goal.pose.orientation
-    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion_of_yaw(yaw))
+    msg.goal.pose = planar_pose_msg(np.array([x, y, yaw]))
     return msg
 
 
