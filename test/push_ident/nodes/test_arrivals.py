@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from functools import partial
-from typing import Any
 
 import pytest
 from rclpy.qos import qos_profile_sensor_data
@@ -12,32 +11,38 @@ from std_msgs.msg import String
 
 from helpers.node_process import Talker
 from helpers.spinning import BareNode, running
-from push_ident.nodes.base.arrivals import Arrivals
+from push_ident.errors import InputError
+from push_ident.nodes.base.arrivals import Arrivals, StampCheck
 from push_ident.nodes.base.cell_node import CellNode
 from push_ident.nodes.base.network import own_domain
 
 
-def info(number: int | None, age: float = 0.0) -> dict[str, Any]:
-    return {"publication_sequence_number": number, "source_timestamp": time.time_ns() - round(1e9 * age)}
-
-
-def test_gaps_of_the_numbers_are_messages_that_were_lost() -> None:
-    arrivals = Arrivals(lambda: 1)
-    for number in (7, 8, 11, 12):
-        arrivals.note(info(number, age=0.2))
-    lost, taken, delay = arrivals.since_last()
-    assert (lost, taken) == (2, 4)
-    assert 0.19 < delay < 1.0
-    assert arrivals.since_last() == (0, 0, 0.0)
-    assert arrivals.n_lost == 2
-
-
-@pytest.mark.parametrize(("numbers", "n_publishers"), [((500, 501, 1, 2), 1), ((1, 900, 2, 901), 2), ((None, None), 1)])
-def test_no_loss_is_known_of_a_new_publisher_of_several_and_without_numbers(numbers: tuple[int, ...], n_publishers: int) -> None:
+@pytest.mark.parametrize(
+    ("numbers", "n_publishers", "n_lost"),
+    [((7, 8, 11, 12), 1, 2), ((500, 501, 1, 2), 1, 0), ((1, 900, 2, 901), 2, 0), ((None, None), 1, 0)],
+    ids=["gap", "new publisher", "two publishers", "without numbers"],
+)
+def test_gaps_of_the_numbers_of_one_publisher_are_messages_that_were_lost(numbers: tuple[int, ...], n_publishers: int, n_lost: int) -> None:
     arrivals = Arrivals(lambda: n_publishers)
     for number in numbers:
-        arrivals.note(info(number))
-    assert arrivals.n_lost == 0 and arrivals.n_taken == len(numbers)
+        arrivals.note({"publication_sequence_number": number, "source_timestamp": time.time_ns() - 200_000_000})
+    lost, taken, delay = arrivals.since_last()
+    assert (lost, taken) == (n_lost, len(numbers)) == (arrivals.n_lost, arrivals.n_taken) and 0.19 < delay < 1.0
+    assert arrivals.since_last() == (0, 0, 0.0)
+
+
+def test_wrong_stamp_is_refused_until_others_agree_on_its_time() -> None:
+    check, refused = StampCheck(), []
+    check.check("pusher", 98.0)
+    for stamp in (100.0, 1e9, 100.03, 0.0, 100.06, 5.0, 5.03, 5.06):
+        try:
+            check.check("pose", stamp)
+        except InputError as error:
+            assert "from those of other messages" in str(error)
+            refused.append(stamp)
+    assert refused == [1e9, 0.0, 5.0, 5.03]
+    check.check("pusher", 98.1)  # what was still waiting from before
+    check.check("pusher", 5.0)
 
 
 @pytest.mark.live

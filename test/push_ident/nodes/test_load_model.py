@@ -3,38 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
-from nav_msgs.msg import OccupancyGrid
-from sensor_msgs.msg import JointState
+from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from helpers.damaged_models import DAMAGE, DAMAGED_TEXT, right_model, unreadable_paths
-from helpers.executor_cell import BOX
 from helpers.node_process import Talker
 from helpers.spinning import running
-from helpers.wrong_poses import right_pose, wrong_poses
+from helpers.wrong_poses import right_pose
 from push_ident.errors import InputError, PushIdentError
 from push_ident.files import write_whole
-from push_ident.geometry.outline import cells_in_outline
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.base.paths import file_to_read, file_to_write
 from push_ident.nodes.convert.messages import shape_to_msgs
 from push_ident.nodes.identification.identification_node import IdentificationNode
 from push_ident.types import CellGrid, ObjectShape
-from push_ident_msgs.msg import PushRecord
 from push_ident_msgs.srv import LoadModel, SaveModel
 
 NO_FILES = ["", " ", "a\0b", "\ud800.json", "~nobody_of_this_name/model.json", "n" * 300 + ".json", "/".join(["d" * 200] * 5) + ".json"]
-
-
-def shape_of(content: dict[str, Any]) -> ObjectShape:
-    return ObjectShape(CellGrid(np.array(content["cells"]), content["cell_size"]), np.array(content["outline"]))
 
 
 def test_a_path_that_names_no_file_is_refused_in_one_line() -> None:
@@ -46,28 +36,8 @@ def test_a_path_that_names_no_file_is_refused_in_one_line() -> None:
             write_whole(file_to_write(text), "", "the model")
 
 
-@pytest.fixture(scope="module")
-def talker() -> Iterator[Talker]:
-    """Beside identification_node."""
-    domain = own_domain()
-    with running(IdentificationNode, domain), Talker(domain) as talker:
-        yield talker
-
-
-def publish_object(talker: Talker, object_id: str, shape: ObjectShape) -> None:
-    cells, outline = shape_to_msgs(shape, object_id, Time())
-    talker.publish(OccupancyGrid, f"objects/{object_id}/cells", cells)
-    talker.publish(PolygonStamped, f"objects/{object_id}/outline", outline)
-    n_shapes = int(talker.values().get("shapes") or 0)
-
-    def publish_pose() -> None:
-        talker.publish(PoseWithCovarianceStamped, f"objects/{object_id}/pose", right_pose())
-
-    talker.until(lambda: int(talker.values().get("shapes") or 0) > n_shapes, publish_pose)
-
-
 @pytest.mark.live
-def test_no_path_and_no_damaged_model_breaks_the_service(talker: Talker, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_no_path_and_no_damaged_model_breaks_the_services(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     paths = [*NO_FILES[:2], *NO_FILES[4:], *map(str, unreadable_paths(tmp_path).values())]
     models = [right_model() for _ in DAMAGE]
     for model, (change, _) in zip(models, DAMAGE.values(), strict=True):
@@ -77,31 +47,23 @@ def test_no_path_and_no_damaged_model_breaks_the_service(talker: Talker, tmp_pat
     for number, text in enumerate(texts):
         (tmp_path / f"{number}.json").write_text(text)
     paths += [str(tmp_path / f"{number}.json") for number in range(1, len(texts))]
-    load = talker.node.create_client(LoadModel, "load_model")
-    publish_object(talker, "o1", shape_of(right_model()))
-    for path in paths:
-        answer = talker.ask(load, LoadModel.Request(object_id="o1", path=path))
-        assert not answer.success and answer.message.isprintable() and answer.message, path
-    answer = talker.ask(load, LoadModel.Request(object_id="o1", path=str(tmp_path / "0.json")))
-    assert answer.success, answer.message
-    assert "Traceback" not in capfd.readouterr().err
-
-
-@pytest.mark.live
-def test_what_cannot_be_is_refused_and_a_model_is_saved_to_a_path_that_is_one(
-    talker: Talker, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    publish_object(talker, "o2", ObjectShape(cells_in_outline(BOX, 0.01), BOX))
-    for wrong in wrong_poses().values():
-        talker.publish(PoseWithCovarianceStamped, "objects/o2/pose", wrong)
-    talker.publish(PushRecord, "push_record", PushRecord(end=Time(sec=-1)))
-    talker.publish(JointState, "joint_states", JointState())
-    talker.until(lambda: int(talker.values().get("poses refused", 0)) >= len(wrong_poses()))
-    assert int(talker.values()["refused"]) > len(wrong_poses())
-    save = talker.node.create_client(SaveModel, "save_model")
-    for path in ("", " ", "/", "/gone/model.json", "\x00", "a" * 5000):
-        answer = talker.ask(save, SaveModel.Request(object_id="o2", path=path))
-        assert not answer.success and answer.message, path
-    assert talker.ask(save, SaveModel.Request(object_id="o2", path=str(tmp_path / "model.json"))).success
-    talker.until(lambda: talker.values().get("kernels") == "loaded", timeout=300.0)  # they may have to be compiled first
+    content = right_model()
+    shape = ObjectShape(CellGrid(np.array(content["cells"]), content["cell_size"]), np.array(content["outline"]))
+    domain = own_domain()
+    with running(IdentificationNode, domain), Talker(domain) as talker:
+        load = talker.node.create_client(LoadModel, "load_model")
+        for name, msg in zip(("cells", "outline"), shape_to_msgs(shape, "o1", Time()), strict=True):
+            talker.publish(type(msg), f"objects/o1/{name}", msg)
+        pose = partial(talker.publish, PoseWithCovarianceStamped, "objects/o1/pose", right_pose())
+        talker.until(lambda: int(talker.values().get("shapes") or 0) > 0, pose)
+        for path in paths:
+            answer = talker.ask(load, LoadModel.Request(object_id="o1", path=path))
+            assert not answer.success and answer.message.isprintable() and answer.message, path
+        answer = talker.ask(load, LoadModel.Request(object_id="o1", path=str(tmp_path / "0.json")))
+        assert answer.success, answer.message
+        save = talker.node.create_client(SaveModel, "save_model")
+        for path in ("", " ", "/", "/gone/model.json", "\x00", "a" * 5000):
+            answer = talker.ask(save, SaveModel.Request(object_id="o1", path=path))
+            assert not answer.success and answer.message, path
+        assert talker.ask(save, SaveModel.Request(object_id="o1", path=str(tmp_path / "model.json"))).success
     assert "Traceback" not in capfd.readouterr().err
