@@ -168,15 +168,8 @@ def random_case(seed: int, n_cells: int, polygon: bool, n_steps: int, *, shape: 
     return Case(model, pusher, pose)
 
 
-def cases(n_steps: int, *, n_cells: tuple[int, int] = (9, 120), polygon: bool | None = None) -> st.SearchStrategy[Case]:
-    """Random cases; `polygon` None takes both kinds of pusher."""
-    return st.builds(
-        random_case,
-        seed=st.integers(0, 2**31),
-        n_cells=st.integers(*n_cells),
-        polygon=st.booleans() if polygon is None else st.just(polygon),
-        n_steps=st.just(n_steps),
-    )
+def cases(n_steps: int) -> st.SearchStrategy[Case]:
+    return st.builds(random_case, st.integers(0, 2**31), st.integers(9, 120), st.booleans(), st.just(n_steps))
 
 
 @dataclass(frozen=True)
@@ -205,11 +198,6 @@ class Step:
     """sticking, sliding, separating (near, but no force), cornered (contacts on several faces), away or resting."""
     turning: bool
     """Whether its turning moves it more than its centre travels."""
-
-    @property
-    def signature(self) -> tuple[object, ...]:
-        """Kind of contact and features in contact: constant where the motion is differentiable."""
-        return (self.kind, *(tuple(contact[[6, 9]]) for contact in self.contacts))
 
 
 def steps_of(case: Case, motion: Motion) -> list[Step]:

@@ -18,9 +18,6 @@ from push_ident.errors import InputError, ModelFileError
 from push_ident.identification.online.identifier import OnlineIdentifier
 from push_ident.identification.online.state_file import load_state, save_state
 from push_ident.identification.results.model_file import load_model, model_of_text
-from push_ident.identification.results.result import WarmStart
-from push_ident.identification.unknowns.prior import MapPrior
-from push_ident.identification.unknowns.quadratic import Quadratic
 
 FILES = Path(__file__).parent / "files"
 STATE = json.loads((FILES / "state_2.json").read_text())
@@ -79,6 +76,12 @@ def test_millions_of_wrong_values_take_bounded_memory(tmp_path: Path) -> None:
 
 
 TILT = {"name": "table_tilt", "value": [0.0, 0.0], "std": [0.1, 0.1]}
+
+
+def start(name: str, x: list[float], map_prior: list[float] | None) -> dict[str, object]:
+    return {"name": name, "x": x, "map_prior": map_prior}
+
+
 STATE_DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "model of it": (lambda c: c["model"].update(total_mass=-1.0), "The total mass is -1"),
     "pose beyond the table": (lambda c: c["pushes"][0]["pose"].__setitem__(0, [1e6, 0.0, 0.0]), "a coordinate is"),
@@ -103,6 +106,11 @@ STATE_DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "errors of no push": (lambda c: c["record"].update(n=0), "Sums of 0 errors"),
     "score of no time": (lambda c: c["record"]["latest"][0].update(start=float("nan")), "start"),
     "unknown format": (lambda c: c.update(format="push_ident/state/99"), "expected `push_ident/state/3`"),
+    "start out of reach": (lambda c: c.update(starts=[start("equal", [1e300] * 5, None)]), "The start `equal` has"),
+    "start under no prior": (
+        lambda c: c.update(starts=[start("uneven load", [0.0] * 5, [0.7, 1e9, 0.7, 0.25])]),
+        "The start `uneven load` has",
+    ),
     "effect that is none": (lambda c: c.update(known=[{"name": "x", "value": [], "std": [], "share": 1.0}]), "There is no effect"),
     "share beyond all": (lambda c: c.update(known=[{**TILT, "share": 7.0}]), "share of the pushes"),
 }
@@ -117,16 +125,6 @@ def test_damaged_state_is_refused_with_what_is_wrong(name: str, tmp_path: Path) 
     refused(lambda: load_state(written(tmp_path, json.dumps(content)[:2000])), r"file\.json")
 
 
-@pytest.mark.parametrize(
-    "start", [WarmStart("equal", np.full(5, 1e300)), WarmStart("uneven load", np.zeros(5), MapPrior(0.7, 1e9, 0.7, 0.25))]
-)
-def test_start_of_a_solve_that_no_fit_reaches_is_refused(start: WarmStart, tmp_path: Path) -> None:
-    state = load_state(FILES / "state_2.json").state
-    object.__setattr__(state, "warm_starts", (start,))
-    save_state(tmp_path / "o1.state.json", state, object_id="o1")
-    refused(lambda: load_state(tmp_path / "o1.state.json"), f"The start `{start.name}` has")
-
-
 def test_model_with_a_singular_covariance_cannot_be_learned_on() -> None:
     """Such a file passes: rounding can make a covariance singular. As information it would be without bound."""
     content = right_model()
@@ -135,8 +133,6 @@ def test_model_with_a_singular_covariance_cannot_be_learned_on() -> None:
     posterior = model_of_text(json.dumps(content), "it")
     with pytest.raises(InputError, match="singular"):
         OnlineIdentifier.known(posterior)
-    with pytest.raises(InputError, match="singular"):
-        Quadratic.beyond_unit_normal(np.zeros(2), np.ones((2, 2)))
 
 
 # --- files of earlier versions, written before the prior lost its fields on the camera (`outline_std`, `camera_share`)

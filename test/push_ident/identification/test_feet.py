@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import softmax
 
 from helpers.objects import random_records, square
 from push_ident.identification.fitting.problem import Evaluation, FitProblem
@@ -28,11 +29,6 @@ PLACES = np.array([[-0.036, -0.036], [0.036, -0.024], [-0.012, 0.036]])
 def statics(centre: Float64Array) -> Float64Array:
     """Shares of three supports that balance a weight at a centre."""
     return np.linalg.solve(np.vstack([PLACES.T, np.ones(3)]), np.append(centre, 1.0))
-
-
-def softmax(a: Float64Array) -> Float64Array:
-    weight = np.exp(a - a.max())
-    return np.asarray(weight / weight.sum())
 
 
 @settings(deadline=None)

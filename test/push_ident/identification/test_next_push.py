@@ -14,7 +14,6 @@ from push_ident.identification.identify import identify
 from push_ident.identification.predicting.next_push import (
     PlannedPush,
     PoseSensor,
-    PushValue,
     RankedPushes,
     RankingOptions,
     UnwantedError,
@@ -44,22 +43,6 @@ def candidates_of(n: int, seed: int, acceleration: float = np.inf) -> list[Plann
 def rank(posterior: ModelPosterior, candidates: list[PlannedPush], n_draws: int = 2, **given: object) -> RankedPushes:
     options = RankingOptions(n_draws=n_draws, **given)  # type: ignore[arg-type]
     return rank_pushes(posterior, candidates, reference=REFERENCE, rng=np.random.default_rng(0), options=options)
-
-
-def information(before: ModelPosterior, value: PushValue) -> float:
-    """Expected information on the unknowns [nat]."""
-    return 0.5 * float(np.linalg.slogdet(before.covariance)[1] - np.linalg.slogdet(value.covariance)[1])
-
-
-def test_repeated_push_gives_less_information_than_others() -> None:
-    first, *others = candidates_of(12, 0)
-    after = identify([record_of(hammer(0), first.pusher, np.zeros(3), np.random.default_rng(0))]).posterior
-    before = information(PRIOR, rank(PRIOR, [first], n_draws=0).values[0])
-    values = {id(v.push): v for v in rank(after, [first, *others], n_draws=0).values}
-    again, new = values[id(first)], [values[id(push)] for push in others]
-    assert information(after, again) < 0.5 * before
-    assert information(after, again) < np.median([information(after, v) for v in new])
-    assert again.error_after > np.median([v.error_after for v in new])
 
 
 def test_chosen_pushes_make_predictions_certain_sooner_than_random_ones() -> None:
@@ -108,13 +91,6 @@ def test_covariance_expected_is_that_of_the_fit() -> None:
     assert rank(PRIOR, [push], numerics=settings).values[0].covariance == pytest.approx(fitted, abs=1e-8)
 
 
-def test_slow_sensor_sees_both_ends_of_a_push() -> None:
-    (push,) = candidates_of(1, 3)
-    record, status = imagine_push(PRIOR.mechanics, push, sensor=PoseSensor(rate=0.1))
-    assert status is SolveStatus.CONVERGED and record is not None
-    np.testing.assert_array_equal(record.poses.time, push.pusher.time[[0, -1]])
-
-
 def test_pushes_that_miss_or_fail_come_last_with_no_information() -> None:
     good = candidates_of(2, 4)
     path = good[0].pusher
@@ -125,7 +101,8 @@ def test_pushes_that_miss_or_fail_come_last_with_no_information() -> None:
     assert any(ranked.best is push for push in good)
     assert {v.status for v in ranked.values[2:]} <= {SolveStatus.NO_CONTACT, SolveStatus.SIMULATION_FAILED}
     for value in ranked.values[2:]:
-        assert information(PRIOR, value) == pytest.approx(0.0, abs=1e-9) and value.error_after == pytest.approx(ranked.error_before)
+        np.testing.assert_allclose(value.covariance, PRIOR.covariance, atol=1e-9)
+        assert value.error_after == pytest.approx(ranked.error_before)
     assert rank(PRIOR, [miss]).best is None
 
 

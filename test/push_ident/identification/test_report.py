@@ -6,10 +6,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
 from helpers.objects import hammer, random_records
-from push_ident.errors import InputError
 from push_ident.identification.identify import identify
 from push_ident.identification.online.identifier import running_record
 from push_ident.identification.predicting.prediction import PushErrors, push_errors
@@ -45,12 +42,6 @@ def test_page_of_a_solve_that_failed_warns_first_and_says_that_no_push_was_held_
     page = _write(tmp_path, replace(RESULT, status=SolveStatus.POOR_FIT), _errors(RESULT, []))
     assert page.index("Do not use these maps") < page.index("<svg")
     assert "No push was held out" in page and "not used in the fit" not in page
-
-
-def test_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"file/report\.html"):
-        _write(tmp_path / "file", RESULT, _errors(RESULT, []))
 
 
 def _write(folder: Path, result: Identification, test: PushErrors) -> str:

@@ -166,16 +166,6 @@ def traced(shape: ObjectShape, wider: float = 0.0) -> ObjectShape:
     return replace(shape, outline=shape.outline + wider * meeting, outline_std=np.full(len(shape.outline), 1e-3))
 
 
-def test_the_outline_after_the_cells_is_taken_until_a_push_was_learned() -> None:
-    session, seen = session_in(), traced(TRUTH.shape)
-    session.refine_shape(seen)
-    assert session.shape is seen and session.posterior.effects.names == ("outline_error",)
-    session.finish(PUSHES[0])
-    session.refine_shape(TRUTH.shape)
-    assert session.posterior.effects.names == ("outline_error",)
-    assert session.shape.outline_std is not None and session.n_pushes == 1
-
-
 def test_pushes_with_a_better_known_outline_do_not_change_the_unknowns_of_a_model() -> None:
     """As after a restart from a file that was written before outlines had deviations."""
     session = session_in(window=2)

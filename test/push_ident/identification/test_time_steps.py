@@ -72,15 +72,6 @@ def test_fit_to_fast_pushes_recovers_the_truth_at_very_short_steps() -> None:
     assert np.median(problem.step_errors(x)) < SHARE
 
 
-def test_slow_pushes_keep_the_default_step_to_the_last_bit() -> None:
-    records = _pushes(0.03, 4, 1e-3)
-    problem, x, _ = _fit(records)
-    given, x_given, _ = _fit(records, SimulationSettings(step=1 / 240))
-    assert [choice.level for choice in problem.steps if choice is not None] == [0, 0, 0, 0]
-    np.testing.assert_array_equal(x, x_given)
-    assert problem.meter.n_simulations == given.meter.n_simulations
-
-
 def test_fit_across_kinks_of_the_cost_converges() -> None:
     # A jerky path strikes the object at each sample; poses that are worse than stated leave large residuals.
     rng = np.random.default_rng(3)

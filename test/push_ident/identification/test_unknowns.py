@@ -14,34 +14,13 @@ from push_ident.identification.fitting.levenberg_marquardt import minimise
 from push_ident.identification.fitting.map_prior import STARTS, LinearEvidence, MapTransforms
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.identify import identify
-from push_ident.identification.unknowns.mechanics import effects_at, model_at
+from push_ident.identification.unknowns.mechanics import model_at
 from push_ident.identification.unknowns.prior import MapPrior, Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec, nuisance_effects
-from push_ident.physics.effects import EFFECTS
 from push_ident.types import CameraAccuracy, ObjectShape
 
 SHAPE = hammer(1).shape
 PRIOR = Prior(max_modes=4)
-
-
-def test_load_balances_about_the_centre_of_mass_and_pressure_moves_no_mass() -> None:
-    unknowns = UnknownsSpec.of(SHAPE, Prior(max_modes=4, pressure_map_std=1.0))
-    z = np.zeros(unknowns.size)
-    z[unknowns.slices["mass_map"]] = [1.0, -0.5, 0.3, 0.2]
-    even = model_at(unknowns, z)
-    z[unknowns.slices["pressure_map"]] = [-1.0, 2.0, 0.5, 1.0]
-    uneven = model_at(unknowns, z)
-    assert uneven.mass == pytest.approx(even.mass) and np.ptp(np.log(uneven.friction)) > 0.5
-    assert uneven.centre_of_friction == pytest.approx(even.mass @ SHAPE.cells.centres / even.total_mass, abs=1e-9)
-
-
-def test_accuracy_of_a_sensor_replaces_the_prior_of_the_catalogue_and_survives_other_effects() -> None:
-    unknowns = UnknownsSpec.of(SHAPE, PRIOR, effects=("pusher_lag", "outline_error"), effect_std={"outline_error": (4e-4,)})
-    (lag,) = EFFECTS["pusher_lag"].parameters
-    assert unknowns.effect_std == pytest.approx([lag.scale, 4e-4])
-    assert effects_at(unknowns, np.full(unknowns.size, 1e6)).values[0] == pytest.approx(lag.high)
-    assert unknowns.with_effects(("outline_error",)).effect_std == pytest.approx([4e-4])
-    assert unknowns.at_amplitude(0.1).effect_std == pytest.approx(unknowns.effect_std)
 
 
 def test_an_outline_that_a_camera_traced_is_an_unknown_as_uncertain_as_it_says() -> None:

@@ -141,17 +141,6 @@ def test_the_load_goes_ahead_of_the_motion_or_falls_behind_it_with_its_time_cons
     assert 0.0 < turns[0] < turns[1] < turns[2] and turns[1] > 0.01
 
 
-def test_a_shift_moves_the_centre_of_friction_of_any_map_along_the_motion() -> None:
-    """Where nothing turns, friction at a centre that went ahead along the motion has the torque that it had."""
-    model = plate(FRICTION, n=15)
-    x, y = model.shape.cells.centres.T
-    weight = 1.0 + 0.9 * np.sign(x * y)
-    model = replace(model, mass=0.5 * weight / np.sum(weight))
-    plain, ahead = (coasted({"table_tilt": [SLOPE, 0.0]} | more, [0.6], model)[-1] for more in ({}, {"push_height": [4e-3]}))
-    # Cells have an extent of their own, which their centres do not show.
-    assert plain[0] > 0.02 and ahead == pytest.approx(plain, abs=5e-3)
-
-
 def test_friction_of_the_pusher_and_an_outline_error_are_those_of_another_object() -> None:
     model = plate()
     np.testing.assert_allclose(poses(model, {"pusher_friction": [0.15]}), poses(plate(pusher_friction=0.45)), atol=1e-9)

@@ -23,13 +23,10 @@ from helpers.random_pushes import (
     rounding_decides,
     steps_of,
 )
-from push_ident.geometry.outline import outline_of_cells
 from push_ident.physics.contact_rows import RECOVERY_SPEED
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import SimulationSettings, simulate_body, simulate_body_with_pullback
-from push_ident.types import CellGrid, ObjectModel, ObjectShape, PusherPath, SolveStatus
-
-DYNAMIC = ("circle", "pyramid")
+from push_ident.physics.simulation import simulate_body, simulate_body_with_pullback
+from push_ident.types import ObjectModel, SolveStatus
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -162,8 +159,7 @@ def test_nothing_drifts_in_a_minute(mode: str, polygon: bool) -> None:
             case.model.shape, case.body, case.model.pusher_friction, PushScenario(pusher, case.pose, np.r_[0.0, at]), settings=ENGINES[mode]
         )
         assert np.linalg.norm(motion.pose[1, :2] - case.pose[:2]) > 1e-3
-        assert np.array_equal(motion.pose[1], motion.pose[2])
-        assert np.array_equal(motion.pose[1], motion.pose[3])
+        assert np.array_equal(motion.pose[[1, 1]], motion.pose[[2, 3]])
 
 
 @pytest.mark.parametrize("mode", ENGINES)
@@ -177,34 +173,14 @@ def test_pusher_never_enters_the_object_by_a_tenth_of_a_millimetre(mode: str, ca
     assert depth < 1e-4
 
 
-def test_disc_in_a_pocket_rests_on_both_of_its_corners() -> None:
-    # Two cells stick out, 11 mm apart; a disc of 16 mm cannot reach the ground between them.
-    size = 0.011
-    centres = size * np.array([[i, 0] for i in range(-3, 4)] + [[-1, 1], [1, 1]], dtype=np.float64)
-    shape = ObjectShape(CellGrid(centres, size), outline_of_cells(centres, size))
-    model = ObjectModel(shape, np.full(9, 0.05), np.full(9, 0.3), 0.0)
-    radius, half = 0.016, size / 2
-    top = 1.5 * size + np.sqrt(radius**2 - half**2)
-    path = np.array([[0.004, top + 0.01], [0.004, top + 0.004], [-0.03, top - 0.05]])
-    pusher = PusherPath(np.array([0.0, 0.05, 0.5]), path, radius)
-    time = np.arange(0.0, 0.5, DT)
-    motion = simulate_body(
-        shape, Case(model, pusher, np.zeros(3)).body, 0.0, PushScenario(pusher, np.zeros(3), time), settings=SimulationSettings(step=DT)
-    )
-    sampled = replace(pusher, time=time, position=np.column_stack([np.interp(time, pusher.time, path[:, i]) for i in (0, 1)]))
-    assert clearances(Case(model, sampled, np.zeros(3)), motion.pose).min() > -1e-4
-
-
-@pytest.mark.parametrize("jacobian", [False, True])
-def test_push_without_a_unique_motion_is_reported_as_failed_and_gives_no_numbers(jacobian: bool) -> None:
+def test_push_without_a_unique_motion_is_reported_as_failed_and_gives_no_numbers() -> None:
     # Without inertia and without support friction nothing says how the object moves.
     case = random_case(1, 12, False, 16)
     assert case.simulate(ENGINES["quasi-static"]).status is SolveStatus.CONVERGED
     case = replace(case, model=ObjectModel(case.model.shape, case.model.mass, np.zeros(12), 0.3))
-    motion = case.simulate(ENGINES["quasi-static"], jacobian=jacobian)
+    motion = case.simulate(ENGINES["quasi-static"], jacobian=True)
     assert motion.status is SolveStatus.SIMULATION_FAILED
-    assert np.all(np.isnan(motion.pose))
-    assert np.all(np.isnan(motion.jacobian))
+    assert np.all(np.isnan(motion.pose)) and np.all(np.isnan(motion.jacobian))
     _, pull_back = simulate_body_with_pullback(
         case.model.shape, case.body, 0.3, PushScenario(case.pusher, case.pose, case.pusher.time), settings=ENGINES["quasi-static"]
     )

@@ -27,8 +27,8 @@ def random_contacts(rng: np.random.Generator, n_contacts: int) -> Float64Array:
     return rows
 
 
-def check_contact_conditions(twist: Float64Array, rows: Float64Array, n_contacts: int, mu: float, impulse: Float64Array, code: int) -> None:
-    """Contacts part or press, never pull; the tangent is inside its cone when it sticks, on it and against the slip when it slides."""
+def checked_impulse(twist: Float64Array, rows: Float64Array, n_contacts: int, mu: float, impulse: Float64Array, code: int) -> Float64Array:
+    """Of the contacts: they part or press, never pull; the tangent is inside its cone when it sticks, else on it against the slip."""
     gap_speed = rows[:n_contacts, :3] @ twist - rows[:n_contacts, 3]
     assert np.all(gap_speed > -1e-10)
     assert np.all(impulse[:n_contacts] >= 0)
@@ -36,8 +36,8 @@ def check_contact_conditions(twist: Float64Array, rows: Float64Array, n_contacts
     carried = mu * impulse[:n_contacts] @ rows[:n_contacts, 4]
     assert abs(impulse[-1]) <= carried + 1e-15
     pressing = [k for k in range(n_contacts) if (code >> (2 + k)) & 1 and rows[k, 4]]
+    tangent = rows[MAX_CONTACTS + (pressing[0] if pressing else 0)]
     if pressing:
-        tangent = rows[MAX_CONTACTS + pressing[0]]
         slip = tangent[:3] @ twist - tangent[3]
         if code % 4 == Mode.STICK:
             assert abs(slip) < 1e-10
@@ -45,12 +45,7 @@ def check_contact_conditions(twist: Float64Array, rows: Float64Array, n_contacts
             assert code % 4 in (Mode.SLIDE_PLUS, Mode.SLIDE_MINUS)
             assert slip * impulse[-1] <= 1e-15
             assert abs(impulse[-1]) == pytest.approx(carried)
-
-
-def contact_impulse(rows: Float64Array, n_contacts: int, impulse: Float64Array, code: int) -> Float64Array:
-    pressing = [k for k in range(n_contacts) if (code >> (2 + k)) & 1 and rows[k, 4]]
-    tangent = rows[MAX_CONTACTS + (pressing[0] if pressing else 0), :3]
-    return impulse[:n_contacts] @ rows[:n_contacts, :3] + impulse[-1] * tangent
+    return np.asarray(impulse[:n_contacts] @ rows[:n_contacts, :3] + impulse[-1] * tangent[:3])
 
 
 @pytest.mark.parametrize("n_contacts", [0, 1, 2])
@@ -74,8 +69,8 @@ def test_step_meets_its_optimality_conditions(n_contacts: int) -> None:
         scratch.rate[:] = rng.normal(size=3) * [10.0, 10.0, 200.0] * rng.choice([0.0, 1.0])
         code, _ = step(twist, geometry, contacts, 1e-4, 0, impulse, scratch)
         assert code != Mode.NONE, seed
-        check_contact_conditions(twist, rows, n_contacts, mu, impulse, code)
+        pushed = checked_impulse(twist, rows, n_contacts, mu, impulse, code)
         friction, stiffness = np.zeros(3), np.zeros((3, 3))
         support_friction(twist, arms, limit, 1e-4, True, friction, stiffness)
-        balance = inertia * (twist - old) + dt * friction - contact_impulse(rows, n_contacts, impulse, code)
+        balance = inertia * (twist - old) + dt * friction - pushed
         assert np.abs(balance / [1, 1, 0.03]).max() <= 1e-10 * 0.6
