@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
-import subprocess
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -61,13 +59,13 @@ class Page(HTMLParser):
     def __init__(self, html: str) -> None:
         super().__init__(convert_charrefs=True)
         self.tags: set[str] = set()
-        self.attributes: set[str] = set()
+        self.attributes: list[tuple[str, str | None]] = []
         self.text = ""
         self.feed(html)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.add(tag)
-        self.attributes |= {name for name, _ in attrs}
+        self.attributes += attrs
 
     def handle_data(self, data: str) -> None:
         self.text += data
@@ -75,7 +73,7 @@ class Page(HTMLParser):
     def check(self) -> None:
         """No element and no attribute that runs or loads anything."""
         assert not self.tags & {"script", "img", "iframe", "object", "embed", "link", "base", "form"}, self.tags
-        assert not {name for name in self.attributes if name.startswith("on")}
+        assert not [name for name, value in self.attributes if name.startswith("on") or "javascript:" in (value or "")]
 
 
 TILT = ROOT / "test" / "system" / "baseline" / "bags" / "tilt"
@@ -133,11 +131,8 @@ def test_figures_hold_text_and_no_formula() -> None:
         assert plain_text(text)[:20] in page.text
 
 
-@pytest.fixture(scope="module")
-def nasty_pages(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """What the commands write of a bag; their output is checked."""
-    folder = tmp_path_factory.mktemp("pages")
-    bag, out = folder / "bag" / NASTY_NAME, folder / NASTY_NAME
+def test_an_object_of_that_name_goes_through_the_commands_and_their_pages(tmp_path: Path) -> None:
+    bag, out = tmp_path / "bag" / NASTY_NAME, tmp_path / NASTY_NAME
     write_records(bag, [replace(record, object_id=NASTY_ID) for record in load_pushes([TILT]).records[:3]])
     model = str(out / "model.json")
     for arguments in (
@@ -150,29 +145,10 @@ def nasty_pages(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
         check_terminal(result.output)
         assert "[b]" in result.output
     outcome = identify_bag(bag, FleetOptions(held_out=3)) | {"model_file": "models/[b]\"' onclick=alert(1).json"}
-    write_index(folder / "index.html", [outcome, {**outcome, "state": "failed", "error": " ".join(t[:300] for t in NASTY)}])
-    return [out / "report.html", folder / "index.html"]
-
-
-def test_an_object_of_that_name_goes_through_the_commands_and_their_pages(nasty_pages: list[Path]) -> None:
-    for page in nasty_pages:
+    write_index(tmp_path / "index.html", [outcome, {**outcome, "state": "failed", "error": " ".join(t[:300] for t in NASTY)}])
+    for page in (out / "report.html", tmp_path / "index.html"):
         html = page.read_text(encoding="utf-8")
         found = Page(html)
         found.check()
         assert "<img src=x onerror=alert(1)>" in found.text and "{{ 7 * 7 }}" in found.text
         assert not CONTROL & set(html)
-
-
-@pytest.mark.release
-def test_nothing_in_pages_of_foreign_text_runs_in_a_browser(nasty_pages: list[Path], tmp_path: Path) -> None:
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    if browser is None:
-        pytest.skip("no Chromium")
-    copy = tmp_path / "page.html"
-    probe = "<script>window.alert = () => document.documentElement.setAttribute('data-ran', 'yes')</script>"
-    options = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=2000"]
-    for page in nasty_pages:
-        copy.write_text(page.read_text(encoding="utf-8").replace("<head>", "<head>" + probe, 1), encoding="utf-8")
-        done = subprocess.run([browser, *options, "--dump-dom", copy.as_uri()], capture_output=True, text=True, timeout=60, check=False)
-        assert "<main>" in done.stdout, done.stderr
-        assert "data-ran" not in done.stdout.replace(probe, "")
