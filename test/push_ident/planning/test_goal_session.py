@@ -451,8 +451,11 @@ def test_path_that_cannot_be_gone_on_with_says_how_much_is_behind() -> None:
 
 def test_path_that_cannot_be_followed_is_refused_before_anything_moves_and_a_cancellation_is_passed_on_within_a_look() -> None:
     away, turning = PATH.poses + np.array([0.5, 0.0, 0.0]), np.array([[0.0, 0.0, 0.0], [0.001, 0.0, 3.0]])
-    for path, code in ((PathGoal(away), GoalCode.OUTSIDE_WORKSPACE), (PathGoal(turning, 0.2), GoalCode.INVALID_GOAL)):
-        with pytest.raises(GoalRefusedError) as refused:
+    for path, code, remedy in (
+        (PathGoal(away), GoalCode.OUTSIDE_WORKSPACE, "shrink the path"),
+        (PathGoal(turning, 0.2), GoalCode.INVALID_GOAL, "go at 0.* m/s or less"),
+    ):
+        with pytest.raises(GoalRefusedError, match=remedy) as refused:
             PathSession(GoalRequest("", path), PathCell()).check()  # type: ignore[arg-type]
         assert refused.value.code is code
     cell = PathCell(wants=lambda cell: Wish.HOLD if cell.time > 101.0 else Wish.GO_ON)

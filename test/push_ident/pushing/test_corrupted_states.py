@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from itertools import count
 
 import numpy as np
 import pytest
@@ -20,83 +20,70 @@ from push_ident.types import Float64Array
 
 State = tuple[float, Float64Array]
 """Stamp [s] and joint positions [rad]."""
+STREAMS = int(os.environ.get("STREAMS", "24"))
+"""Random streams of states; `make states STREAMS=10000` for more."""
+SEED = int(os.environ.get("SEED", "1"))
+ROUNDING = 2e-3
+STATES = 300
+"""Of a push, up to its rest."""
 
-POSITIONS = ("offset", "swap", "spike", "freeze", "scale", "drift", "noise", "drop")
-"""Kinds that leave the time as it is."""
-TIMES = ("repeat", "reorder", "late", "stamps")
 
-
-@dataclass
 class Corruption:
-    """One kind of lie, from a state of the stream on, for a number of states."""
+    """One kind of lie about the states of a stream, at any time, for one state or for ever, from a thousandth of a radian to 3."""
 
-    kind: str
-    first: int
-    n: int
-    size: float
-    """[rad], for `stamps` and `late` [s], for `scale` 1."""
-    joints: tuple[int, int]
-    rng: np.random.Generator = field(repr=False)
-    _kept: State | None = field(default=None, repr=False)
-    _waiting: list[State] = field(default_factory=list, repr=False)
+    def __init__(self, rng: np.random.Generator, kinds: Sequence[str], n_joints: int) -> None:
+        self.kind, self.rng = str(rng.choice(kinds)), rng
+        self.first, self.n = int(rng.integers(-STATES // 4, STATES)), int(rng.choice([1, 2, 4, 8, 30, 100, 100_000]))
+        self.size = float(rng.choice([-1, 1]) * np.exp(rng.uniform(math.log(1e-3), math.log(3.0))))
+        """[rad], for `stamps` and `late` [s], for `scale` 1."""
+        self.joints = rng.choice(n_joints, 2, replace=False)
+        self.aside = self.size * np.eye(n_joints)[self.joints[0]]
+        self.kept: State | None = None
+        self.waiting: list[State] = []
 
-    @classmethod
-    def draw(cls, rng: np.random.Generator, kinds: tuple[str, ...], n_states: int, n_joints: int) -> Corruption:
-        """One of these kinds, at any time, for one state or for ever, from a thousandth of a radian to 3."""
-        a, b = rng.choice(n_joints, 2, replace=False)
-        n = int(rng.choice([1, 2, 4, 8, 30, 100, 100_000]))
-        size = float(rng.choice([-1, 1]) * np.exp(rng.uniform(math.log(1e-3), math.log(3.0))))
-        return cls(str(rng.choice(kinds)), int(rng.integers(-n_states // 4, n_states)), n, size, (int(a), int(b)), rng)
+    def __repr__(self) -> str:
+        return f"{self.kind} of {self.size:g} at joints {self.joints} in {self.n} states from {self.first} on"
 
     def __call__(self, number: int, stamp: float, q: Float64Array) -> list[State]:
         """What is reported in place of a true state; `number` counts them."""
         if not self.first <= number < self.first + self.n:
-            held, self._waiting = self._waiting, []
-            return [*held, (stamp, q)]
-        i, j = self.joints
-        lie = q.copy()
-        if self.kind == "offset":
-            lie[i] += self.size
-        elif self.kind == "swap":
-            lie[[i, j]] = lie[[j, i]]
-        elif self.kind == "spike":
-            lie[i] += self.size * (self.rng.random() < 0.3)
-        elif self.kind == "scale":
-            lie *= 1.0 + self.size
-        elif self.kind == "drift":
-            lie[i] += self.size * (number - self.first) / 50
-        elif self.kind == "noise":
-            lie += self.size * self.rng.normal(size=len(q))
-        elif self.kind == "stamps":
-            return [(stamp + self.size, q)]
-        elif self.kind == "drop":
-            return []
-        else:
-            return self._in_time(stamp, q)
-        return [(stamp, lie)]
+            return [*self.released(len(self.waiting)), (stamp, q)]
+        self.kept = self.kept or (stamp, q)
+        if self.kind in POSITIONS:
+            return [(stamp, POSITIONS[self.kind](self, number - self.first, q))]
+        if self.kind in ("late", "reorder"):
+            self.waiting.append((stamp, q))
+        return OTHERS[self.kind](self, stamp, q)
 
-    def _in_time(self, stamp: float, q: Float64Array) -> list[State]:
-        if self.kind in ("freeze", "repeat"):
-            self._kept = self._kept or (stamp, q)
-            return [(stamp, self._kept[1]) if self.kind == "freeze" else self._kept]
-        self._waiting.append((stamp, q))
-        if self.kind == "late":
-            is_due = len(self._waiting) > abs(self.size) / 0.01
-            return [self._waiting.pop(0)] if is_due else []
-        if len(self._waiting) < 4:
-            return []
-        shuffled, self._waiting = [self._waiting[k] for k in self.rng.permutation(4)], []
-        return shuffled
+    def released(self, n: int) -> list[State]:
+        states, self.waiting = self.waiting[:n], self.waiting[n:]
+        return states
+
+
+POSITIONS: dict[str, Callable[[Corruption, int, Float64Array], Float64Array]] = {
+    "offset": lambda lie, age, q: q + lie.aside,
+    "swap": lambda lie, age, q: q + (q[lie.joints[::-1]] - q[lie.joints]) @ np.eye(len(q))[lie.joints],
+    "spike": lambda lie, age, q: q + lie.aside * (lie.rng.random() < 0.3),
+    "freeze": lambda lie, age, q: lie.kept[1],
+    "scale": lambda lie, age, q: q * (1.0 + lie.size),
+    "drift": lambda lie, age, q: q + lie.aside * age / 50,
+    "noise": lambda lie, age, q: q + lie.size * lie.rng.normal(size=len(q)),
+}
+OTHERS: dict[str, Callable[[Corruption, float, Float64Array], list[State]]] = {
+    "drop": lambda lie, stamp, q: [],
+    "repeat": lambda lie, stamp, q: [lie.kept],
+    "stamps": lambda lie, stamp, q: [(stamp + lie.size, q)],
+    "late": lambda lie, stamp, q: lie.released(int(len(lie.waiting) > abs(lie.size) / 0.01)),
+    "reorder": lambda lie, stamp, q: sorted(lie.released(4), key=lambda state: lie.rng.random()) if len(lie.waiting) == 4 else [],
+}
 
 
 def corrupting(corruptions: list[Corruption]) -> Callable[[float, Float64Array], list[State]]:
     """For `Cell.corrupt`: all of them, one after the other."""
-    number = -1
+    numbers = count()
 
     def corrupt(stamp: float, q: Float64Array) -> list[State]:
-        nonlocal number
-        number += 1
-        states = [(stamp, q)]
+        number, states = next(numbers), [(stamp, q)]
         for corruption in corruptions:
             states = [lie for state in states for lie in corruption(number, *state)]
         return states
@@ -125,14 +112,6 @@ class ArmTruth:
         self._since = self._cell.time
 
 
-STREAMS = int(os.environ.get("STREAMS", "24"))
-"""Random streams of states; `make states STREAMS=10000` for more."""
-SEED = int(os.environ.get("SEED", "1"))
-ROUNDING = 2e-3
-STATES = 300
-"""Of a push, up to its rest."""
-
-
 @pytest.mark.parametrize("stream", range(STREAMS))
 def test_no_stream_of_states_makes_the_arm_exceed_a_limit(kinematics: ArmKinematics, stream: int) -> None:
     rng = np.random.default_rng([SEED, stream])
@@ -140,8 +119,8 @@ def test_no_stream_of_states_makes_the_arm_exceed_a_limit(kinematics: ArmKinemat
     bench.cell.is_simulated = bool(rng.random() < 0.3)
     truth = ArmTruth(bench.cell, joint_limits(kinematics, SETTINGS.motion))
     # The time of a simulated cell is what its stamps say; that of a real one passes whatever they say.
-    kinds = POSITIONS if bench.cell.is_simulated else POSITIONS + TIMES
-    corruptions = [Corruption.draw(rng, kinds, STATES, kinematics.n_joints) for _ in range(rng.integers(1, 4))]
+    kinds = [*POSITIONS, "drop"] if bench.cell.is_simulated else [*POSITIONS, *OTHERS]
+    corruptions = [Corruption(rng, kinds, kinematics.n_joints) for _ in range(rng.integers(1, 4))]
     bench.cell.corrupt = corrupting(corruptions)
     for _ in range(1 + (rng.random() < 0.25)):
         outcome = bench.push(CONTACT)

@@ -83,7 +83,8 @@ class Cell:
     poses: dict[str, list[float]]
     pusher: list[float]
     wrench: list[float]
-    records: list[PushInterval]
+    records: list[tuple[float, PushInterval]]
+    """With the time at which each is published, as late as 0.3 s after its push."""
 
     def messages(self) -> dict[str, list[tuple[float, Callable[[PushCutter], object]]]]:
         """For each topic: stamps, and how a cutter takes what came then."""
@@ -95,8 +96,7 @@ class Cell:
         }
         topics["pusher"] = [(t, partial(PushCutter.add_pusher, stamp=t, position=position_at(t))) for t in self.pusher]
         topics["wrench"] = [(t, partial(PushCutter.add_wrench, stamp=t, force=position_at(-t))) for t in self.wrench]
-        # A record is published after its push, here as late as 0.3 s.
-        topics["record"] = [(r.end + 0.3, partial(PushCutter.add_record, record=r)) for r in self.records]
+        topics["record"] = [(t, partial(PushCutter.add_record, record=record)) for t, record in self.records]
         return {name: messages for name, messages in topics.items() if messages}
 
     def from_bag(self, object_id: str) -> list[PushRecord]:
@@ -112,7 +112,7 @@ class Cell:
             pusher=Samples(np.array(self.pusher), np.array([position_at(t) for t in self.pusher])),
             pusher_radius=0.01,
             wrench=Samples(np.array(self.wrench), np.array([position_at(-t) for t in self.wrench])) if self.wrench else None,
-            push_intervals=tuple(self.records),
+            push_intervals=tuple(record for _, record in self.records),
             camera_in_table=None,
             camera_accuracy=None,
             n_depth=0,
@@ -136,9 +136,10 @@ def add_pose(cutter: PushCutter, object_id: str, stamp: float) -> bool:
     return cutter.add_pose(object_id, stamp, pose_at(stamp), COVARIANCE)
 
 
-def play_in_time(cell: Cell) -> list[CutPush]:
+def play_in_time(cell: Cell, *, expects_records: bool = False, flush: bool = True) -> list[CutPush]:
     """Messages in order of time, with a call of `finished` each 0.1 s as the nodes make it."""
     cutter, pushes, looked = cutter_of(*cell.poses), [], 0.0
+    cutter.expects_records = expects_records
     topics = enumerate(cell.messages().values())
     merged = sorted(((time, number, take) for number, topic in topics for time, take in topic), key=lambda message: message[:2])
     for time, _, take in merged:
@@ -146,7 +147,7 @@ def play_in_time(cell: Cell) -> list[CutPush]:
             looked += 0.1
             pushes += cutter.finished()
         take(cutter)
-    return pushes + cutter.finished(flush=True)
+    return pushes + cutter.finished(flush=flush)
 
 
 def play_shuffled(cell: Cell, rng: np.random.Generator) -> list[CutPush]:
@@ -169,7 +170,7 @@ def random_cell(rng: np.random.Generator, *, with_records: bool, hurried: bool) 
         run = start + np.cumsum(rng.uniform(0.01, 0.3, int(rng.integers(1, 30))))
         pusher += run.tolist()
         if with_records and len(run) > 1:
-            records.append(PushInterval(number + 1, "a", float(run[0]), float(run[-1]), 0))
+            records.append((float(run[-1]) + 0.3, PushInterval(number + 1, "a", float(run[0]), float(run[-1]), 0)))
         start = float(run[-1] + (rng.choice([rng.uniform(0.51, 1.0), rng.uniform(1.0, 6.0)]) if hurried else rng.uniform(1.05, 6.0)))
     poses = {}
     for name in ("a", "b"):
@@ -181,7 +182,7 @@ def random_cell(rng: np.random.Generator, *, with_records: bool, hurried: bool) 
     wrench = np.cumsum(rng.uniform(0.02, 0.1, int(start / 0.06))).tolist() if rng.uniform() < 0.7 else []
     if with_records:
         # Where a bag has records, samples without one are no push; a live cell cannot know that no record will come.
-        pusher = [t for t in pusher if any(r.start <= t <= r.end for r in records)]
+        pusher = [t for t in pusher if any(r.start <= t <= r.end for _, r in records)]
     return Cell(poses, pusher, wrench, records)
 
 
@@ -216,7 +217,8 @@ def test_live_streams_and_a_bag_give_the_same_pushes(with_records: bool, seed: i
 def test_record_that_comes_in_time_gives_the_interval_as_in_a_bag() -> None:
     """The record covers more than the pusher samples, and two pushes follow without a pause; a third one failed."""
     pusher = [*times(2.0, 3.0), *times(3.2, 4.0), *times(8.0, 9.0)]
-    records = [PushInterval(1, "a", 1.9, 3.0, 0), PushInterval(2, "a", 3.1, 4.05, 0), PushInterval(3, "a", 7.95, 9.1, -5)]
+    ends = ((1.9, 3.0, 0), (3.1, 4.05, 0), (7.95, 9.1, -5))
+    records = [(9.5, PushInterval(k + 1, "a", *values)) for k, values in enumerate(ends)]
     cell = Cell({"a": times(0, 12)}, pusher, times(0, 12), records)
     cutter = cutter_of(*cell.poses)
     for topic in ("record", "pusher", "wrench", "pose a"):
@@ -231,17 +233,9 @@ def test_record_that_comes_in_time_gives_the_interval_as_in_a_bag() -> None:
 def play_with_records(
     records: list[tuple[float, PushInterval]], *, pusher: list[tuple[float, float]], end: float, expects: bool = True
 ) -> list[CutPush]:
-    """Poses at 20 Hz up to `end` [s], the pusher in some spans of time, records when they come; `finished` is called as a node does."""
-    cutter, pushes, waiting = cutter_of("o1"), [], deque(sorted(records, key=lambda r: r[0]))
-    for time in times(0, end):
-        cutter.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
-        if any(start - 1e-6 <= time < stop - 1e-6 for start, stop in pusher):
-            cutter.expects_records |= expects
-            cutter.add_pusher(time, np.array([0.1 * time, 0.2]))
-        while waiting and waiting[0][0] <= time:
-            cutter.add_record(waiting.popleft()[1])
-        pushes += cutter.finished()
-    return pushes
+    """Poses up to `end` [s], the pusher in some spans of time, records when they come."""
+    cell = Cell({"o1": times(0, end)}, [time for span in pusher for time in times(*span)], [], records)
+    return play_in_time(cell, expects_records=expects, flush=False)
 
 
 def record_of(start: float, end: float) -> PushInterval:
@@ -275,6 +269,6 @@ def test_samples_behind_the_end_of_a_record_that_came_before_them_belong_to_its_
 
 
 def test_push_during_which_the_pusher_paused_is_handed_out_once() -> None:
-    pushes = play_with_records([(5.0, record_of(2.0, 4.5))], pusher=[(2, 3), (3.8, 4.5)], end=20)
+    pushes = play_with_records([(5.0, record_of(2.0, 4.5))], pusher=[(2, 3), (3.8, 4.48)], end=20)
     assert len(pushes) == 1
     assert pushes[0].records[0].pusher.time[[0, -1]] == pytest.approx([2.0, 4.45])

@@ -24,7 +24,7 @@ from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.injected.sensing import PoseSensor, check_rendered, true_camera
 from push_ident_sim.objects import SimObject, make_object
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes, seal
-from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, observe_motion
+from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, make_pushes, observe_motion
 
 G, STEP, RADIUS = 9.81, 1.0 / 240.0, 0.008
 MU, MASS = 0.3, 0.6
@@ -232,16 +232,6 @@ def test_effects_are_read_and_refused_by_name() -> None:
     for text in ("restitution=nan", "restitution=2", "compliant_table=1e-5"):
         with pytest.raises(InputError, match="expected 0"):
             InjectedEffects.parse([text])
-
-
-def test_truth_with_an_effect_has_a_file_of_its_own_and_keeps_the_reported_path(tmp_path: Path) -> None:
-    plain = TruthSettings(n_train=1, n_test=0)
-    bent = replace(plain, effects=InjectedEffects.of({"tool_offset": (0.004, 0.0)}))
-    assert generate_truth(tmp_path, "book", 1, plain) != generate_truth(tmp_path, "book", 1, bent)
-    ((record,), _, _), ((other,), _, _) = (load_truth(tmp_path, "book", 1, s, EXACT) for s in (plain, bent))
-    n = len(record.pusher.time) - 2
-    np.testing.assert_allclose(other.pusher.position[1:n], record.pusher.position[1:n], atol=1e-4)
-    assert np.abs(other.poses.pose[-1] - record.poses.pose[-1]).max() > 1e-3
 
 
 def test_command_writes_a_bag_whose_effect_appears_only_in_the_truth(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import PusherPath
 from push_ident_sim.code_digest import CORE, code_digest, code_of
+from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth, load_truth, make_pushes, true_model, truth_file
 
@@ -71,8 +73,9 @@ def test_pushes_are_seeded_simulated_once_and_a_damaged_file_is_refused_with_a_r
     assert generate_truth(folder, "toolbox", 3, FEW) == path and path.stat().st_mtime_ns == written
     again = generate_truth(tmp_path, "toolbox", 3, FEW)
     assert again.read_bytes() == content and not list(tmp_path.glob("*.partial"))
-    others = (("toolbox", 4, FEW), ("book", 3, FEW), ("toolbox", 3, TruthSettings(2, 1, start_range=0.1)))
-    assert len({truth_file(folder, *which) for which in others} | {path}) == 4
+    changed = ({"start_range": 0.1}, {"effects": InjectedEffects.of({"tool_offset": (0.004, 0.0)})})
+    others = (("toolbox", 4, FEW), ("book", 3, FEW), *(("toolbox", 3, replace(FEW, **change)) for change in changed))
+    assert len({truth_file(folder, *which) for which in others} | {path}) == 5
     again.write_bytes(content[:200])
     with pytest.raises(InputError, match="delete the file"):
         load_truth(tmp_path, "toolbox", 3, FEW)
@@ -93,17 +96,13 @@ def test_camera_adds_seeded_noise_to_the_truth_with_rests_before_and_after(folde
     assert len(train) == 2 and len(test) == 1
     again = load_truth(folder, "toolbox", 3, FEW)[0]
     np.testing.assert_array_equal(train[0].poses.pose, again[0].poses.pose)
-    clean = load_truth(folder, "toolbox", 3, FEW, CameraNoise(position_std=1e-9, yaw_std=1e-9, rate=240.0))[0]
-    true_end = clean[0].poses.pose[-1]
-    seen = observe_push(train[0])
-    assert seen.touched
-    np.testing.assert_allclose(seen.pose[-1][:2], true_end[:2], atol=2e-3)
-    residual = train[0].poses.pose - np.column_stack(
-        [np.interp(train[0].poses.time, clean[0].poses.time, column) for column in clean[0].poses.pose.T]
-    )
-    np.testing.assert_allclose(residual.std(axis=0) / np.sqrt(np.diag(train[0].poses.covariance[0])), 1.0, atol=0.35)
-    assert np.ptp(clean[0].poses.pose[:90], axis=0).max() < 1e-6 and np.ptp(clean[0].poses.pose[-90:], axis=0).max() < 1e-4
-    assert train[0].wrench is None
+    clean = load_truth(folder, "toolbox", 3, FEW, CameraNoise(position_std=1e-9, yaw_std=1e-9, rate=240.0))[0][0].poses
+    observed, seen = train[0].poses, observe_push(train[0])
+    assert seen.touched and train[0].wrench is None
+    np.testing.assert_allclose(seen.pose[-1][:2], clean.pose[-1][:2], atol=2e-3)
+    residual = observed.pose - np.column_stack([np.interp(observed.time, clean.time, column) for column in clean.pose.T])
+    np.testing.assert_allclose(residual.std(axis=0) / np.sqrt(np.diag(observed.covariance[0])), 1.0, atol=0.35)
+    assert np.ptp(clean.pose[:90], axis=0).max() < 1e-6 and np.ptp(clean.pose[-90:], axis=0).max() < 1e-4
     np.testing.assert_array_equal(train[0].shape.cells.centres, thing.cells)
 
 

@@ -1,4 +1,4 @@
-"""What the check of a robot file finds, and where an arm can push."""
+"""Robot files: what is refused, what their check finds, where an arm can push, and the description that is made of them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.robots import NAMES, changed, robot_path
+from helpers.robots import NAMES, changed, endless, robot_path, with_urdf
+from push_ident.errors import InputError
+from push_ident.geometry.arm_shape import ArmShape
+from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.robot.checks import Finding, Level, check_reach, check_robot
-from push_ident.pushing.robot.description import read_urdf
+from push_ident.pushing.robot.description import cell_description, read_urdf
+from push_ident.pushing.robot.node_parameters import node_parameters
 from push_ident.pushing.robot.reach import Outcome, Reach, find_reach
 from push_ident.pushing.robot.reach_page import write_reach_page
 from push_ident.pushing.robot.robot_file import Robot, motion_settings, push_settings, read_robot
@@ -70,15 +74,8 @@ def test_mistake_is_found_with_what_is_expected_and_what_to_do(
 
 
 def test_joint_without_end_needs_limits_in_the_file(tmp_path: Path) -> None:
-    urdf = read_urdf(read_robot(robot_path("ur5e")))
-    text = urdf.path.read_text().replace('name="wrist_3_joint" type="revolute"', 'name="wrist_3_joint" type="continuous"')
-    (tmp_path / "arm.urdf").write_text(text)
-
-    def change(content: dict[str, Any]) -> None:
-        content["description"] = {"file": "arm.urdf", "root": "base_link"}  # a copy without its meshes
-        del content["joints"]["lower"], content["joints"]["upper"]
-
-    findings, kinematics = check_robot(read_robot(changed(tmp_path, change)))
+    without_limits = lambda content: (content["joints"].pop("lower"), content["joints"].pop("upper"))  # noqa: E731
+    findings, kinematics = check_robot(read_robot(with_urdf(tmp_path, endless, without_limits)))
     assert kinematics is None
     assert [finding.what for finding in findings if finding.about == "limits"] == ["wrist_3_joint turns without end"]
     assert any("meshes are no files" in finding.what and finding.level is Level.WARNING for finding in findings)
@@ -102,3 +99,96 @@ def test_push_beyond_the_acceleration_of_the_joints_is_a_limit_and_not_out_of_re
     assert np.all(reach.outcome[0] == Outcome.LIMIT)
     assert not any(finding.level is Level.WRONG for finding in findings)
     assert all(outcome is Outcome.LIMIT and "would accelerate" in reason for outcome, reason in reach.reasons)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_tip_of_the_description_is_where_the_file_places_it(name: str) -> None:
+    robot = read_robot(robot_path(name))
+    file = robot.file
+    description = cell_description(robot, read_urdf(robot))
+    arm, carrier = (ArmKinematics(description, link, file.joints.neutral) for link in ("tool_tip", file.tool.link))
+    assert arm.root_frame == "table" and arm.joint_names == tuple(file.joints.names)
+    for posture in (file.joints.neutral, file.joints.home):
+        expected = carrier.forward(posture) @ [*file.tool.tip_position, 1.0]
+        np.testing.assert_allclose(arm.forward(posture)[:3, 3], expected[:3], atol=1e-12)
+    if file.joints.lower is not None:
+        np.testing.assert_allclose(arm.position_lower, file.joints.lower)
+    np.testing.assert_allclose(arm.velocity_limit, file.joints.velocity)
+    # What masks the arm in the images reads the same text, and has the pusher in it.
+    rods = ArmShape(description).at(dict(zip(file.joints.names, file.joints.neutral, strict=True)))
+    tip = arm.forward(file.joints.neutral)[:3, 3]
+    assert min(float(np.linalg.norm(rod.end - tip)) for rod in rods) < 1e-9
+
+
+def test_nodes_get_one_value_from_one_place(tmp_path: Path) -> None:
+    robot = read_robot(changed(tmp_path, lambda c: c["parameters"]["push_executor_node"].update(acceleration=1.0)))
+    nodes = node_parameters(robot, tmp_path / "robot.urdf")
+    assert nodes["perception_node"]["robot_description_file"] == nodes["push_executor_node"]["robot_description_file"]
+    assert nodes["perception_node"]["camera_position"] == nodes["bag_recorder_node"]["camera_position"] == [0.55, 0.0, 0.85]
+    assert nodes["perception_node"]["tool_reach"] == [0.012, 0.132]
+    assert nodes["push_executor_node"]["workspace"] == nodes["goal_pushing_node"]["workspace"]
+    assert len(nodes["push_executor_node"]["home_posture"]) == 6 and nodes["push_executor_node"]["acceleration"] == 1.0
+    assert motion_settings(robot).acceleration == 1.0
+
+
+def test_joint_that_turns_without_end_gets_the_limits_of_the_file_and_foreign_prefixes_are_left_out(tmp_path: Path) -> None:
+    (folder := tmp_path / "arm").mkdir()
+    (folder / "shoulder.obj").touch()
+    robot = read_robot(
+        with_urdf(
+            folder,
+            lambda text: (
+                endless(text)
+                .replace("visual/shoulder.obj", "package://arm/shoulder.obj")
+                .replace("</robot>", '<drake:joint drake:acceleration="3"/></robot>')
+            ),
+        )
+    )
+    urdf = read_urdf(robot)
+    assert not [element.tag for element in urdf.root.iter() if ":" in element.tag]
+    assert str(folder / "shoulder.obj") in {mesh.get("filename") for mesh in urdf.root.iter("mesh")}
+    arm = ArmKinematics(cell_description(robot, urdf), "tool_tip", robot.file.joints.neutral)
+    np.testing.assert_allclose([arm.position_lower, arm.position_upper], [robot.file.joints.lower, robot.file.joints.upper])
+
+
+def test_description_that_is_no_urdf_or_not_there_is_refused(tmp_path: Path) -> None:
+    entities = '<!DOCTYPE robot [<!ENTITY a "b">]><robot name="a"><link name="b"/></robot>'
+    for text, why in ((entities, "declares entities"), ("<robot", "cannot be read"), ("<world/>", "no element `robot`")):
+        with pytest.raises(InputError, match=why):
+            read_urdf(read_robot(with_urdf(tmp_path, lambda _, text=text: text)))
+    for package, why in (
+        ({}, "no file"),
+        ({"package": "no_such_package"}, "which is not installed"),
+        ({"package": "push_ident"}, "which the package push_ident does not have"),
+    ):
+        description = {"file": "ur5e.urdf", "root": "base_link", **package}
+        with pytest.raises(InputError, match=why):
+            read_urdf(read_robot(changed(tmp_path, lambda c, described=description: c.update(description=described))))
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda c: c.pop("tool"), "tool is missing"),
+        (lambda c: c["camera"].update(focal=1.0), "camera.focal is no key"),
+        (lambda c: c["joints"].update(home=[0.0] * 7), "joints.home has 7 numbers, expected 6"),
+        (lambda c: c["joints"].update(acceleration=[1.0, 2.0]), "joints.acceleration has 2 numbers, expected 6"),
+        (lambda c: c["joints"].update(names=["elbow_joint"] * 6), "a name twice"),
+        (lambda c: c["tool"].update(pusher_radius=-0.01), "tool.pusher_radius is -0.01"),
+        (lambda c: c["camera"].update(quaternion=[1.0, 1.0, 0.0, 0.0]), "unit quaternion"),
+        (lambda c: c.update(push_height=0.2), "heights must rise"),
+        (lambda c: c.update(workspace=[0.1, -0.1, 0.0, 0.1]), "x_min < x_max"),
+        (lambda c: c["parameters"].update(push_executor_node={"clearance": "3 cm"}), "expected numbers"),
+        (lambda c: c["parameters"].update(push_executor_node={"pusher_radius": 0.02}), "is given by the robot file elsewhere"),
+    ],
+)
+def test_file_with_a_mistake_is_refused_in_one_line(tmp_path: Path, change: Callable[[dict[str, Any]], object], why: str) -> None:
+    path = changed(tmp_path, change)
+    with pytest.raises(InputError) as refused:
+        node_parameters(read_robot(path), tmp_path / "robot.urdf")
+    text = str(refused.value)
+    assert why in text and str(path) in text and "\n" not in text
+    for content in ("a: [", "- 1\n", ""):
+        path.write_text(content)
+        with pytest.raises(InputError):
+            read_robot(path)
