@@ -7,32 +7,24 @@ from functools import cache
 import numpy as np
 import pytest
 
+from helpers.objects import square, uniform
 from push_ident.geometry.outline import cells_in_outline, polygon_area, polygon_centroid
-from push_ident.physics.accuracy import SHARE, choose_steps, halved, quick_steps, step_error
+from push_ident.physics.accuracy import SHARE, choose_steps, step_error
 from push_ident.physics.scenario import PushScenario
-from push_ident.physics.simulation import (
-    SimulationSettings,
-    body_of_cells,
-    simulate_body,
-)
-from push_ident.types import Float64Array, ObjectShape, PusherPath
+from push_ident.physics.simulation import SimulationSettings, simulate
+from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherPath
 
 RADIUS = 0.00475
 """Of the pusher [m]."""
 FINE = SimulationSettings(step=1 / 30720, resolve_events=True)
-RESOLVED = SimulationSettings(step=1 / 480, resolve_events=True)
 NOISE = {"1 mm": np.diag([1e-3, 1e-3, 0.01]) ** 2, "0.1 mm": np.diag([1e-4, 1e-4, 1e-3]) ** 2}
 
 
-def _ellipse(n: int) -> Float64Array:
-    angle = np.arange(n) * 2 * np.pi / n
-    return np.column_stack([0.0525 * np.cos(angle), 0.065 * np.sin(angle)])
-
-
+_ANGLE = np.arange(48) * 2 * np.pi / 48
 OUTLINES = (
     np.array([[-0.045, -0.045], [0.045, -0.045], [0.045, 0.045], [-0.045, 0.045]]),
     np.array([[0.0, 0.0], [0.12, 0.0], [0.0, 0.12]]),
-    _ellipse(48),
+    np.column_stack([0.0525 * np.cos(_ANGLE), 0.065 * np.sin(_ANGLE)]),
     np.array([[0.0, 0.0], [0.12, 0.0], [0.12, 0.05], [0.05, 0.05], [0.05, 0.12], [0.0, 0.12]]),
 )
 
@@ -40,15 +32,14 @@ OUTLINES = (
 class _Push:
     """A random push of a random object at a speed [m/s]; `ramp` [s] is the time in which the pusher speeds up and brakes."""
 
-    def __init__(self, seed: int, speed: float, ramp: float = 0.0, friction: float | None = None) -> None:
+    def __init__(self, seed: int, speed: float, ramp: float) -> None:
         rng = np.random.default_rng(seed)
         outline = OUTLINES[seed % len(OUTLINES)] - np.array(polygon_centroid(OUTLINES[seed % len(OUTLINES)]))
-        self.shape = ObjectShape(cells_in_outline(outline, np.sqrt(polygon_area(outline) / 60)), outline)
-        centres = self.shape.cells.centres
-        weight = np.exp(centres @ rng.normal(size=2) * 10)
-        coefficient = rng.choice([0.05, 0.1, 0.2, 0.5, 0.8]) if friction is None else friction
-        self.body = body_of_cells(self.shape, rng.uniform(0.3, 1.5) * weight / weight.sum(), np.full(len(centres), coefficient))
-        self.mu = rng.uniform(0.1, 0.5)
+        shape = ObjectShape(cells_in_outline(outline, np.sqrt(polygon_area(outline) / 60)), outline)
+        weight = np.exp(shape.cells.centres @ rng.normal(size=2) * 10)
+        coefficient = rng.choice([0.05, 0.1, 0.2, 0.5, 0.8])
+        mass = rng.uniform(0.3, 1.5) * weight / weight.sum()
+        self.model = ObjectModel(shape, mass, np.full(len(mass), coefficient), rng.uniform(0.1, 0.5))
         length, gap = rng.uniform(0.02, 0.08), rng.uniform(0.006, 0.01)
         edge = int(rng.integers(len(outline)))
         along = outline[(edge + 1) % len(outline)] - outline[edge]
@@ -64,11 +55,10 @@ class _Push:
             t = np.clip(time - 0.1037, 0.0, duration)
             travel = np.where(t < ramp, 0.5 * speed * t**2 / ramp, speed * (t - 0.5 * ramp))
             travel = np.where(t > duration - ramp, length + gap - 0.5 * speed * (duration - t) ** 2 / ramp, travel)
-        self.pusher = PusherPath(time, start + travel[:, None] * heading, RADIUS)
-        self.scenario = PushScenario(self.pusher, np.zeros(3), time[-1:])
+        self.scenario = PushScenario(PusherPath(time, start + travel[:, None] * heading, RADIUS), np.zeros(3), time[-1:])
 
     def end(self, settings: SimulationSettings) -> Float64Array:
-        return simulate_body(self.shape, self.body, self.mu, self.scenario, settings=settings).pose[-1]
+        return simulate(self.model, self.scenario, settings=settings).pose[-1]
 
 
 @pytest.mark.parametrize("ramp", [0.0, 0.05])
@@ -91,35 +81,31 @@ def test_halving_the_chosen_steps_moves_the_end_by_less_than_a_tenth_of_the_nois
 
 
 def test_released_object_coasts_as_far_as_friction_allows() -> None:
-    # Pushed through its centre, without friction at the pusher: v^2 / (2 mu g) after the pusher stops.
-    speed, mu = 0.3, 0.2
-    outline = OUTLINES[0]
-    shape = ObjectShape(cells_in_outline(outline, 0.01), outline)
-    n = len(shape.cells)
-    body = body_of_cells(shape, np.full(n, 1.0 / n), np.full(n, mu))
-    stop = -0.06 + 0.2011 * speed
+    """Pushed through its centre: v^2 / (2 mu g) after the pusher stops."""
+    speed, mu, stop = 0.3, 0.2, -0.06 + 0.2011 * 0.3
     pusher = PusherPath(np.array([0.0, 0.2011, 0.6]), np.array([[-0.06, 0.0], [stop, 0.0], [stop, 0.0]]), RADIUS)
-    exact = stop + RADIUS + 0.045 + speed**2 / (2 * mu * 9.81)
-    scenario = PushScenario(pusher, np.zeros(3), pusher.time[-1:])
-    errors = {}
-    for name, how in {"equal": SimulationSettings(), "resolved": SimulationSettings(resolve_events=True)}.items():
-        errors[name] = abs(simulate_body(shape, body, 0.0, scenario, settings=how).pose[-1, 0] - exact)
-    assert errors["resolved"] < 2e-5
-    assert errors["equal"] > 10 * errors["resolved"]
+    exact, scenario = stop + RADIUS + 0.045 + speed**2 / (2 * mu * 9.81), PushScenario(pusher, np.zeros(3), pusher.time[-1:])
+    equal, resolved = (
+        abs(
+            simulate(
+                uniform(square(), friction=mu, pusher_friction=0.0), scenario, settings=SimulationSettings(resolve_events=resolve)
+            ).pose[-1, 0]
+            - exact
+        )
+        for resolve in (False, True)
+    )
+    assert resolved < 2e-5 and equal > 10 * resolved
 
 
 def test_steps_that_were_given_are_kept() -> None:
     given = SimulationSettings(step=1 / 100)
     choice = choose_steps(lambda settings: pytest.fail("simulated"), given, NOISE["1 mm"], 1.0)
     assert (choice.settings, choice.level) == (given, 0)
-    assert quick_steps(None) == SimulationSettings(step=1 / 240, resolve_events=True)
-    assert halved(given) == SimulationSettings(step=1 / 200, smoothing_speed=5e-5)
 
 
 def test_push_without_a_limit_keeps_its_first_steps_and_a_large_error() -> None:
     rng = np.random.default_rng(0)
     jump = lambda settings: rng.normal(size=3)  # noqa: E731
     choice = choose_steps(jump, SimulationSettings(), NOISE["1 mm"], 1.0)
-    assert choice.level == 0
-    assert choice.error >= SHARE
+    assert choice.level == 0 and choice.error >= SHARE
     assert step_error(jump, choice.settings, NOISE["1 mm"]) >= SHARE
