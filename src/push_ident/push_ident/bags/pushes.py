@@ -13,6 +13,7 @@ from push_ident.bags.reader import BagContents
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushCutter
+from push_ident.pushing.regular_path import stamps_jitter
 from push_ident.types import CameraAccuracy, PushRecord
 
 PAUSE: Final = 0.5
@@ -47,10 +48,18 @@ def split_pushes(contents: BagContents, object_id: str) -> list[PushRecord]:
         for number, push in enumerate(pushes, 1)
         for reason in push.left_out.values()
     ]
+    skipped += _jitter_note(contents, records)
     contents.notes.extend(note for note in skipped if note not in contents.notes)
     if not records:
         raise BagError(f"{contents.path}: none of {len(pushes)} pushes is usable; {skipped[0] if skipped else 'there are none'}")
     return records
+
+
+def _jitter_note(contents: BagContents, records: Sequence[PushRecord]) -> list[str]:
+    time, position = contents.pusher.time, contents.pusher.value[:, :2]
+    within = [(time >= record.pusher.time[0]) & (time <= record.pusher.time[-1]) for record in records]
+    n = sum(stamps_jitter(time[chosen], position[chosen]) for chosen in within)
+    return [f"the stamps of the pusher jitter in {n} of {len(records)} pushes: their paths are smoothed"] if n else []
 
 
 def pushes_by_object(contents: BagContents) -> dict[str, list[PushRecord]]:

@@ -6,7 +6,7 @@
 2. The window of a push lies between the midpoints to the intervals before and after it, those of failed pushes included.
 3. Of the poses in its window, a push has those up to `gap` around its interval. If there is none at or before its start, it has the last
    one before; if there is none at or after its end, the first one after; neither is farther than a minute.
-4. It has the pusher samples and forces within its interval.
+4. It has the pusher samples and forces within its interval; a path whose stamps jitter is smoothed (`regular_path.py`).
 5. There is no record of a failed push, one beyond the duration or travel of `limits.py`, one with fewer than 2 pusher samples, or one with
    fewer than 2 poses of an object.
 
@@ -27,6 +27,7 @@ import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.limits import LIMITS
+from push_ident.pushing.regular_path import regular_path
 from push_ident.types import CameraAccuracy, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 
 LIVE_CAPACITY: Final = 20_000
@@ -423,7 +424,7 @@ class PushCutter:
             poses=PoseTrack(
                 stamps, np.array([pose for pose, _ in observed]), np.array([covariance for _, covariance in observed]), self._camera
             ),
-            pusher=PusherPath(time, np.array(positions), self._radius),
+            pusher=regular_path(PusherPath(time, np.array(positions), self._radius)),
             wrench=WrenchTrack(wrench_time, np.array(forces)) if len(wrench_time) else None,
             source=f"push at {time[0]:.2f} s",
         )

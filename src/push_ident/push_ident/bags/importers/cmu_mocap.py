@@ -65,7 +65,8 @@ class MocapObject:
 def import_cmu_mocap(bag_file: Path, out_bag: Path, *, body: MocapObject | None = None) -> ImportReport:
     """Convert a ROS 1 bag of many consecutive pushes (wooden triangle, motion capture) to a new contract bag.
 
-    Every motion-capture pose is kept; the pusher's path is kept where the robot moves in contact, so that its gaps separate the pushes.
+    Every motion-capture pose is kept, and the pusher's path where the robot moves in contact. A record of each push says where it begins
+    and ends: pauses between pushes are too short to tell.
     `body` describes another object, or supports that the file's name does not tell.
 
     Raises BagError when the bag cannot be read or lacks a topic, InputError for a `body` that is none.
@@ -86,7 +87,8 @@ def import_cmu_mocap(bag_file: Path, out_bag: Path, *, body: MocapObject | None 
         writer.write_pusher_shape(time[0], 0.0)
         for stamp, planar in zip(time, pose, strict=True):
             writer.write_pose(_OBJECT_ID, stamp, planar, covariance)
-        for start, end in spans:
+        for number, (start, end) in enumerate(spans, 1):
+            writer.write_push_record(number, _OBJECT_ID, start, end)
             span = (robot[:, 0] >= start) & (robot[:, 0] <= end)
             for stamp, x, y, z in robot[span]:
                 writer.write_pusher(stamp, (x, y), z=z)
