@@ -151,13 +151,14 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     # All variants draw the same pushes, as far as they take as many.
     drawn = draw_pushes(recorded, n, rng, ends_only=ends_only, with_forces=with_forces)
     start = time.process_time()
-    diagnosis = diagnose(drawn.records, DiagnosisSettings(prior=_prior(drawn)))
+    diagnosis = diagnose(drawn.records, DiagnosisSettings(prior=prior_of(drawn)))
     seconds = time.process_time() - start
     known = known_of(settings.recordings, case.object_name)
     return finite({"n": len(drawn.records), "n_all": drawn.n_all, **_outcome(diagnosis), "seconds": seconds, "known": known})
 
 
-def _prior(drawn: Drawn) -> Prior:
+def prior_of(drawn: Drawn) -> Prior:
+    """The default one, with the mass of the object where it was published."""
     return Prior() if drawn.mass is None else Prior(total_mass=drawn.mass, total_mass_std=0.0)
 
 
@@ -167,7 +168,7 @@ def _predict(drawn: Drawn, n_train: int, rng: np.random.Generator) -> Json:
     train, test = ([drawn.records[i] for i in part] for part in (order[:n_train], order[n_train:]))
     if not test:
         return {}
-    result = identify(train, _prior(drawn))
+    result = identify(train, prior_of(drawn))
     models = zip(_MODELS, (result.model, result.scalar, result.uniform), strict=True)
     return finite({f"{name}_m": float(np.mean(held_out_errors(model, test))) for name, model in models})
 
