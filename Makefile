@@ -58,6 +58,10 @@ recordings: setup  ## recordings of others, set by set, DATA=FOLDER of them (goe
 	$(call experiment,recorded --models 2 --recordings "$(DATA)")
 	$(VENV)/push-ident experiment report
 
+injected: setup  ## known causes put into recordings of others, DATA=FOLDER of them (goes on where it stopped), then the page
+	$(call experiment,injected --models 4 --recordings "$(DATA)")
+	$(VENV)/push-ident experiment report
+
 STREAMS ?= 10000
 states: setup  ## pushes under STREAMS=10000 random streams of joint states that lie: no command may break a limit (an hour)
 	STREAMS=$(STREAMS) OMP_NUM_THREADS=1 $(VENV)/pytest -q -n 2 test/push_ident/pushing/test_corrupted_states.py
