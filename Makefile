@@ -59,7 +59,7 @@ recordings: setup  ## recordings of others, set by set, DATA=FOLDER of them (goe
 	$(VENV)/push-ident experiment report
 
 injected: setup  ## known causes put into recordings of others, DATA=FOLDER of them (goes on where it stopped), then the page
-	$(call experiment,injected --models 4 --recordings "$(DATA)")
+	$(call experiment,injected --models 2 --variants single --recordings "$(DATA)")
 	$(VENV)/push-ident experiment report
 
 STREAMS ?= 10000
