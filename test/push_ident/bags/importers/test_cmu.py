@@ -80,7 +80,9 @@ def test_icra16_pusher_touches_the_outline_when_force_sets_in_and_force_stays_in
 def test_mocap_is_cut_into_its_pushes_with_every_pose_kept_and_the_pusher_at_the_outline_in_contact(mocap: Imported) -> None:
     report, pushes = mocap
     assert report.n_pushes == len(pushes) == 5 and report.supports.shape == (3, 2) and report.warnings == ()
-    assert read_bag(report.bag).topics["/objects/1/pose"] == 4996
+    contents = read_bag(report.bag)
+    # Pauses between pushes may be too short to tell them apart: each has its record.
+    assert contents.topics["/objects/1/pose"] == 4996 and len(contents.push_intervals) == 5
     assert np.abs(report.contact_distance).max() < 2e-3
     for push in pushes:
         assert np.median(np.diff(push.poses.time)) == pytest.approx(1 / 60, rel=0.01)
