@@ -16,7 +16,7 @@ _SAMPLES: Final = 5
 """Number of intervals over which jitter averages out; a smoothing spline needs as many samples."""
 _FASTER: Final = 2.0
 """Speed between neighbours over the largest one across `_SAMPLES` intervals, above which stamps jitter [-]: no arm doubles its speed for
-one sample. Recordings with regular stamps reach 1.8, one with jitter reaches 25 (median)."""
+one sample. Of 600 recorded pushes with regular stamps 1 % are above it, of 44 with jitter more than three quarters, at 25 in the median."""
 
 
 def regular_path(path: PusherPath) -> PusherPath:
