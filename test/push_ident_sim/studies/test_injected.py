@@ -42,9 +42,9 @@ def test_names_count_against_what_the_recording_had_before() -> None:
         case({"camera_rotation": [0.03]}, rotated, {"camera_rotation": [0.02]}),
         case({"outline_error": [0.002]}, rotated, {"outline_error": [0.002]}),
         case({"table_tilt": [0.02, 0.0]}, rotated, {}),
-        case({"tool_offset": [0.001, 0.0]}, {"camera_translation": [0.001, 0.0]}, {}),
+        case({"tool_offset": [0.003, 0.0]}, {"camera_translation": [0.001, 0.0]}, {"tool_offset": [0.002, 0.0]}),
     ]
     row = STUDY.summarise(cases)["variants"]["single"]
     assert (row["detectable"], row["all_named"], row["wrong"]) == (5, 3, 1)
-    assert row["size_errors"] == pytest.approx([0.1, 0.0])
+    assert row["size_errors"] == pytest.approx([0.1, 0.0, 0.0])
     assert "5" in STUDY.tables(STUDY.summarise(cases))

@@ -32,6 +32,7 @@ from push_ident_sim.studies.common.tables import causes_text, markdown_table, mi
 from push_ident_sim.studies.recorded import draw_pushes, find_sets, prior_of
 
 _N_PUSHES: Final = 14
+"""Drawn from a recording at most, as many as of a case of the blind check."""
 _SIZES: Final = (0.5, 1.0, 2.0)
 """Times the typical size of an effect."""
 _NULL: Final = "as-recorded"
@@ -125,14 +126,14 @@ def _row(cases: Sequence[Json]) -> Json:
     }
     injected = [v for v in cases if v["causes"]]
     if injected:
-        seen = [v for v in injected if is_detectable(v)]
+        detected = [v for v in injected if is_detectable(v)]
         row |= {
-            "detectable": len(seen),
-            "all_named": sum(all(_named_as(c, v) for c in v["causes"]) for v in seen),
-            "one_named": sum(any(_named_as(c, v) for c in v["causes"]) for v in seen),
-            "left_open": sum(not all(_named_as(c, v) for c in v["causes"]) and all(_possible(c, v) for c in v["causes"]) for v in seen),
+            "detectable": len(detected),
+            "all_named": sum(all(_named_as(c, v) for c in v["causes"]) for v in detected),
+            "one_named": sum(any(_named_as(c, v) for c in v["causes"]) for v in detected),
+            "left_open": sum(not all(_named_as(c, v) for c in v["causes"]) and all(_possible(c, v) for c in v["causes"]) for v in detected),
             "wrong": sum(bool(_wrong(v)) for v in injected),
-            "size_errors": [error for v in seen for error in _size_errors(v)],
+            "size_errors": [error for v in detected for error in _size_errors(v)],
         }
     return row
 
@@ -156,9 +157,10 @@ def _size_errors(values: Json) -> list[float]:
     errors = []
     for cause, true in values["causes"].items():
         name = _named_as(cause, values)
-        if name == cause:
-            before = np.array(values["before"]["named"].get(cause, np.zeros(len(true))))
-            errors.append(float(np.linalg.norm(np.array(values["named"][cause]) - before - true) / np.linalg.norm(true)))
+        if name is not None:
+            # Exact twins have the same values.
+            before = next((np.array(v) for n, v in values["before"]["named"].items() if is_same(cause, n)), np.zeros(len(true)))
+            errors.append(float(np.linalg.norm(np.array(values["named"][name]) - before - true) / np.linalg.norm(true)))
     return errors
 
 

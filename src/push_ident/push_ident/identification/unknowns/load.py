@@ -73,8 +73,8 @@ def balanced_load_derivative(
 class FeetLoad:
     """A load on feet."""
 
-    place: Float64Array
-    """p [m], shape (n_feet, 2)."""
+    feet: Float64Array
+    """Their positions p [m], shape (n_feet, 2)."""
     width: float
     """h [m]."""
     weight: Float64Array
@@ -97,9 +97,9 @@ class FeetLoad:
     """t, shape (2,)."""
 
 
-def feet_load(weight: Float64Array, cells: Float64Array, place: Float64Array, width: float, preference: Float64Array) -> FeetLoad:
+def feet_load(weight: Float64Array, cells: Float64Array, feet: Float64Array, width: float, preference: Float64Array) -> FeetLoad:
     """Load of an object on feet, with the preferences g of shape (n_feet,); the others as in `FeetLoad`."""
-    exponent = -np.sum((cells[:, None] - place[None]) ** 2, axis=2) / (2.0 * width**2)
+    exponent = -np.sum((cells[:, None] - feet[None]) ** 2, axis=2) / (2.0 * width**2)
     spread = np.exp(exponent - exponent.max(axis=0))
     spread /= spread.sum(axis=0)
     effective = spread.T @ cells
@@ -107,26 +107,26 @@ def feet_load(weight: Float64Array, cells: Float64Array, place: Float64Array, wi
     arms = (effective - weight @ cells) / radius
     share, tilt = _balance(preference, arms, _SOFTNESS)
     load = (1.0 - _FLOATING) * (spread @ share) + _FLOATING * weight
-    return FeetLoad(place, width, weight, cells, load, share, effective, spread, arms, radius, tilt)
+    return FeetLoad(feet, width, weight, cells, load, share, effective, spread, arms, radius, tilt)
 
 
 def feet_load_derivative(
-    at: FeetLoad, d_weight: Float64Array, d_place: Float64Array, d_width: Float64Array, d_preference: Float64Array
+    at: FeetLoad, d_weight: Float64Array, d_feet: Float64Array, d_width: Float64Array, d_preference: Float64Array
 ) -> Float64Array:
     """Derivative of the logarithm of the load of each cell by unknowns, shape (n_cells, n_unknowns).
 
-    From those of the logarithm of the weights, shape (n_cells, n_unknowns), of the places, shape (n_feet, 2, n_unknowns), of the logarithm
-    of the width, shape (n_unknowns,), and of the preferences, shape (n_feet, n_unknowns).
+    From those of the logarithm of the weights, shape (n_cells, n_unknowns), of the positions of the feet, shape (n_feet, 2, n_unknowns),
+    of the logarithm of the width, shape (n_unknowns,), and of the preferences, shape (n_feet, n_unknowns).
     """
     cells, weight, width = at.cells, at.weight, at.width
     share, spread, arms = at.share, at.spread, at.arms
-    offset = cells[:, None] - at.place[None]
+    offset = cells[:, None] - at.feet[None]
     # d log T_ik = (x_i - p_k)' dp_k / h^2 + |x_i - p_k|^2 / h^2 dlog h, less its mean over the cells.
     by_position = offset / width**2
     by_position = spread[:, :, None] * (by_position - np.einsum("ik,ikd->kd", spread, by_position)[None])
     by_width = np.sum(offset**2, axis=2) / width**2
     by_width = spread * (by_width - np.sum(spread * by_width, axis=0)[None])
-    d_spread = np.einsum("ikd,kdz->ikz", by_position, d_place) + by_width[:, :, None] * d_width
+    d_spread = np.einsum("ikd,kdz->ikz", by_position, d_feet) + by_width[:, :, None] * d_width
     d_centre = (cells * weight[:, None]).T @ d_weight
     d_arms = (np.einsum("ia,ikz->kaz", cells, d_spread) - d_centre[None]) / at.radius
     # The slope of the potential stays zero: this determines the derivative of the tilt.

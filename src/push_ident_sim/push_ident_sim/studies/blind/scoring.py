@@ -128,8 +128,8 @@ def _detectability(information: EffectInformation | None, wanted: Mapping[str, F
         at = information.indices[name][acting]
         size = np.array([(values[i] - EFFECTS[name].nominal[i]) / EFFECTS[name].parameters[i].scale for i in acting])
         held = information.precision[np.ix_(at, at)]
-        alone = float(size @ (held - np.eye(len(at))) @ size)
-        shown[name] = {"alone": alone, "gain": 0.5 * alone - 0.5 * float(np.linalg.slogdet(held)[1])}
+        noncentrality = float(size @ (held - np.eye(len(at))) @ size)
+        shown[name] = {"alone": noncentrality, "gain": 0.5 * noncentrality - 0.5 * float(np.linalg.slogdet(held)[1])}
     return shown
 
 
