@@ -11,6 +11,7 @@ import numpy as np
 from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.threads import map_in_threads
+from push_ident.identification.fitting.discrepancy import with_size
 from push_ident.identification.fitting.fit import AMPLITUDES, Fit, fit_amplitudes
 from push_ident.identification.fitting.levenberg_marquardt import minimise
 from push_ident.identification.fitting.problem import FitProblem
@@ -38,6 +39,10 @@ class _FitSettings:
     """Tolerance of fits that are only compared with each other, where whole units of log evidence decide [nat]."""
     held_out_start: float = 0.8
     """Factor of the unknowns at which a fit to fewer pushes starts [-]; see `without_pushes`."""
+    max_size_rounds: int = 4
+    """Fits at most until the size of the discrepancy is that of the pushes."""
+    size_tolerance: float = 0.2
+    """Of the logarithm of that size [-]; the evidence is that at the best size in any case."""
     second_start_gain: float = 1.0
     """Expected gain of log evidence above which a fit that gains nothing gets a second start [nat]."""
     second_start: float = 0.4
@@ -68,7 +73,18 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings, earlier
     fits = fit_amplitudes(
         lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), np.zeros(problem.size), _SETTINGS.max_base_iterations, starts
     )
-    return max(fits, key=lambda fit: fit.log_evidence)
+    return at_its_discrepancy(max(fits, key=lambda fit: fit.log_evidence), _SETTINGS.max_base_iterations)
+
+
+def at_its_discrepancy(fit: Fit, max_iterations: int = _SETTINGS.max_iterations) -> Fit:
+    """The fit repeated until its discrepancy has the size that the pushes show."""
+    for _ in range(_SETTINGS.max_size_rounds):
+        size = fit.discrepancy_size
+        if np.max(np.abs(np.log([*size.shared, size.frames]))) < _SETTINGS.size_tolerance:
+            break
+        problem, x = with_size(fit.problem.of(fit.unknowns), fit.x, size)
+        fit = Fit(problem, *minimise(problem, x, max_iterations, relative=True), fit.amplitude)
+    return fit
 
 
 def fit_effects(
@@ -100,7 +116,7 @@ def with_another(fit: Fit, old: str, new: str, other: Fit) -> Fit:
 def polished(fit: Fit) -> Fit:
     """The same fit, converged to full tolerance."""
     problem = fit.problem.of(fit.unknowns)
-    return Fit(problem, *minimise(problem, fit.x, _SETTINGS.max_iterations, start=fit.end), fit.amplitude)
+    return at_its_discrepancy(Fit(problem, *minimise(problem, fit.x, _SETTINGS.max_iterations, start=fit.end), fit.amplitude))
 
 
 def without_pushes(fit: Fit, pushes: Sequence[int], start: Float64Array | None = None) -> Fit:

@@ -40,7 +40,8 @@ class FrameResiduals:
     """Residuals of every frame of all pushes; the first pose of a push, which is fitted, is left out."""
 
     standardized: Float64Array
-    """Along the motion of the object, across it, and in rotation; of unit variance where the model is right, shape (n, 3)."""
+    """Along the motion of the object, across it, and in rotation, beyond the discrepancy that the frames of a push share; of unit variance
+    where the model is right, shape (n, 3)."""
     difference: Float64Array
     """The same, observed minus simulated and not standardized [m, m, rad], shape (n, 3)."""
     push: Float64Array
@@ -109,7 +110,7 @@ def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:
         record, observation = problem.records[push], problem.observations[push]
         scenario = PushScenario(record.pusher, problem.first_pose(fit.x, push), observation.time, record.order)
         motion = mechanics.simulate(scenario, settings=problem.settings_of(push))
-        fields, to_motion_frame = _push_residuals(motion, observation, push, policy)
+        fields, to_motion_frame = _push_residuals(motion, observation, push, policy, problem.displacement(fit.x, push))
         return fields, np.einsum("fij,dfj->dfi", to_motion_frame, drawn[push])[:, 1:]
 
     parts, draws = zip(*map_in_threads(of_push, range(len(problem.records))), strict=True)
@@ -118,7 +119,7 @@ def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:
 
 
 def _push_residuals(
-    motion: Motion, observation: Observation, push: int, policy: ResidualPolicy
+    motion: Motion, observation: Observation, push: int, policy: ResidualPolicy, displacement: Float64Array
 ) -> tuple[dict[str, Float64Array], Float64Array]:
     """Fields of `FrameResiduals` for all frames of one push, and the matrices that turn whitened residuals into standardized ones along
     and across the motion, shape (n_frames, 3, 3)."""
@@ -129,16 +130,13 @@ def _push_residuals(
     chord = motion.pose[-1, :2] - motion.pose[0, :2]
     heading = np.where(speed > policy.rest_speed, np.arctan2(velocity[:, 1], velocity[:, 0]), np.arctan2(chord[1], chord[0]))
     cos, sin = np.cos(heading), np.sin(heading)
-    turned = np.column_stack(
-        [cos * difference[:, 0] + sin * difference[:, 1], -sin * difference[:, 0] + cos * difference[:, 1], difference[:, 2]]
-    )
     covariance = np.linalg.inv(np.einsum("fji,fjk->fik", whitening, whitening))
     turn = np.zeros((len(difference), 3, 3))
     turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = cos, sin, -sin, cos, 1.0
     deviation = np.sqrt(np.einsum("fij,fjk,fik->fi", turn, covariance, turn))
     fields = {
-        "standardized": turned / deviation,
-        "difference": turned,
+        "standardized": np.einsum("fij,fj->fi", turn, difference - displacement) / deviation,
+        "difference": np.einsum("fij,fj->fi", turn, difference),
         "push": np.full(len(difference), float(push)),
         "phase": _phases(motion, speed, policy),
         "speed": speed,
@@ -167,7 +165,7 @@ def _refitted_noise(fit: Fit, n_draws: int, rng: np.random.Generator) -> list[Fl
     linear = problem.linearise(fit.x)
     if linear is not None:
         # The first pose of a push is part of both: as an unknown, and as the frame that is its prior.
-        jacobian, precision = linear.by_poses, np.diag(problem.unit_prior)
+        jacobian, precision = linear.by_poses, np.diag(problem.prior_precision)
         noise = noise - np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ noise.T).T @ jacobian.T
     split = np.split(noise.reshape(n_draws, -1, 3), np.cumsum(counts)[:-1], axis=1)
     return [np.asarray(part) for part in split]
@@ -187,7 +185,7 @@ def draw_noise(observation: Observation, rng: np.random.Generator, n_draws: int)
         for frame in range(1, motion.shape[1]):
             motion[:, frame] = rho * motion[:, frame - 1] + np.sqrt(1.0 - rho**2) * motion[:, frame]
         motion *= np.sqrt((1.0 - rho) / (1.0 + rho))
-    discrepancy = rng.normal(size=(n_draws, 1, 3)) * observation.discrepancy
+    discrepancy = np.einsum("fim,dm->dfi", observation.shared, rng.normal(size=(n_draws, observation.shared.shape[2])))
     return np.asarray(noise + np.einsum("fij,dfj->dfi", observation.whitening, discrepancy))
 
 

@@ -9,15 +9,23 @@ The motion is differentiable by the parameters of an effect at their null, so th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.diagnosis.policy import SelectionPolicy
+from push_ident.diagnosis.threads import map_in_threads
+from push_ident.identification.fitting.discrepancy import WIDTH, FrameErrors, LinearPushes
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array
+
+_ROUNDS: Final = 3
+"""Of the size of errors of frames and of the discrepancy in turn."""
+_SAME_SIZE: Final = 0.05
+"""Of the logarithm of the former [-]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +53,50 @@ class EffectInformation:
     """S + 1 of all of them, where 1 is their prior, shape (n, n)."""
     slope: Float64Array
     """g, shape (n,)."""
+    linear: LinearRange | None = None
+    """Where the size of a discrepancy is set by the pushes, of everything fitted and the effects."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinearRange:
+    """A fit with absent effects in its linear range, under any size of its discrepancy.
+
+    What an absent effect does to the pushes counts as discrepancy in the fit without it. With it, the discrepancy is smaller.
+    """
+
+    pushes: LinearPushes
+    fitted: NDArray[np.intp]
+    """Unknowns of the object that the fit has, among all."""
+    new: NDArray[np.intp]
+    """Those of the absent effects."""
+    x: Float64Array
+    """All unknowns at the fit, shape (size,)."""
+    residual: Float64Array
+    """Whitened, shape (n_frames, 3)."""
+    jacobian: Float64Array
+    """Its derivative, shape (3 n_frames, size)."""
+    errors: FrameErrors
+
+    def log_evidence(self, effect: NDArray[np.intp]) -> tuple[float, Float64Array]:
+        """With some of the new unknowns, up to a constant [nat], and the unknowns of the object of largest density."""
+        chosen, n = np.r_[self.fitted, self.new[effect]], len(self.pushes.pull)
+        linear, logs, log = self.pushes.of_unknowns(chosen), np.zeros(3), 0.0
+        for _ in range(_ROUNDS):
+            weighted, before = linear.weighted(np.exp(-2.0 * log)), log
+            logs = weighted.best(logs)
+            at = weighted.solve(logs)
+            moved = -self.x
+            moved[chosen] += at.unknowns
+            moved[n:] += at.of_push.ravel()
+            residual = self.residual + (self.jacobian @ moved).reshape(-1, 3)
+            log = self.errors.best(residual)
+            if abs(log - before) < _SAME_SIZE:
+                break
+        group, factor = self.pushes.group, np.exp(-logs)
+        of_pushes = at.of_push[:, group >= 0] * factor[group[group >= 0]]
+        size2 = float(np.sum(at.unknowns**2) + np.sum(of_pushes**2) + np.sum(((self.pushes.first + logs) / WIDTH) ** 2))
+        cost = self.errors.cost(residual, log) + self.errors.cost_of_first(residual) + 0.5 * size2 + at.volume + linear.log_size(logs)
+        return -cost, at.unknowns
 
 
 def effect_information(fit: Fit) -> EffectInformation | None:
@@ -56,7 +108,8 @@ def effect_information(fit: Fit) -> EffectInformation | None:
     problem = fit.problem.of(unknowns)
     n_new, start = unknowns.size - before.size, before.slices["effects"].stop
     new = np.arange(start, start + n_new)
-    end = problem.evaluate(np.insert(fit.x, start, np.zeros(n_new)))
+    x = np.insert(fit.x, start, np.zeros(n_new))
+    end = problem.evaluate(x)
     if not np.isfinite(end.cost):
         return None
     fitted = np.setdiff1d(np.arange(problem.size), new)
@@ -64,7 +117,15 @@ def effect_information(fit: Fit) -> EffectInformation | None:
     slices = [unknowns.effects.slice_of(name) for name in absent]
     indices = {name: np.arange(o.start, o.stop) - len(before.effects) for name, o in zip(absent, slices, strict=True)}
     between = end.hessian[np.ix_(fitted, new)]
-    return EffectInformation(indices, end.hessian[np.ix_(new, new)] - onto @ between, end.gradient[new] - onto @ end.gradient[fitted])
+    precision, slope = end.hessian[np.ix_(new, new)] - onto @ between, end.gradient[new] - onto @ end.gradient[fitted]
+    noise = problem.noise
+    linear = problem.linearise(x) if noise is not None and noise.discrepancy_modes else None
+    if linear is None:
+        return EffectInformation(indices, precision, slope)
+    pushes, errors = LinearPushes.of(problem, x, end.hessian, end.gradient), FrameErrors.of(fit.problem, fit.end)
+    of_object = np.arange(unknowns.size)
+    in_range = LinearRange(pushes, np.setdiff1d(of_object, new), new, x, end.residual, linear.by_poses, errors)
+    return EffectInformation(indices, precision, slope, in_range)
 
 
 def score_effects(information: EffectInformation | None, policy: SelectionPolicy) -> list[EffectScore]:
@@ -73,6 +134,9 @@ def score_effects(information: EffectInformation | None, policy: SelectionPolicy
         return []
     precision, slope = information.precision, information.slope
     scores = [_score(name, precision[np.ix_(index, index)], slope[index], policy) for name, index in information.indices.items()]
+    if (linear := information.linear) is not None:
+        without = linear.log_evidence(np.zeros(0, dtype=np.intp))[0]
+        scores = map_in_threads(lambda score: _in_range(score, linear, information.indices[score.name], without, policy), scores)
     return sorted(scores, key=lambda score: -score.expected_log_bayes_factor)
 
 
@@ -80,6 +144,20 @@ def clipped_start(start: Float64Array, max_start: float) -> Float64Array:
     """A one-step estimate, shortened to `max_start` prior standard deviations where it is longer: the linear range ends there."""
     size = float(np.linalg.norm(start))
     return start * (max_start / size) if size > max_start else start
+
+
+def _in_range(
+    score: EffectScore, linear: LinearRange, index: NDArray[np.int64], without: float, policy: SelectionPolicy
+) -> EffectScore:
+    """The score under the size of the discrepancy that is left beside the effect."""
+    free = np.array([not p.shape for p in EFFECTS[score.name].parameters])
+    try:
+        evidence, unknowns = linear.log_evidence(index[free])
+    except np.linalg.LinAlgError:
+        return score
+    start = np.zeros(len(free))
+    start[free] = unknowns[len(linear.fitted) :]
+    return replace(score, expected_log_bayes_factor=evidence - without, start=clipped_start(start, policy.max_start))
 
 
 def _score(name: str, precision: Float64Array, slope: Float64Array, policy: SelectionPolicy) -> EffectScore:

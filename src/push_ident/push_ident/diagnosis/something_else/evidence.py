@@ -250,7 +250,7 @@ def _linear(fit: Fit) -> _Linear | None:
     # The residual of a problem is simulated minus observed.
     observed = -weight * np.concatenate([residual.ravel() for residual in residuals])
     layout = _Layout.of(fit)
-    return _Linear.of(problem.unit_prior, fit.x, weighted, observed, weight, layout.rows_of_pushes(layout.all))
+    return _Linear.of(problem.prior_precision, fit.x, weighted, observed, weight, layout.rows_of_pushes(layout.all))
 
 
 def _noise(fit: Fit, linear: _Linear, n_draws: int) -> Float64Array:

@@ -14,10 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
+from push_ident.identification.fitting.discrepancy import OF_FRAME, DiscrepancySize, estimate_size, log_prior_of_size
 from push_ident.identification.fitting.levenberg_marquardt import MAX_ITERATIONS, NeededCost, minimise, poorness
 from push_ident.identification.fitting.problem import Evaluation, FitProblem
 from push_ident.identification.observing.observation import NoiseModel
@@ -48,7 +50,7 @@ class FitOptions:
     """Fits that know nothing of each other may run beside each other, in so many threads; results are the same with any number."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Fit:
     """The unknowns that fit a set of pushes best."""
 
@@ -96,10 +98,24 @@ class Fit:
         """The fitted effects."""
         return effects_at(self.unknowns, self.z)
 
-    @property
+    @cached_property
+    def discrepancy_size(self) -> DiscrepancySize:
+        """Of largest evidence, where the noise has a discrepancy that the frames of a push share."""
+        return estimate_size(self.problem, self.x, self.end)
+
+    @cached_property
     def log_evidence(self) -> float:
-        """Up to a constant of the pushes [nat]: compare fits of the same pushes only."""
-        return -self.end.cost - self.end.log_volume
+        """Up to a constant of the pushes [nat]: compare fits of the same pushes only. A shared discrepancy has the size of largest evidence."""
+        at_size = -self.end.cost - self.end.log_volume - self._log_size_of_frames
+        return at_size + log_prior_of_size(self.problem.noise) + self.discrepancy_size.log_evidence_gain
+
+    @property
+    def _log_size_of_frames(self) -> float:
+        """By which the errors of all frames are larger than stated: the cost leaves it out [nat]."""
+        noise = self.problem.noise
+        if noise is None or noise.frame_factor == 1.0:
+            return 0.0
+        return float(np.log(noise.frame_factor)) * OF_FRAME * sum(len(o.time) - 1 for o in self.problem.observations)
 
     @property
     def covariance(self) -> Float64Array:

@@ -43,7 +43,7 @@ TAILS = 4.0
 """Degrees of freedom of the noise of a frame [-]."""
 _PUSHES = "pushes"
 """Block of the nuisance parameters: first pose and displacement of each push."""
-_POSE, _PLANE = 3, 2
+_POSE = 3
 _FIRST_LEVEL = 2
 """Finest level of the time steps before a fit has ended: a motion of a poor model may need steps that the right one does not."""
 
@@ -150,6 +150,14 @@ class FitProblem:
         other.steps = [None if choice is None else choice.at_most(_FIRST_LEVEL, self.settings) for choice in self.steps]
         return other
 
+    def with_noise(self, noise: NoiseModel) -> FitProblem:
+        """The same pushes and unknowns under another noise, with as many frames and displacements, and with an unlimited budget."""
+        other = copy(self)
+        other.noise, other.meter = noise, _unlimited()
+        other.observations = [observe_push(record, noise) for record in self.records]
+        other.first_scale = [np.linalg.cholesky(o.first_covariance) for o in other.observations]
+        return other
+
     def without(self, pushes: Collection[int]) -> FitProblem:
         """The same problem without some pushes, given by their numbers, and with an unlimited budget."""
         rest = copy(self)
@@ -196,11 +204,14 @@ class FitProblem:
         return x[self.unknowns.size :].reshape(-1, self.unknowns_of_push)
 
     def displacement(self, x: Float64Array, push: int) -> Float64Array:
-        """By which all frames of a push are displaced (x, y, yaw), shape (3,): the yaw is 0."""
-        moved = np.zeros(3)
-        in_plane = x[self.slice_of_push(push)][_POSE:]
-        moved[: len(in_plane)] = self.observations[push].surface_std * in_plane
-        return moved
+        """By which the frames of a push are displaced (x, y, yaw), shape (n_frames, 3)."""
+        return self.observations[push].shared @ x[self.slice_of_push(push)][_POSE:]
+
+    @property
+    def prior_precision(self) -> Float64Array:
+        """Precision of the unit normal prior of all unknowns, shape (size,): 0 for first poses, whose prior counts as a measurement."""
+        of_push = np.r_[np.zeros(_POSE), np.ones(self.unknowns_of_push - _POSE)]
+        return np.r_[np.ones(self.unknowns.size), np.tile(of_push, len(self.records))]
 
     @property
     def unit_prior(self) -> Float64Array:
@@ -453,13 +464,14 @@ class FitProblem:
         shared = by_body[:, Param.MASS :] @ mechanics.derivative[Param.MASS :]
         rows = np.concatenate([shared, by_body[:, :_POSE] @ self.first_scale[push]], axis=1)
         whitened = np.einsum("fij,fjp->fip", observed.whitening, rows.reshape(n_frames, 3, -1))
-        moved = observed.surface_std * observed.whitening[:, :, : self.unknowns_of_push - _POSE]
-        return np.concatenate([whitened, moved], axis=2).reshape(3 * n_frames, -1)
+        return np.concatenate([whitened, observed.whitening @ observed.shared], axis=2).reshape(3 * n_frames, -1)
 
 
 def unknowns_of_push(shape: ObjectShape, noise: NoiseModel | None = None) -> int:
-    """Number of unknowns that each push of an object has of its own: first pose, and displacement where a camera traced the outline."""
-    return _POSE + (_PLANE if (noise or NoiseModel()).surface_std(shape) > 0 else 0)
+    """Number of unknowns that each push of an object has of its own: first pose, displacement where a camera traced the outline, and
+    amplitudes of a shared model discrepancy."""
+    noise = noise or NoiseModel()
+    return _POSE + (2 if noise.surface_std(shape) > 0 else 0) + _POSE * noise.discrepancy_modes
 
 
 def without_first_push(x: Float64Array, n_pushes: int, n_own: int) -> Float64Array:

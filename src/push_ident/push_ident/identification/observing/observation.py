@@ -4,6 +4,10 @@ All frames before the contact show one pose, and so do the frames after the obje
 frames in between, a limited number is kept. The noise of a frame is its own plus a model discrepancy that grows with travel, since no
 model of pushing is exact; the frames of one push share this discrepancy.
 
+With `NoiseModel.discrepancy_modes` the frames of a push share the discrepancy as one smooth function of the way: a Wiener process by its
+first modes (Karhunen-Loeve), of which each push has its own amplitudes. It is the form of discrepancy of Kennedy & O'Hagan (Bayesian
+calibration of computer models, J. R. Stat. Soc. B 2001), and its size can be estimated from the pushes (`fitting/discrepancy.py`).
+
 The frames at rest show how much better a mean is than a frame. Where they scatter as their covariance states, the error averages out.
 Where they scatter far less, as those of a tracker do, the covariance describes an error that they share. Errors that are correlated from
 frame to frame (`NoiseModel.correlation`) average out more slowly, and neighbouring frames of the motion carry less information.
@@ -22,7 +26,7 @@ with any force up to friction: what is measured then says nothing of the object,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +60,14 @@ class NoiseModel:
     """Model discrepancy of position by travel, of a predicted pose [-]."""
     model_discrepancy_yaw: float = 0.03
     """Model discrepancy of yaw by travel, of a predicted pose [rad/m]."""
+    discrepancy_factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """On the displacement of the surface that a push touches, and on the model discrepancy of a predicted position and yaw, as pushes set
+    them [-]."""
+    frame_factor: float = 1.0
+    """On the standard deviation of every frame but the first, as pushes set it [-]: what neither noise nor shared discrepancy explains."""
+    discrepancy_modes: int = 0
+    """Modes by which the frames of a push share the model discrepancy of a prediction in a fit, too; 0: they count as independent, each with
+    the discrepancy of a frame in a fit."""
     floor_force: float = 0.02
     """Least standard deviation of a mean force: offset and hysteresis that a tare leaves [N]."""
     force_discrepancy: float = 0.1
@@ -92,7 +104,10 @@ class NoiseModel:
 
     def surface_std(self, shape: ObjectShape) -> float:
         """Standard deviation of the place where a push touches an object, along each axis [m]."""
-        return shape.outline_error if shape.outline_error is not None and self.outline_errors else 0.0
+        traced = shape.outline_error if shape.outline_error is not None and self.outline_errors else 0.0
+        if self.discrepancy_modes == 0:
+            return traced
+        return self.discrepancy_factor[0] * (traced or self.floor_position)
 
     @property
     def floor(self) -> Float64Array:
@@ -102,7 +117,8 @@ class NoiseModel:
     @property
     def model_discrepancy(self) -> Float64Array:
         """Model discrepancy of a predicted pose, by travel [1, 1, rad/m], shape (3,)."""
-        return np.array([self.model_discrepancy_position, self.model_discrepancy_position, self.model_discrepancy_yaw])
+        _, position, yaw = self.discrepancy_factor
+        return np.array([self.model_discrepancy_position, self.model_discrepancy_position, self.model_discrepancy_yaw]) * [position, position, yaw]
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +147,9 @@ class Observation:
     [m]; 0 for an exact outline."""
     is_unchecked: bool = False
     """Whether both rests have one frame only, so that nothing but pushes shows how large the errors of poses are."""
+    shared: Float64Array = field(default_factory=lambda: np.zeros((0, 3, 0)))
+    """Displacement of each frame by the unit normal numbers that the frames of the push share: those of the surface, then those of the model
+    discrepancy, shape (n_frames, 3, n_shared)."""
 
 
 def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observation:
@@ -155,23 +174,40 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     # A turn by a radian counts as half the size of a usual object.
     travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + 0.05 * np.abs(pose[:, 2] - pose[0, 2]))
     fit_discrepancy = np.array([noise.fit_discrepancy_position, noise.fit_discrepancy_position, noise.fit_discrepancy_yaw])
-    growth = fit_discrepancy**2 * max(1.0, len(moving) / _SHARING)
+    growth = fit_discrepancy**2 * max(1.0, len(moving) / _SHARING) if noise.discrepancy_modes == 0 else np.zeros(3)
     scatter = _scatter(record, before, after)
     inflation = UNCHECKED if noise.single_frame_inflation is None else noise.single_frame_inflation
     neighbours = min(max(noise.correlation, 0.0), _MAX_CORRELATION) ** stride
-    repeated = _repetition(neighbours)
-    stated = [poses.covariance[g].mean(axis=0) * max(scatter, 1.0) * repeated for g in groups]
+    repeated = repetition(neighbours)
+    checked = scatter if noise.discrepancy_modes else max(scatter, 1.0)
+    stated = [poses.covariance[g].mean(axis=0) * checked * repeated for g in groups]
     for end in (0, -1):
         n = len(groups[end])
-        shared = max(0.0, 1.0 - 2.0 * scatter)
-        independent = min(1.0, _repetition(noise.correlation) / n)
+        shared = 0.0 if noise.discrepancy_modes else max(0.0, 1.0 - 2.0 * scatter)
+        independent = min(1.0, repetition(noise.correlation) / n)
         stated[end] = stated[end] / repeated * (inflation**2 if n == 1 else shared + (1.0 - shared) * independent)
     covariance = np.array([c + floor + np.diag(growth * distance**2) for c, distance in zip(stated, travel, strict=True)])
+    covariance[1:] *= noise.frame_factor**2
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     discrepancy = travel[:, None] * noise.model_discrepancy
     unchecked = len(before) == len(after) == 1
     surface_std = noise.surface_std(record.shape)
-    return Observation(time, pose, whitening, covariance[0], stated[-1] + floor, touched, discrepancy, neighbours, surface_std, unchecked)
+    shared = _shared_displacements(travel, surface_std, noise)
+    return Observation(
+        time, pose, whitening, covariance[0], stated[-1] + floor, touched, discrepancy, neighbours, surface_std, unchecked, shared
+    )
+
+
+def _shared_displacements(travel: Float64Array, surface_std: float, noise: NoiseModel) -> Float64Array:
+    """`Observation.shared` of frames after so much travel [m], shape (n_frames, 3, n_shared)."""
+    axes = np.eye(3)[:, :2] * surface_std if surface_std > 0 else np.zeros((3, 0))
+    surface = np.broadcast_to(axes, (len(travel), *axes.shape))
+    if noise.discrepancy_modes == 0:
+        return surface
+    whole = max(float(np.max(travel)), 1e-9)
+    rate = (np.arange(noise.discrepancy_modes) + 0.5) * np.pi
+    modes = np.sqrt(2.0) / rate * np.sin(np.outer(travel / whole, rate)) * whole
+    return np.concatenate([surface, np.einsum("fm,i,ij->fijm", modes, noise.model_discrepancy, np.eye(3)).reshape(len(travel), 3, -1)], axis=2)
 
 
 def at_rest(record: PushRecord) -> PushRecord:
@@ -236,7 +272,7 @@ def _agreeing(record: PushRecord, rest: NDArray[np.intp], outlier: float = 6.0) 
     return rest[fits] if np.any(fits) else rest
 
 
-def _repetition(correlation: float) -> float:
+def repetition(correlation: float) -> float:
     """Factor of the variance of a mean of many frames over that of independent ones."""
     rho = min(max(correlation, 0.0), _MAX_CORRELATION)
     return (1.0 + rho) / (1.0 - rho)

@@ -10,7 +10,6 @@ import numpy as np
 
 from push_ident.geometry.cells import cell_displacement, cell_error, cell_error_std
 from push_ident.geometry.se2 import wrap_angle
-from push_ident.identification.fitting.problem import unknowns_of_push
 from push_ident.identification.observing.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.results.posterior import ModelPosterior, square_root
 from push_ident.identification.results.result import Identification
@@ -67,7 +66,8 @@ def predict(
     # the posterior describe it better than the derivative at the mean. The draws are the same for every push, so that the predictions of
     # two pushes can be compared.
     settings = _settings_of(posterior, scenario, first_covariance, noise)
-    draws = np.random.default_rng(0).normal(size=(n_samples, unknowns.size + unknowns_of_push(unknowns.shape, noise)))
+    n_plane = 2 if noise.surface_std(unknowns.shape) > 0 else 0
+    draws = np.random.default_rng(0).normal(size=(n_samples, unknowns.size + 3 + n_plane))
     z_root, first_root = square_root(posterior.covariance), square_root(first_covariance)
     surface_std = noise.surface_std(unknowns.shape)
     poses = []
@@ -75,7 +75,7 @@ def predict(
         drawn = mechanics_at(unknowns, posterior.z + z_root @ draw[: unknowns.size])
         of_push = draw[unknowns.size :]
         moved = np.zeros(3)
-        moved[: len(of_push) - 3] = surface_std * of_push[3:]
+        moved[:n_plane] = surface_std * of_push[3:]
         start = true_pose(drawn.effects, first + first_root @ of_push[:3] - moved)
         motion = drawn.simulate(replace(scenario, pose_object_in_table=start), settings=settings)
         if motion.status is not SolveStatus.SIMULATION_FAILED:

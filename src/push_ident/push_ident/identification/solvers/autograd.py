@@ -69,7 +69,7 @@ def reference_cost(problem: FitProblem, x: Float64Array) -> tuple[torch.Tensor, 
     cost = 0.5 * z @ z
     for push, (poses, observed) in enumerate(zip(motion.poses, problem.observations, strict=True)):
         of_push = unknowns[problem.slice_of_push(push)][3:]
-        displaced = poses + torch.nn.functional.pad(observed.surface_std * of_push, (0, 3 - len(of_push)))
+        displaced = poses + torch.as_tensor(observed.shared) @ of_push
         cost = cost + 0.5 * of_push @ of_push
         residual = torch.einsum("fij,fj->fi", torch.as_tensor(observed.whitening), displaced - torch.as_tensor(observed.pose))
         cost = cost + 0.5 * (TAILS + 3) * torch.log1p((residual**2).sum(dim=1) / TAILS).sum()

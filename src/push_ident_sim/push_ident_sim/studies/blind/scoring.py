@@ -149,7 +149,7 @@ def _visibility(base: Fit, plain: Sequence[PushRecord]) -> float:
         change[:, 2] = wrap_angle(change[:, 2])
         parts.append(np.einsum("fij,fj->fi", observed.whitening, change).ravel())
     difference = np.concatenate(parts)
-    jacobian, precision = linear.by_poses, np.diag(problem.unit_prior)
+    jacobian, precision = linear.by_poses, np.diag(problem.prior_precision)
     absorbed = jacobian @ np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ difference)
     return float(difference @ (difference - absorbed))
 

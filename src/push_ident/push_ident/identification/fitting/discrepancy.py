@@ -1,0 +1,236 @@
+"""The size of the model discrepancy that the frames of a push share, set by the pushes.
+
+No model of pushing is exact, and by how much a recording departs from it nobody knows beforehand. The displacements of the frames by the
+discrepancy are unknowns of each push (`Observation.shared`) with a normal prior. Its standard deviations are hyperparameters: one for the
+place of the contact, one for positions, one for the yaw, each a factor s on that of the noise model with a log-normal prior. With the
+Hessian A and the pull b of the pushes alone at a fit, and the precision P(s) of the prior of all unknowns, the evidence of the linear
+problem is
+
+    log p(pushes | s) = 1/2 b' (A + P(s))^-1 b - 1/2 log det (A + P(s)) + 1/2 log det P(s) + const
+
+(MacKay, "Bayesian interpolation", Neural Computation 1992), largest at the size that counts. A fourth factor, of the errors of the frames
+that nothing else explains, is that of largest density of the residuals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize, minimize_scalar
+
+from push_ident.identification.observing.observation import NoiseModel
+from push_ident.types import Float64Array
+
+if TYPE_CHECKING:
+    from push_ident.identification.fitting.problem import Evaluation, FitProblem
+
+WIDTH: Final = 1.0
+"""Standard deviation of the logarithm of a factor about that of the noise model [-]: a factor of 2.7 either way. Effect-free pushes of the
+simulators here have a third of the default to its double, recordings of others up to ten times as much."""
+_LARGEST: Final = 5.0
+"""Of the logarithm of a factor [-]: of 150, where nothing is predicted any more."""
+TAILS: Final = 4.0
+"""Degrees of freedom of the noise of a frame [-]."""
+OF_FRAME: Final = 2.5967
+"""By which a frame counts in the logarithm of the size of all [1]: E[(t + 3) r^2 / (t + r^2)] of normal errors r with t = `TAILS`, so that
+their factor is 1; 3 would be that of errors with those tails."""
+
+
+@dataclass(frozen=True, slots=True)
+class DiscrepancySize:
+    """The size of largest evidence, in factors on that of the noise model of a fit."""
+
+    frames: float
+    """On `NoiseModel.frame_factor`."""
+    shared: Float64Array
+    """On `NoiseModel.discrepancy_factor`, shape (3,)."""
+    log_evidence_gain: float
+    """Over the size of the fit [nat]; the prior of the factors is part of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinearMinimum:
+    """Of pushes in their linear range."""
+
+    unknowns: Float64Array
+    """Of the object, shape (n,)."""
+    of_push: Float64Array
+    """Of each push, shape (n_pushes, m)."""
+    variance_of_push: Float64Array
+    """Of their posterior, shape (n_pushes, m)."""
+    volume: float
+    """Half the log determinant of the Hessian, prior included."""
+    fitted: float
+    """By which the cost is below that of no unknown at all [nat]."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinearPushes:
+    """Pushes in the linear range of a fit, without the prior: unknowns of the object and, for each push, its own."""
+
+    hessian: Float64Array
+    """By the unknowns of the object, shape (n, n)."""
+    pull: Float64Array
+    """Hessian times unknowns minus gradient, shape (n,)."""
+    cross: Float64Array
+    """By those of the object and of each push, shape (n_pushes, n, m)."""
+    hessian_of_push: Float64Array
+    """Shape (n_pushes, m, m)."""
+    pull_of_push: Float64Array
+    """Shape (n_pushes, m)."""
+    group: NDArray[np.intp]
+    """Of each unknown of a push: number of its factor, -1 for the first pose, shape (m,)."""
+    first: Float64Array
+    """Logarithms of the factors of the noise model, shape (3,)."""
+
+    @classmethod
+    def of(cls, problem: FitProblem, x: Float64Array, hessian: Float64Array, gradient: Float64Array) -> LinearPushes:
+        """Of a cost with Hessian and gradient at `x`, shapes (size, size) and (size,), prior included."""
+        assert problem.noise is not None
+        prior, n, m, n_pushes = problem.prior_precision, problem.unknowns.size, problem.unknowns_of_push, len(problem.records)
+        data = hessian - np.diag(prior)
+        pull = data @ x - (gradient - prior * x)
+        of_pushes = data[n:, n:].reshape(n_pushes, m, n_pushes, m)
+        return cls(
+            hessian=data[:n, :n],
+            pull=pull[:n],
+            cross=data[:n, n:].reshape(n, n_pushes, m).transpose(1, 0, 2),
+            hessian_of_push=of_pushes[np.arange(n_pushes), :, np.arange(n_pushes), :],
+            pull_of_push=pull[n:].reshape(n_pushes, m),
+            group=groups_of(problem),
+            first=np.log(problem.noise.discrepancy_factor),
+        )
+
+    def of_unknowns(self, chosen: NDArray[np.intp]) -> LinearPushes:
+        """With some of the unknowns of the object only."""
+        return replace(self, hessian=self.hessian[np.ix_(chosen, chosen)], pull=self.pull[chosen], cross=self.cross[:, chosen])
+
+    def weighted(self, weight: float) -> LinearPushes:
+        """With errors of so much more weight."""
+        return replace(
+            self, hessian=weight * self.hessian, pull=weight * self.pull, cross=weight * self.cross,
+            hessian_of_push=weight * self.hessian_of_push, pull_of_push=weight * self.pull_of_push,
+        )  # fmt: skip
+
+    def cost(self, logs: Float64Array) -> tuple[float, Float64Array]:
+        """Negative log evidence under factors with these logarithms on those of the noise model, shape (3,), up to a constant [nat], and
+        its derivative."""
+        at = self.solve(logs)
+        prior = (self.first + logs) / WIDTH
+        slope = prior / WIDTH
+        for k in range(3):
+            chosen = self.group == k
+            expected = np.exp(-2.0 * logs[k]) * (at.of_push[:, chosen] ** 2 + at.variance_of_push[:, chosen])
+            slope[k] += float(np.sum(1.0 - expected))
+        return at.volume + self.log_size(logs) - at.fitted + 0.5 * float(prior @ prior), slope
+
+    def log_size(self, logs: Float64Array) -> float:
+        """Logarithms of the standard deviations of all unknowns of the pushes together."""
+        return float(np.sum(logs[self.group[self.group >= 0]])) * len(self.pull_of_push)
+
+    def solve(self, logs: Float64Array) -> LinearMinimum:
+        """The minimum under factors with these logarithms. Raises LinAlgError where rounding leaves none."""
+        n = len(self.pull)
+        precision = np.where(self.group < 0, 0.0, np.exp(-2.0 * logs)[self.group])
+        of_push = self.hessian_of_push + np.diag(precision)
+        right = np.concatenate([self.cross.transpose(0, 2, 1), self.pull_of_push[:, :, None]], axis=2)
+        inverse = np.linalg.inv(of_push)
+        eliminated = inverse @ right
+        reduced = np.eye(n) + self.hessian - np.einsum("pim,pmj->ij", self.cross, eliminated[:, :, :-1])
+        pull = self.pull - np.einsum("pim,pm->i", self.cross, eliminated[:, :, -1])
+        covariance = np.linalg.inv(reduced)
+        z = np.asarray(covariance @ pull)
+        volume = 0.5 * float(np.linalg.slogdet(reduced)[1] + np.sum(np.linalg.slogdet(of_push)[1]))
+        fitted = 0.5 * float(pull @ z + np.sum(self.pull_of_push * eliminated[:, :, -1]))
+        follows = eliminated[:, :, :-1]
+        variance = np.diagonal(inverse, axis1=1, axis2=2) + np.sum((follows @ covariance) * follows, axis=2)
+        return LinearMinimum(z, eliminated[:, :, -1] - follows @ z, variance, volume, fitted)
+
+    def best(self, start: Float64Array) -> Float64Array:
+        """Logarithms of the factors of largest evidence, shape (3,), from a start."""
+        bounds = [(-_LARGEST - value, _LARGEST - value) for value in self.first]
+        options = {"maxiter": 30, "ftol": 1e-7}
+        return np.asarray(minimize(self.cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameErrors:
+    """Cost of the size of the errors of all frames of a fit, by their whitened residuals."""
+
+    frames: NDArray[np.intp]
+    """Those that count: all but the first of each push, shape (n,)."""
+    share: float
+    """Degrees of freedom that the unknowns leave, of all [1]."""
+    first: float
+    """Logarithm of the factor of the noise model."""
+
+    @classmethod
+    def of(cls, problem: FitProblem, end: Evaluation) -> FrameErrors:
+        """Of a fit, with its evaluation `end`."""
+        assert problem.noise is not None
+        starts = np.cumsum([0, *(len(o.time) for o in problem.observations)])
+        frames = np.concatenate([np.arange(a + 1, b) for a, b in zip(starts, starts[1:], strict=False)])
+        used = problem.size - float(np.trace(np.linalg.solve(end.hessian, np.diag(problem.prior_precision))))
+        share = max(1.0 - used / (3.0 * max(len(frames), 1)), 0.25)
+        return cls(frames, share, float(np.log(problem.noise.frame_factor)))
+
+    def cost(self, residual: Float64Array, log: float = 0.0) -> float:
+        """Negative log density of residuals of shape (n_frames, 3) under a factor on that of the fit [nat]."""
+        size2 = np.sum(residual[self.frames] ** 2, axis=1)
+        of_frames = OF_FRAME * self.share * log + 0.5 * (TAILS + 3.0) * np.log1p(size2 * np.exp(-2.0 * log) / TAILS)
+        return float(np.sum(of_frames)) + 0.5 * ((self.first + log) / WIDTH) ** 2
+
+    def cost_of_first(self, residual: Float64Array) -> float:
+        """Of the first frames of the pushes, whose errors are those of the noise [nat]."""
+        first = np.setdiff1d(np.arange(len(residual)), self.frames)
+        return float(np.sum(0.5 * (TAILS + 3.0) * np.log1p(np.sum(residual[first] ** 2, axis=1) / TAILS)))
+
+    def best(self, residual: Float64Array) -> float:
+        """Logarithm of the factor of least cost."""
+        bounds = (-_LARGEST - self.first, _LARGEST - self.first)
+        return float(minimize_scalar(partial(self.cost, residual), bounds=bounds, method="bounded").x)
+
+
+def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> DiscrepancySize:
+    """The size of largest evidence near a fit `x`, shape (size,), with its evaluation `end`; factors of 1 where none is estimated."""
+    noise = problem.noise
+    if noise is None or noise.discrepancy_modes == 0 or not np.isfinite(end.cost):
+        return DiscrepancySize(1.0, np.ones(3), 0.0)
+    linear, errors = LinearPushes.of(problem, x, end.hessian, end.gradient), FrameErrors.of(problem, end)
+    try:
+        logs = linear.best(np.zeros(3))
+        gain = linear.cost(np.zeros(3))[0] - linear.cost(logs)[0]
+    except np.linalg.LinAlgError:  # a Hessian with very steep and very flat directions
+        logs, gain = np.zeros(3), 0.0
+    of_frames = errors.best(end.residual)
+    gain += errors.cost(end.residual) - errors.cost(end.residual, of_frames)
+    return DiscrepancySize(float(np.exp(of_frames)), np.exp(logs), gain)
+
+
+def log_prior_of_size(noise: NoiseModel | None) -> float:
+    """Logarithm of the prior density of the size of a noise model, up to a constant [nat]."""
+    if noise is None or noise.discrepancy_modes == 0:
+        return 0.0
+    return -0.5 * float(np.sum((np.log([*noise.discrepancy_factor, noise.frame_factor]) / WIDTH) ** 2))
+
+
+def with_size(problem: FitProblem, x: Float64Array, size: DiscrepancySize) -> tuple[FitProblem, Float64Array]:
+    """The problem under a discrepancy of another size, and the unknowns of the same motions, shape (size,)."""
+    noise = problem.noise
+    assert noise is not None, "a size was estimated"
+    contact, position, yaw = (float(value) for value in noise.discrepancy_factor * size.shared)
+    frames = noise.frame_factor * size.frames
+    other = problem.with_noise(replace(noise, discrepancy_factor=(contact, position, yaw), frame_factor=frames))
+    group = groups_of(problem)
+    scale = np.where(group < 0, 1.0, size.shared[group])
+    return other, x / np.r_[np.ones(problem.unknowns.size), np.tile(scale, len(problem.records))]
+
+
+def groups_of(problem: FitProblem) -> NDArray[np.intp]:
+    """Of each unknown of a push: number of its factor, -1 for the first pose, shape (unknowns_of_push,)."""
+    assert problem.noise is not None
+    return np.r_[[-1, -1, -1, 0, 0], np.repeat([1, 1, 2], problem.noise.discrepancy_modes)].astype(np.intp)
