@@ -219,7 +219,7 @@ class _EndPoses:
             self.settings = numerics
             return self(mean, observed.pose[0])
 
-        self.settings = choose_steps(end_pose, settings, observed.last_covariance, record.pusher.time[-1] - record.pusher.time[0]).settings
+        self.settings = choose_steps(end_pose, settings, observed.end_covariance, record.pusher.time[-1] - record.pusher.time[0]).settings
 
     def __call__(self, model: Mechanics, first: Float64Array) -> Float64Array:
         scenario = PushScenario(self._record.pusher, true_pose(model.effects, first), self._time, self._record.order)

@@ -39,6 +39,8 @@ class _FitSettings:
     """Tolerance of fits that are only compared with each other, where whole units of log evidence decide [nat]."""
     held_out_start: float = 0.8
     """Factor of the unknowns at which a fit to fewer pushes starts [-]; see `without_pushes`."""
+    rough_iterations: int = 10
+    """Of fits that only show the size of the discrepancy."""
     max_size_rounds: int = 4
     """Fits at most until the size of the discrepancy is that of the pushes."""
     size_tolerance: float = 0.2
@@ -70,9 +72,13 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings, earlier
     problem = FitProblem(records, unknowns, noise=settings.noise, settings=settings.numerics, run_all=map_in_threads)
     previous = earlier.base(unknowns.effects.names) if earlier else None
     starts = [previous.minimum_at(amplitude) for amplitude in AMPLITUDES] if previous else []
-    fits = fit_amplitudes(
-        lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), np.zeros(problem.size), _SETTINGS.max_base_iterations, starts
-    )
+    start = np.zeros(problem.size)
+    if problem.noise is not None and problem.noise.discrepancy_modes > 0:
+        # A rough fit shows how exact the model can be: nothing needs to be fitted more exactly, nor simulated so.
+        rough = Fit(problem, *minimise(problem, start, _SETTINGS.rough_iterations, relative=True))
+        rough = at_its_discrepancy(rough, _SETTINGS.rough_iterations)
+        problem, start = rough.problem, rough.x
+    fits = fit_amplitudes(lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), start, _SETTINGS.max_base_iterations, starts)
     return at_its_discrepancy(max(fits, key=lambda fit: fit.log_evidence), _SETTINGS.max_base_iterations)
 
 

@@ -156,6 +156,7 @@ class FitProblem:
         other.noise, other.meter = noise, _unlimited()
         other.observations = [observe_push(record, noise) for record in self.records]
         other.first_scale = [np.linalg.cholesky(o.first_covariance) for o in other.observations]
+        other.steps = [None] * len(self.records)
         return other
 
     def without(self, pushes: Collection[int]) -> FitProblem:
@@ -286,7 +287,7 @@ class FitProblem:
         return mechanics.simulate(scenario, settings=settings, timeline=self._timeline(scenario, push, settings)).pose[-1]
 
     def _choose_steps(self, mechanics: Mechanics, x: Float64Array, push: int, least: int = 0, most: int = MAX_LEVEL) -> StepChoice:
-        duration, covariance = self._scenario(mechanics, x, push).duration, self.observations[push].last_covariance
+        duration, covariance = self._scenario(mechanics, x, push).duration, self.observations[push].end_covariance
         return choose_steps(partial(self._end_pose, mechanics, x, push), self.settings, covariance, duration, least=least, most=most)
 
     def settings_of(self, push: int) -> SimulationSettings:
@@ -317,7 +318,7 @@ class FitProblem:
 
         def error(push: int) -> float:
             end_pose = partial(self._end_pose, mechanics, x, push)
-            return step_error(end_pose, self.settings_of(push), self.observations[push].last_covariance)
+            return step_error(end_pose, self.settings_of(push), self.observations[push].end_covariance)
 
         return np.array(list(self._of_pushes(error)))
 

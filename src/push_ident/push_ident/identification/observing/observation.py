@@ -137,6 +137,9 @@ class Observation:
     """Of the last pose without the model discrepancy that `whitening` contains, shape (3, 3)."""
     touched: bool
     """Whether the pusher comes near the observed object."""
+    end_covariance: Float64Array
+    """Of the last pose with all that a fit allows it to differ from the model by where the frames share the discrepancy, shape (3, 3): numerics
+    need not be more exact."""
     discrepancy: Float64Array
     """Standard deviation of the model discrepancy, which is correlated from frame to frame; part of `whitening` [m, m, rad], shape
     (n_frames, 3)."""
@@ -192,10 +195,9 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     discrepancy = travel[:, None] * noise.model_discrepancy
     unchecked = len(before) == len(after) == 1
     surface_std = noise.surface_std(record.shape)
-    shared = _shared_displacements(travel, surface_std, noise)
-    return Observation(
-        time, pose, whitening, covariance[0], stated[-1] + floor, touched, discrepancy, neighbours, surface_std, unchecked, shared
-    )
+    shared, last = _shared_displacements(travel, surface_std, noise), stated[-1] + floor
+    end = last if noise.discrepancy_modes == 0 else covariance[-1] + shared[-1] @ shared[-1].T
+    return Observation(time, pose, whitening, covariance[0], last, touched, end, discrepancy, neighbours, surface_std, unchecked, shared)
 
 
 def _shared_displacements(travel: Float64Array, surface_std: float, noise: NoiseModel) -> Float64Array:
@@ -206,8 +208,9 @@ def _shared_displacements(travel: Float64Array, surface_std: float, noise: Noise
         return surface
     whole = max(float(np.max(travel)), 1e-9)
     rate = (np.arange(noise.discrepancy_modes) + 0.5) * np.pi
-    modes = np.sqrt(2.0) / rate * np.sin(np.outer(travel / whole, rate)) * whole
-    return np.concatenate([surface, np.einsum("fm,i,ij->fijm", modes, noise.model_discrepancy, np.eye(3)).reshape(len(travel), 3, -1)], axis=2)
+    modes = whole * np.sqrt(2.0) / rate * np.sin(np.outer(travel / whole, rate))
+    of_model = np.einsum("fm,i,ij->fijm", modes, noise.model_discrepancy, np.eye(3)).reshape(len(travel), 3, -1)
+    return np.concatenate([surface, of_model], axis=2)
 
 
 def at_rest(record: PushRecord) -> PushRecord:
