@@ -191,7 +191,7 @@ class FrameErrors:
 
     def best(self, residual: Float64Array) -> float:
         """Logarithm of the factor of least cost."""
-        bounds = (-_LARGEST - self.first, _LARGEST - self.first)
+        bounds = (-self.first, _LARGEST - self.first)  # the noise is not smaller than it is stated
         return float(minimize_scalar(partial(self.cost, residual), bounds=bounds, method="bounded").x)
 
 
