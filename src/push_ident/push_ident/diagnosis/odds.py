@@ -107,6 +107,8 @@ class Probabilities:
     """That a cause outside the catalogue acts, alone or beside effects."""
     effects: Mapping[str, float]
     """That an effect acts, alone or beside others; of all effects of the catalogue that the base model does not have."""
+    in_place: float = 0.0
+    """That only a cause outside the catalogue acts, none of which an effect is an imitation."""
 
 
 def explanations_of(
@@ -143,15 +145,19 @@ def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[
         return float(min(1.0, sum(share for e, share in zip(explanations, shares, strict=True) if name in e.causes)))
 
     nothing = float(sum(share for e, share in zip(explanations, shares, strict=True) if not e.causes))
+    in_place = sum(share for e, share in zip(explanations, shares, strict=True) if e.causes == {SOMETHING_ELSE} and not e.imitated_by)
     considered = {name for explanation in explanations for name in explanation.causes}
     names = (*CAUSES, *(name for name in FORCE_CAUSES if name in considered))
     effects = {name: of(name) for name in names if name not in base_effects}
-    return Probabilities(nothing, of(SOMETHING_ELSE), effects)
+    return Probabilities(nothing, of(SOMETHING_ELSE), effects, float(in_place))
 
 
 def is_outside(probabilities: Probabilities, policy: SelectionPolicy) -> bool:
-    """Whether a cause outside the catalogue is reported: probably it acts, and something does."""
-    return probabilities.something_else > 0.5 and probabilities.nothing < policy.max_probability_of_nothing
+    """Whether only a cause outside the catalogue is reported: probably it acts in place of all effects, and something does.
+
+    Beside effects that explain more it is the remainder that real pushes always hold: the effects are named, and it stays possible.
+    """
+    return probabilities.in_place > 0.5 and probabilities.nothing < policy.max_probability_of_nothing
 
 
 def _twins(names: Sequence[str], weight: float, others: Sequence[Explanation]) -> list[Explanation]:
