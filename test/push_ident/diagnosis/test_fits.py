@@ -86,10 +86,11 @@ def test_fits_with_one_more_push_start_from_those_before_take_less_and_end_as_we
     first, again = (each.of([cold], folds_of(N + 1, N + 1))[0] for each in fits)
     n_first, n_again = (sum(fit.problem.meter.n_simulations for fit, _ in each.fits) for each in fits)
     assert n_again < 0.8 * n_first
-    np.testing.assert_allclose([each.log_density for each in again], [each.log_density for each in first], atol=0.7)
+    np.testing.assert_allclose([each.log_density for each in again], [each.log_density for each in first], atol=1.0)
     scale, n_z = base.unknowns.amplitude_unit(base.amplitude / warm.amplitude), warm.unknowns.size
     without = {fold: fit for fit, fold in held_out.fits}
-    np.testing.assert_array_equal(earlier.start(warm, [2]), np.r_[without[2,].z * scale, without[2,].x[n_z:], np.zeros(3)])
+    started = np.r_[without[2,].z * scale, without[2,].x[n_z:], np.zeros(warm.problem.unknowns_of_push)]
+    np.testing.assert_array_equal(earlier.start(warm, [2]), started)
     # All earlier pushes are outside the fold of the new one.
     np.testing.assert_array_equal(earlier.start(warm, [N]), np.r_[base.z * scale, base.x[n_z:]])
     assert earlier.start(warm, [2, 3]) is None

@@ -60,7 +60,7 @@ def test_something_else_in_place_of_effects_or_beside_them() -> None:
     instead = probabilities(named, OutsideEvidence(in_place=60.0, in_addition=-2.0))
     assert instead.something_else > 0.99 and instead.effects["wear"] < 0.01 and is_outside(instead, POLICY)
     beside = probabilities(named, OutsideEvidence(in_place=10.0, in_addition=8.0))
-    assert beside.something_else > 0.99 and is_outside(beside, POLICY)
+    assert beside.something_else > 0.99 and not is_outside(beside, POLICY), "real pushes hold a remainder: the effect is named beside it"
     # What the effect explains may be part of the same trace.
     assert beside.effects["wear"] == pytest.approx(1.0 - POLICY.imitated_in_part, abs=0.01)
     neither = probabilities(named, OutsideEvidence(in_place=10.0, in_addition=-2.0))
@@ -94,7 +94,7 @@ def test_structure_beside_a_strong_effect_is_worth_less_since_no_law_is_exact() 
     weak, strong = (OutsideEvidence.of(found, found, [], POLICY, named=value) for value in (30.0, 700.0))
     assert weak.in_addition > 3.9 and weak.in_place == strong.in_place == weak.in_addition
     selection = selection_of({"outline_error": 700.0}, n_found=1)
-    assert is_outside(probabilities(selection, weak), POLICY) and not is_outside(probabilities(selection, strong), POLICY)
-    assert probabilities(selection, strong).something_else > POLICY.max_probability_of_error
+    beside_weak, beside_strong = (probabilities(selection, evidence).something_else for evidence in (weak, strong))
+    assert beside_weak > beside_strong > POLICY.max_probability_of_error
     nothing = OutsideEvidence.of(None, SomethingElse(-2.0, 0.5, found.patterns, np.array([])), [], POLICY, named=700.0)
     assert probabilities(selection, nothing).something_else < POLICY.imitated_wholly + 0.05

@@ -18,7 +18,7 @@ N_DRAWS = ResidualPolicy().draws
 
 def test_correlated_noise_is_drawn_as_small_as_its_whitening_makes_it() -> None:
     rho, n = 0.6, 40
-    observation = SimpleNamespace(time=np.zeros(n), correlation=rho, whitening=np.tile(np.eye(3), (n, 1, 1)), discrepancy=np.zeros((n, 3)))
+    observation = SimpleNamespace(time=np.zeros(n), correlation=rho, whitening=np.tile(np.eye(3), (n, 1, 1)), shared=np.zeros((n, 3, 0)))
     drawn = draw_noise(cast(Any, observation), np.random.default_rng(5), N_DRAWS)[:, 1:-1]
     # Frames are smaller by (1 - rho) / (1 + rho), and their mean is as uncertain as that of independent frames of unit variance.
     assert float(np.var(drawn)) == pytest.approx((1 - rho) / (1 + rho), rel=0.03)
@@ -28,7 +28,7 @@ def test_correlated_noise_is_drawn_as_small_as_its_whitening_makes_it() -> None:
 
 def test_model_discrepancy_is_drawn_once_a_push_and_grows_with_the_travel() -> None:
     (record,) = simulated_pushes(1, 1)
-    observation = observe_push(record, NoiseModel(model_discrepancy_position=0.5, model_discrepancy_yaw=0.0))
+    observation = observe_push(record, NoiseModel(discrepancy_modes=20, model_discrepancy_position=0.5, model_discrepancy_yaw=0.0))
     deviation, _, of_yaw = observation.discrepancy[-1]
     assert deviation == pytest.approx(0.5 * np.linalg.norm(observation.pose[-1, :2] - observation.pose[0, :2]), rel=0.3)
     assert of_yaw == 0.0 and not observation.discrepancy[0].any()

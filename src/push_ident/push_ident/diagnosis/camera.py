@@ -50,6 +50,7 @@ def camera_settings(settings: DiagnosisSettings, shape: ObjectShape) -> Diagnosi
             fit_discrepancy_yaw=max(noise.fit_discrepancy_yaw, policy.fit_discrepancy_yaw),
             max_moving_frames=min(noise.max_moving_frames, policy.max_moving_frames),
             outline_errors=False,
+            discrepancy_modes=0,
         ),
         policy=settings.policy.for_camera(),
     )

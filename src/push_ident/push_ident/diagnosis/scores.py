@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fitting.discrepancy import WIDTH, FrameErrors, LinearPushes
+from push_ident.identification.fitting.discrepancy import TAILS, WIDTH, FrameErrors, LinearPushes
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array
@@ -75,6 +75,10 @@ class LinearRange:
     """Whitened, shape (n_frames, 3)."""
     jacobian: Float64Array
     """Its derivative, shape (3 n_frames, size)."""
+    forces: Float64Array
+    """Whitened residuals of measured forces, shape (n_windows, 2); of no windows where there are none."""
+    by_forces: Float64Array
+    """Their derivative, shape (2 n_windows, size)."""
     errors: FrameErrors
 
     def log_evidence(self, effect: NDArray[np.intp]) -> tuple[float, Float64Array]:
@@ -95,7 +99,10 @@ class LinearRange:
         group, factor = self.pushes.group, np.exp(-logs)
         of_pushes = at.of_push[:, group >= 0] * factor[group[group >= 0]]
         size2 = float(np.sum(at.unknowns**2) + np.sum(of_pushes**2) + np.sum(((self.pushes.first + logs) / WIDTH) ** 2))
-        cost = self.errors.cost(residual, log) + self.errors.cost_of_first(residual) + 0.5 * size2 + at.volume + linear.log_size(logs)
+        forces = self.forces + (self.by_forces @ moved).reshape(-1, 2)
+        of_forces = 0.5 * (TAILS + 2.0) * float(np.sum(np.log1p(np.sum(forces**2, axis=1) / TAILS)))
+        cost = self.errors.cost(residual, log) + self.errors.cost_of_first(residual) + of_forces
+        cost += 0.5 * size2 + at.volume + linear.log_size(logs)
         return -cost, at.unknowns
 
 
@@ -124,7 +131,8 @@ def effect_information(fit: Fit) -> EffectInformation | None:
         return EffectInformation(indices, precision, slope)
     pushes, errors = LinearPushes.of(problem, x, end.hessian, end.gradient), FrameErrors.of(fit.problem, fit.end)
     of_object = np.arange(unknowns.size)
-    in_range = LinearRange(pushes, np.setdiff1d(of_object, new), new, x, end.residual, linear.by_poses, errors)
+    fitted_of_object, forces = np.setdiff1d(of_object, new), np.concatenate(linear.forces)
+    in_range = LinearRange(pushes, fitted_of_object, new, x, end.residual, linear.by_poses, forces, linear.by_forces, errors)
     return EffectInformation(indices, precision, slope, in_range)
 
 
@@ -146,9 +154,7 @@ def clipped_start(start: Float64Array, max_start: float) -> Float64Array:
     return start * (max_start / size) if size > max_start else start
 
 
-def _in_range(
-    score: EffectScore, linear: LinearRange, index: NDArray[np.int64], without: float, policy: SelectionPolicy
-) -> EffectScore:
+def _in_range(score: EffectScore, linear: LinearRange, index: NDArray[np.int64], without: float, policy: SelectionPolicy) -> EffectScore:
     """The score under the size of the discrepancy that is left beside the effect."""
     free = np.array([not p.shape for p in EFFECTS[score.name].parameters])
     try:

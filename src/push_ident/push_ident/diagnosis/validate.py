@@ -55,7 +55,7 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     validation = Validation(
         selection=selection,
         gap=gap,
-        account=account_of(gap, selection.base.problem, policy.account),
+        account=account_of(gap, selection.fit.problem, policy.account),
         base_residuals=base[0],
         residuals=remaining[0],
         probabilities=probabilities,

@@ -6,6 +6,9 @@ patterns Phi (`patterns.py`) whose amplitudes have the prior N(0, s^2) raise the
 
     B(s) = 1/2 g' (1/s^2 + A)^-1 g - 1/2 log det(1 + s^2 A),       g = Phi' M r,  A = Phi' M Phi,  M = 1 - J (J'J + P)^-1 J'
 
+Where the size of the discrepancy that the frames of a push share is set by the pushes, what a structure does to them counts as discrepancy
+in a fit without it. Beside it the discrepancy is smaller, so that B is also computed under smaller sizes, each weighted by its evidence.
+
 M projects out what maps, scales, first poses and named effects could explain. It is the score test of a random effect (Liang, A locally
 most powerful test for homogeneity, Biometrika 1987) with its Bayes factor (Rasmussen & Williams, Gaussian Processes for Machine Learning,
 2006, section 5.4.1). One hypothesis is the mean of exp B over scales, members and families: each counts by its prior probability, which is
@@ -18,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +34,7 @@ from push_ident.diagnosis.something_else.patterns import pattern_families
 from push_ident.diagnosis.something_else.precision import AmplitudePrecision
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_displacement
+from push_ident.identification.fitting.discrepancy import groups_of, log_prior_of_size
 from push_ident.identification.fitting.fit import Fit
 from push_ident.types import BoolArray, Float64Array
 
@@ -74,6 +79,10 @@ class SomethingElse:
         return self.patterns[0]
 
 
+_SIZES: Final = (1.0, 0.3, 0.1)
+"""Sizes of the shared discrepancy relative to that of the fit, as equally likely beforehand as those of a log-normal prior [1]."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Linear:
     """A fit in its linear range, rows weighted as in its cost: poses of all pushes, then measured forces."""
@@ -88,6 +97,8 @@ class _Linear:
     """Of the unknowns by the prior, shape (n_unknowns,)."""
     start: Float64Array
     """The unknowns, shape (n_unknowns,)."""
+    log_prior: float
+    """Of the size of the discrepancy, up to a constant [nat]."""
     rows: tuple[NDArray[np.int64], ...]
     """Rows of each push."""
     hessian: Float64Array
@@ -106,12 +117,21 @@ class _Linear:
         observed: Float64Array,
         weight: Float64Array,
         rows: tuple[NDArray[np.int64], ...],
+        log_prior: float = 0.0,
     ) -> _Linear:
         """With the minimum of the quadratic approximation."""
         hessian = jacobian.T @ jacobian + np.diag(precision)
         onto = np.asarray(np.linalg.solve(hessian, jacobian.T), dtype=np.float64)
-        linear = cls(jacobian, observed, weight, precision, start, rows, hessian, onto, observed)
+        linear = cls(jacobian, observed, weight, precision, start, log_prior, rows, hessian, onto, observed)
         return replace(linear, residual=np.asarray(observed - jacobian @ linear.step(observed)))
+
+    @property
+    def log_evidence(self) -> float:
+        """Of the size of the discrepancy, without any pattern, up to a constant [nat]."""
+        x = self.start + self.step(self.observed)
+        informed = self.precision[self.precision > 0.0]
+        misfit = float(self.residual @ self.residual + self.precision @ x**2)
+        return self.log_prior + 0.5 * float(np.sum(np.log(informed)) - np.linalg.slogdet(self.hessian)[1] - misfit)
 
     def without_fitted(self, columns: Float64Array) -> Float64Array:
         """M times columns, shape (n_rows, n)."""
@@ -126,7 +146,7 @@ class _Linear:
         """The same without some pushes."""
         used = layout.without(fold)
         rows = layout.rows_of_pushes(used)
-        return _Linear.of(self.precision, self.start, self.jacobian[used], self.observed[used], self.weight[used], rows)
+        return _Linear.of(self.precision, self.start, self.jacobian[used], self.observed[used], self.weight[used], rows, self.log_prior)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,30 +195,54 @@ def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequenc
         return None
     residuals = np.column_stack([linear.residual, _noise(fit, linear, policy.draws)])
     results = map_in_threads(lambda family: _evaluate(family, linear, residuals), all_families)
-    families = np.array([result[0] for result in results])
-    drawn = np.array([result[1] for result in results])
-    total, under_noise = float(_log_mean(families)), _log_mean(drawn)
+    sized = [linear, *_of_smaller_discrepancy(fit, linear)]
+    by_size = np.array([[result[0] for result in results], *([_alone(family, one)[0] for family in all_families] for one in sized[1:])])
+    sizes = np.array([one.log_evidence for one in sized])
+    families = logsumexp(by_size + sizes[:, None], axis=0) - logsumexp(sizes)
+    best_of = [sized[k] for k in np.argmax(by_size + sizes[:, None], axis=0)]
+    total, under_noise = float(_log_mean(families)), _log_mean(np.array([result[1] for result in results]))
     share = np.exp(families - logsumexp(families))
 
     def pattern(k: int) -> Pattern:
-        family, (member_number, scale_number) = all_families[k], results[k][2]
+        family, at = all_families[k], best_of[k]
+        _, (member_number, scale_number) = _alone(family, at)
         member, scale = family.members[member_number], family.scales[scale_number]
-        return Pattern(family, member, scale, float(families[k]), float(share[k]), _amplitudes(family, member, scale, linear))
+        return Pattern(family, member, scale, float(families[k]), float(share[k]), _amplitudes(family, member, scale, at))
 
-    patterns = map_in_threads(pattern, np.argsort(-families))
-    p_value = float((1 + np.count_nonzero(under_noise >= total)) / (1 + len(under_noise)))
+    order = np.argsort(-families)
+    patterns = map_in_threads(pattern, order)
+    at_fit = float(_log_mean(by_size[0]))
+    p_value = float((1 + np.count_nonzero(under_noise >= at_fit)) / (1 + len(under_noise)))
     without: list[float] = []
     if total > 0.0:
-        without = map_in_threads(partial(_evidence_without, linear, all_families, _Layout.of(fit)), folds)
+        size = next(k for k, one in enumerate(sized) if one is best_of[order[0]])
+        without = map_in_threads(partial(_evidence_without, sized, size, all_families, _Layout.of(fit)), folds)
     return SomethingElse(total, p_value, tuple(patterns), np.array(without))
 
 
-def _evidence_without(linear: _Linear, families: Sequence[Family], layout: _Layout, fold: Sequence[int]) -> float:
-    """Log Bayes factor of anything of the kind without some pushes [nat]."""
-    rows, rest = layout.without(fold), linear.without(layout, fold)
-    residual = rest.residual[:, None]
+def _of_smaller_discrepancy(fit: Fit, linear: _Linear) -> list[_Linear]:
+    """The fit in its linear range under smaller sizes of the discrepancy that the frames of a push share; none where they share none."""
+    problem, noise = fit.problem, fit.problem.noise
+    if noise is None or noise.discrepancy_modes == 0:
+        return []
+    of_discrepancy = np.r_[np.zeros(problem.unknowns.size, dtype=bool), np.tile(groups_of(problem) >= 0, len(problem.records))]
+
+    def of_size(size: float) -> _Linear:
+        precision = np.where(of_discrepancy, linear.precision / size**2, linear.precision)
+        contact, position, yaw = noise.discrepancy_factor
+        smaller = replace(noise, discrepancy_factor=(size * contact, size * position, size * yaw))
+        log_prior = log_prior_of_size(smaller) - log_prior_of_size(noise)
+        return _Linear.of(precision, linear.start, linear.jacobian, linear.observed, linear.weight, linear.rows, log_prior)
+
+    return [of_size(size) for size in _SIZES[1:]]
+
+
+def _evidence_without(sized: Sequence[_Linear], size: int, families: Sequence[Family], layout: _Layout, fold: Sequence[int]) -> float:
+    """Log Bayes factor of anything of the kind without some pushes, under one of the sizes of the discrepancy [nat]."""
+    rows, rests = layout.without(fold), [linear.without(layout, fold) for linear in sized]
     remaining = [replace(family, columns=family.columns[rows]) for family in families]
-    return float(_log_mean(np.array([_evaluate(family, rest, residual)[0] for family in remaining])))
+    found = float(_log_mean(np.array([_alone(family, rests[size])[0] for family in remaining])))
+    return found + rests[size].log_evidence - float(logsumexp([rest.log_evidence for rest in rests]))
 
 
 def error_with_patterns(fit: Fit, something_else: SomethingElse, folds: Sequence[Sequence[int]]) -> Float64Array:
@@ -276,6 +320,12 @@ def _evaluate(family: Family, linear: _Linear, residuals: Float64Array) -> tuple
     both = _log_mean(values.reshape(-1, values.shape[2]))
     member_number, scale_number = np.unravel_index(np.argmax(values[:, :, 0]), values.shape[:2])
     return float(both[0]), both[1:], (int(member_number), int(scale_number))
+
+
+def _alone(family: Family, linear: _Linear) -> tuple[float, tuple[int, int]]:
+    """Log Bayes factor of a family without draws of noise [nat], and the numbers of its best member and scale."""
+    value, _, best = _evaluate(family, linear, linear.residual[:, None])
+    return value, best
 
 
 def _precisions(family: Family, linear: _Linear) -> list[AmplitudePrecision]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -156,6 +157,10 @@ class LinearPushes:
         options = {"maxiter": 30, "ftol": 1e-7}
         return np.asarray(minimize(self.cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x)
 
+    def least_cost(self) -> float:
+        """Negative log evidence at the factors of largest evidence, up to a constant [nat]."""
+        return self.cost(self.best(np.zeros(3)))[0]
+
 
 @dataclass(frozen=True, slots=True)
 class FrameErrors:
@@ -173,7 +178,7 @@ class FrameErrors:
         """Of a fit, with its evaluation `end`."""
         assert problem.noise is not None
         starts = np.cumsum([0, *(len(o.time) for o in problem.observations)])
-        frames = np.concatenate([np.arange(a + 1, b) for a, b in zip(starts, starts[1:], strict=False)])
+        frames = np.concatenate([np.arange(a + 1, b) for a, b in pairwise(starts)])
         used = problem.size - float(np.trace(np.linalg.solve(end.hessian, np.diag(problem.prior_precision))))
         share = max(1.0 - used / (3.0 * max(len(frames), 1)), 0.25)
         return cls(frames, share, float(np.log(problem.noise.frame_factor)))
@@ -233,4 +238,5 @@ def with_size(problem: FitProblem, x: Float64Array, size: DiscrepancySize) -> tu
 def groups_of(problem: FitProblem) -> NDArray[np.intp]:
     """Of each unknown of a push: number of its factor, -1 for the first pose, shape (unknowns_of_push,)."""
     assert problem.noise is not None
-    return np.r_[[-1, -1, -1, 0, 0], np.repeat([1, 1, 2], problem.noise.discrepancy_modes)].astype(np.intp)
+    group = np.r_[[-1, -1, -1, 0, 0], np.repeat([1, 1, 2], problem.noise.discrepancy_modes)]
+    return group[: problem.unknowns_of_push].astype(np.intp)

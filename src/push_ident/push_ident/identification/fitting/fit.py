@@ -105,7 +105,7 @@ class Fit:
 
     @cached_property
     def log_evidence(self) -> float:
-        """Up to a constant of the pushes [nat]: compare fits of the same pushes only. A shared discrepancy has the size of largest evidence."""
+        """Up to a constant of the pushes [nat], under the discrepancy of largest evidence: compare fits of the same pushes only."""
         at_size = -self.end.cost - self.end.log_volume - self._log_size_of_frames
         return at_size + log_prior_of_size(self.problem.noise) + self.discrepancy_size.log_evidence_gain
 

@@ -66,8 +66,8 @@ class NoiseModel:
     frame_factor: float = 1.0
     """On the standard deviation of every frame but the first, as pushes set it [-]: what neither noise nor shared discrepancy explains."""
     discrepancy_modes: int = 0
-    """Modes by which the frames of a push share the model discrepancy of a prediction in a fit, too; 0: they count as independent, each with
-    the discrepancy of a frame in a fit."""
+    """Modes by which the frames of a push share the model discrepancy in a fit, as in a prediction; 0: they count as independent, each
+    with the discrepancy of a frame in a fit."""
     floor_force: float = 0.02
     """Least standard deviation of a mean force: offset and hysteresis that a tare leaves [N]."""
     force_discrepancy: float = 0.1
@@ -118,7 +118,8 @@ class NoiseModel:
     def model_discrepancy(self) -> Float64Array:
         """Model discrepancy of a predicted pose, by travel [1, 1, rad/m], shape (3,)."""
         _, position, yaw = self.discrepancy_factor
-        return np.array([self.model_discrepancy_position, self.model_discrepancy_position, self.model_discrepancy_yaw]) * [position, position, yaw]
+        position, yaw = position * self.model_discrepancy_position, yaw * self.model_discrepancy_yaw
+        return np.array([position, position, yaw])
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +139,7 @@ class Observation:
     touched: bool
     """Whether the pusher comes near the observed object."""
     end_covariance: Float64Array
-    """Of the last pose with all that a fit allows it to differ from the model by where the frames share the discrepancy, shape (3, 3): numerics
+    """Of the last pose with what a fit allows it to differ from the model, where the frames share the discrepancy, shape (3, 3): numerics
     need not be more exact."""
     discrepancy: Float64Array
     """Standard deviation of the model discrepancy, which is correlated from frame to frame; part of `whitening` [m, m, rad], shape
@@ -151,8 +152,8 @@ class Observation:
     is_unchecked: bool = False
     """Whether both rests have one frame only, so that nothing but pushes shows how large the errors of poses are."""
     shared: Float64Array = field(default_factory=lambda: np.zeros((0, 3, 0)))
-    """Displacement of each frame by the unit normal numbers that the frames of the push share: those of the surface, then those of the model
-    discrepancy, shape (n_frames, 3, n_shared)."""
+    """Displacement of each frame by the unit normal numbers that the frames of the push share: those of the surface, then those of the
+    model discrepancy, shape (n_frames, 3, n_shared)."""
 
 
 def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observation:
@@ -178,7 +179,7 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     travel = np.minimum(travel, np.linalg.norm(pose[:, :2] - pose[0, :2], axis=1) + 0.05 * np.abs(pose[:, 2] - pose[0, 2]))
     fit_discrepancy = np.array([noise.fit_discrepancy_position, noise.fit_discrepancy_position, noise.fit_discrepancy_yaw])
     growth = fit_discrepancy**2 * max(1.0, len(moving) / _SHARING) if noise.discrepancy_modes == 0 else np.zeros(3)
-    scatter = _scatter(record, before, after)
+    scatter = _scatter(record, before, after, correlation=min(max(noise.correlation, 0.0), _MAX_CORRELATION))
     inflation = UNCHECKED if noise.single_frame_inflation is None else noise.single_frame_inflation
     neighbours = min(max(noise.correlation, 0.0), _MAX_CORRELATION) ** stride
     repeated = repetition(neighbours)
@@ -186,9 +187,9 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     stated = [poses.covariance[g].mean(axis=0) * checked * repeated for g in groups]
     for end in (0, -1):
         n = len(groups[end])
-        shared = 0.0 if noise.discrepancy_modes else max(0.0, 1.0 - 2.0 * scatter)
+        common = 0.0 if noise.discrepancy_modes else max(0.0, 1.0 - 2.0 * scatter)
         independent = min(1.0, repetition(noise.correlation) / n)
-        stated[end] = stated[end] / repeated * (inflation**2 if n == 1 else shared + (1.0 - shared) * independent)
+        stated[end] = stated[end] / repeated * (inflation**2 if n == 1 else common + (1.0 - common) * independent)
     covariance = np.array([c + floor + np.diag(growth * distance**2) for c, distance in zip(stated, travel, strict=True)])
     covariance[1:] *= noise.frame_factor**2
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
@@ -317,14 +318,19 @@ def _first_time(record: PushRecord, when: BoolArray) -> float:
     return float(record.pusher.time[np.argmax(when)]) if np.any(when) else np.inf
 
 
-def _scatter(record: PushRecord, *rests: NDArray[np.intp], enough: float = 12.0) -> float:
-    """Variance of the frames at rest over the one that their covariance states; 1 where they have less than `enough` degrees of freedom."""
+def _scatter(record: PushRecord, *rests: NDArray[np.intp], correlation: float = 0.0, enough: float = 12.0) -> float:
+    """Variance of the frames at rest over the one that their covariance states; 1 where they have less than `enough` degrees of freedom.
+
+    `correlation`: of the errors of neighbouring frames [-]; the mean of a rest then follows them, and they scatter less about it.
+    """
     poses = record.poses
     squares = freedom = 0.0
     for rest in rests:
         error = poses.pose[rest] - poses.pose[rest].mean(axis=0)
         squares += float(np.sum(error**2 / np.diagonal(poses.covariance[rest], axis1=1, axis2=2)))
-        freedom += 3.0 * (len(rest) - 1)
+        lags = np.arange(1, len(rest))
+        mean_repeats = 1.0 + 2.0 * float(np.sum((1.0 - lags / len(rest)) * correlation**lags))
+        freedom += 3.0 * (len(rest) - mean_repeats)
     return squares / freedom if freedom >= enough else 1.0
 
 

@@ -6,14 +6,16 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from push_ident.diagnosis.diagnose import diagnose
+from push_ident.diagnosis.fits import fit_effects, polished
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.result import Diagnosis
-from push_ident.diagnosis.scores import EffectInformation
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.geometry.se2 import transform_points, wrap_angle
+from push_ident.identification.fitting.discrepancy import LinearPushes
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
@@ -70,7 +72,7 @@ def score_case(
         wanted = {name: true_values(truth.effects, name, put_down) for name in truth.names if name not in base.names}
         values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
         if wanted:
-            values["detectability"] = _detectability(diagnosis.selection.steps[0].information, wanted)
+            values["detectability"] = _detectability(base, wanted)
     if truth.scenario.kind == "outside" and make_plain is not None:
         values["visibility"] = _visibility(base, make_plain())
     if truth.scenario.kind == "single" and make_push is not None and _is_open(diagnosis):
@@ -118,18 +120,39 @@ def _resolve(diagnosis: Diagnosis, records: list[PushRecord], settings: Diagnosi
     return {"n": n_requested, "named": [effect.name for effect in diagnosis.effects], "resolved": resolved}
 
 
-def _detectability(information: EffectInformation | None, wanted: Mapping[str, Float64Array]) -> Json:
-    """Detectability of each true effect beside all that the base model fits: noncentrality (`alone`), mean `gain` of the log evidence."""
-    if information is None:
-        return {}
+def _detectability(base: Fit, wanted: Mapping[str, Float64Array]) -> Json:
+    """Detectability of each true effect beside all others that are fitted: `gain` of the log evidence for mean noise, and `certain_gain`,
+    which nine of ten draws of the noise exceed.
+
+    In the linear range of the fit that is given all true effects, with pushes as it predicts them at the true sizes. Without an effect, a
+    discrepancy that the pushes size grows by what it explains of it.
+    """
+    acting = {name: [not p.shape for p in EFFECTS[name].parameters] for name in wanted}
+    sizes = {
+        name: np.array([(v - n) / p.scale for v, n, p in zip(values, EFFECTS[name].nominal, EFFECTS[name].parameters, strict=True)])
+        for name, values in wanted.items()
+    }
+    fit = polished(fit_effects(base, (*base.names, *wanted), np.concatenate([base.effect_unknowns, *sizes.values()])))
+    first, hessian, x = fit.unknowns.slices["effects"].start, fit.end.hessian, np.array(fit.x)
+    at = {name: first + np.arange(*fit.effects.slice_of(name).indices(len(fit.effects.values)))[acting[name]] for name in wanted}
+    for name, index in at.items():
+        x[index] = sizes[name][acting[name]]
     shown = {}
-    for name, values in wanted.items():
-        acting = [i for i, p in enumerate(EFFECTS[name].parameters) if not p.shape]
-        at = information.indices[name][acting]
-        size = np.array([(values[i] - EFFECTS[name].nominal[i]) / EFFECTS[name].parameters[i].scale for i in acting])
-        held = information.precision[np.ix_(at, at)]
-        noncentrality = float(size @ (held - np.eye(len(at))) @ size)
-        shown[name] = {"alone": noncentrality, "gain": 0.5 * noncentrality - 0.5 * float(np.linalg.slogdet(held)[1])}
+    for name, index in at.items():
+        others, of_object = np.setdiff1d(np.arange(len(hessian)), index), np.setdiff1d(np.arange(fit.unknowns.size), index)
+        between = hessian[np.ix_(others, index)]
+        held = hessian[np.ix_(index, index)] - between.T @ np.linalg.solve(hessian[np.ix_(others, others)], between)
+        noncentrality = float(x[index] @ (held - np.eye(len(index))) @ x[index])
+
+        def gain(share: float, index: NDArray[np.int64] = index, of_object: NDArray[np.int64] = of_object) -> float:
+            """Of a share of the true size [nat]."""
+            at_size = np.array(x)
+            at_size[index] *= share
+            expected = LinearPushes.of(fit.problem, at_size, hessian, fit.problem.prior_precision * at_size)
+            return expected.of_unknowns(of_object).least_cost() - expected.least_cost()
+
+        least = max(0.0, 1.0 - 1.2816 / np.sqrt(max(noncentrality, 1e-9)))  # lowest tenth of a normal distribution
+        shown[name] = {"gain": gain(1.0), "certain_gain": gain(least)}
     return shown
 
 

@@ -89,19 +89,9 @@ def judge(result: CaseResult) -> Judged:
         named=named,
         set=frozenset((*named, *map(_one_of_twins, values["confusable"]))),
         detectable=bool(detectability) and all((d["gain"] or 0.0) >= _DETECTABLE for d in detectability),
-        clearly_detectable=bool(detectability) and all(_in_nine_of_ten(d) >= _DETECTABLE for d in detectability),
+        clearly_detectable=bool(detectability) and all((d["certain_gain"] or 0.0) >= _DETECTABLE for d in detectability),
         values=values,
     )
-
-
-def _in_nine_of_ten(detectability: Json) -> float:
-    """Log evidence [nat] that a true size exceeds nine times out of ten.
-
-    The square root of twice the log likelihood ratio is normal with unit variance.
-    """
-    root = float(np.sqrt(detectability["alone"] or 0.0))
-    # A normal deviate is larger than minus 1.2816 nine times out of ten.
-    return (detectability["gain"] or 0.0) - 0.5 * (root**2 - max(0.0, root - 1.2816) ** 2)
 
 
 def interval(hits: int, n: int) -> Json:
