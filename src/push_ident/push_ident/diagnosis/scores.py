@@ -83,7 +83,7 @@ class LinearRange:
 
     def log_evidence(self, effect: NDArray[np.intp]) -> tuple[float, Float64Array]:
         """With some of the new unknowns, up to a constant [nat], and the unknowns of the object of largest density."""
-        chosen, n = np.r_[self.fitted, self.new[effect]], len(self.pushes.pull)
+        chosen, n = np.r_[self.fitted, self.new[effect]], len(self.pushes.at)
         linear, logs, log = self.pushes.of_unknowns(chosen), np.zeros(3), 0.0
         for _ in range(_ROUNDS):
             weighted, before = linear.weighted(np.exp(-2.0 * log)), log

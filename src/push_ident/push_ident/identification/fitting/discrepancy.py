@@ -65,23 +65,32 @@ class LinearMinimum:
     """Of their posterior, shape (n_pushes, m)."""
     volume: float
     """Half the log determinant of the Hessian, prior included."""
-    fitted: float
-    """By which the cost is below that of no unknown at all [nat]."""
+    cost: float
+    """Above that at the fit without the prior [nat]."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinearPushes:
-    """Pushes in the linear range of a fit, without the prior: unknowns of the object and, for each push, its own."""
+    """Cost of pushes in the linear range of a fit, without the prior: unknowns of the object and, for each push, its own.
 
+    Expanded about the fit, since Hessians of unstable pushes are too large for differences of costs from zero.
+    """
+
+    at: Float64Array
+    """Unknowns of the object at the fit, shape (n,)."""
+    at_push: Float64Array
+    """Those of each push, shape (n_pushes, m)."""
+    constant: float
+    """Cost there [nat]."""
     hessian: Float64Array
     """By the unknowns of the object, shape (n, n)."""
-    pull: Float64Array
-    """Hessian times unknowns minus gradient, shape (n,)."""
+    slope: Float64Array
+    """Shape (n,)."""
     cross: Float64Array
-    """By those of the object and of each push, shape (n_pushes, n, m)."""
+    """Hessian by those of the object and of each push, shape (n_pushes, n, m)."""
     hessian_of_push: Float64Array
     """Shape (n_pushes, m, m)."""
-    pull_of_push: Float64Array
+    slope_of_push: Float64Array
     """Shape (n_pushes, m)."""
     group: NDArray[np.intp]
     """Of each unknown of a push: number of its factor, -1 for the first pose, shape (m,)."""
@@ -93,28 +102,40 @@ class LinearPushes:
         """Of a cost with Hessian and gradient at `x`, shapes (size, size) and (size,), prior included."""
         assert problem.noise is not None
         prior, n, m, n_pushes = problem.prior_precision, problem.unknowns.size, problem.unknowns_of_push, len(problem.records)
-        data = hessian - np.diag(prior)
-        pull = data @ x - (gradient - prior * x)
+        data, slope = hessian - np.diag(prior), gradient - prior * x
         of_pushes = data[n:, n:].reshape(n_pushes, m, n_pushes, m)
         return cls(
+            at=x[:n],
+            at_push=x[n:].reshape(n_pushes, m),
+            constant=0.0,
             hessian=data[:n, :n],
-            pull=pull[:n],
+            slope=slope[:n],
             cross=data[:n, n:].reshape(n, n_pushes, m).transpose(1, 0, 2),
             hessian_of_push=of_pushes[np.arange(n_pushes), :, np.arange(n_pushes), :],
-            pull_of_push=pull[n:].reshape(n_pushes, m),
+            slope_of_push=slope[n:].reshape(n_pushes, m),
             group=groups_of(problem),
             first=np.log(problem.noise.discrepancy_factor),
         )
 
     def of_unknowns(self, chosen: NDArray[np.intp]) -> LinearPushes:
-        """With some of the unknowns of the object only."""
-        return replace(self, hessian=self.hessian[np.ix_(chosen, chosen)], pull=self.pull[chosen], cross=self.cross[:, chosen])
+        """With some of the unknowns of the object only, the others zero."""
+        others = np.setdiff1d(np.arange(len(self.at)), chosen)
+        back = -self.at[others]
+        return replace(
+            self,
+            at=self.at[chosen],
+            constant=self.constant + float(self.slope[others] @ back + 0.5 * back @ self.hessian[np.ix_(others, others)] @ back),
+            hessian=self.hessian[np.ix_(chosen, chosen)],
+            slope=self.slope[chosen] + self.hessian[np.ix_(chosen, others)] @ back,
+            cross=self.cross[:, chosen],
+            slope_of_push=self.slope_of_push + np.einsum("pim,i->pm", self.cross[:, others], back),
+        )
 
     def weighted(self, weight: float) -> LinearPushes:
         """With errors of so much more weight."""
         return replace(
-            self, hessian=weight * self.hessian, pull=weight * self.pull, cross=weight * self.cross,
-            hessian_of_push=weight * self.hessian_of_push, pull_of_push=weight * self.pull_of_push,
+            self, constant=weight * self.constant, hessian=weight * self.hessian, slope=weight * self.slope, cross=weight * self.cross,
+            hessian_of_push=weight * self.hessian_of_push, slope_of_push=weight * self.slope_of_push,
         )  # fmt: skip
 
     def cost(self, logs: Float64Array) -> tuple[float, Float64Array]:
@@ -127,29 +148,31 @@ class LinearPushes:
             chosen = self.group == k
             expected = np.exp(-2.0 * logs[k]) * (at.of_push[:, chosen] ** 2 + at.variance_of_push[:, chosen])
             slope[k] += float(np.sum(1.0 - expected))
-        return at.volume + self.log_size(logs) - at.fitted + 0.5 * float(prior @ prior), slope
+        return at.cost + at.volume + self.log_size(logs) + 0.5 * float(prior @ prior), slope
 
     def log_size(self, logs: Float64Array) -> float:
         """Logarithms of the standard deviations of all unknowns of the pushes together."""
-        return float(np.sum(logs[self.group[self.group >= 0]])) * len(self.pull_of_push)
+        return float(np.sum(logs[self.group[self.group >= 0]])) * len(self.at_push)
 
     def solve(self, logs: Float64Array) -> LinearMinimum:
         """The minimum under factors with these logarithms. Raises LinAlgError where rounding leaves none."""
-        n = len(self.pull)
+        n = len(self.at)
         precision = np.where(self.group < 0, 0.0, np.exp(-2.0 * logs)[self.group])
         of_push = self.hessian_of_push + np.diag(precision)
-        right = np.concatenate([self.cross.transpose(0, 2, 1), self.pull_of_push[:, :, None]], axis=2)
+        pull_of_push = -(self.slope_of_push + precision * self.at_push)
+        right = np.concatenate([self.cross.transpose(0, 2, 1), pull_of_push[:, :, None]], axis=2)
         inverse = np.linalg.inv(of_push)
         eliminated = inverse @ right
         reduced = np.eye(n) + self.hessian - np.einsum("pim,pmj->ij", self.cross, eliminated[:, :, :-1])
-        pull = self.pull - np.einsum("pim,pm->i", self.cross, eliminated[:, :, -1])
+        pull = -(self.slope + self.at) - np.einsum("pim,pm->i", self.cross, eliminated[:, :, -1])
         covariance = np.linalg.inv(reduced)
-        z = np.asarray(covariance @ pull)
+        moved = np.asarray(covariance @ pull)
         volume = 0.5 * float(np.linalg.slogdet(reduced)[1] + np.sum(np.linalg.slogdet(of_push)[1]))
-        fitted = 0.5 * float(pull @ z + np.sum(self.pull_of_push * eliminated[:, :, -1]))
+        gained = 0.5 * float(pull @ moved + np.sum(pull_of_push * eliminated[:, :, -1]))
+        cost = self.constant + 0.5 * float(self.at @ self.at + np.sum(precision * self.at_push**2)) - gained
         follows = eliminated[:, :, :-1]
         variance = np.diagonal(inverse, axis1=1, axis2=2) + np.sum((follows @ covariance) * follows, axis=2)
-        return LinearMinimum(z, eliminated[:, :, -1] - follows @ z, variance, volume, fitted)
+        return LinearMinimum(self.at + moved, self.at_push + eliminated[:, :, -1] - follows @ moved, variance, volume, cost)
 
     def best(self, start: Float64Array) -> Float64Array:
         """Logarithms of the factors of largest evidence, shape (3,), from a start."""
