@@ -26,6 +26,7 @@ import numpy as np
 
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.policy import AccountPolicy
+from push_ident.diagnosis.shares import removed_by_cause
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_errors
 from push_ident.identification.fitting.fit import Fit
@@ -149,17 +150,8 @@ class Account:
 
     @property
     def _effects(self) -> dict[str, Float64Array]:
-        errors = [self.gap.before, *self.gap.stages.values()]
-        if not self.gap.names:
-            return {}
-        before: set[str] = set()
-        by_effect: dict[str, Float64Array] = {}
-        for names, one, other in zip(
-            [*(key.split(", ") for key in self.gap.stages), self.gap.names], errors, [*errors[1:], self.gap.after], strict=True
-        ):
-            by_effect[" and ".join(name for name in names if name not in before)] = one - other
-            before |= set(names)
-        return by_effect
+        gap = self.gap
+        return {" and ".join(names): values for names, values in removed_by_cause(gap, gap.before, gap.stages, gap.after).items()}
 
     def _part(self, name: str, values: Float64Array, *, is_effect: bool) -> AccountPart:
         interval = self.gap.mean_interval(values, self.expected.shared_std if name == _UNEXPLAINED else 0.0)

@@ -27,7 +27,7 @@ def decide(state: DiagnosisState) -> DiagnosisState:
     selection, is_unknown = validation.selection, validation.cause_is_unknown
     effects = found_effects(selection, validation.gap)
     sets = confusion_sets(selection, settings.policy.selection)
-    if effects and validation.probabilities.something_else > settings.policy.selection.max_probability_of_error:
+    if effects and validation.probabilities.outside_alone > settings.policy.selection.max_probability_of_error:
         last = effects[-1].name
         sets = {**sets, last: (*sets.get(last, ()), SOMETHING_ELSE)}
     verdict = Verdict.UNKNOWN if is_unknown else verdict_of(effects, sets)

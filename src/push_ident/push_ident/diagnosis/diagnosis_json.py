@@ -13,6 +13,7 @@ from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.residuals import ResidualGroup
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
+from push_ident.diagnosis.shares import Closed, closed_by_cause
 from push_ident.diagnosis.something_else.evidence import SomethingElse
 from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
@@ -33,6 +34,8 @@ def to_json(diagnosis: Diagnosis) -> Json:
         "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.log_bayes_factor} for e in diagnosis.effects],
         "confusable": list(diagnosis.confusion_set),
         "gap": _gap(diagnosis.gap),
+        "causes": _causes(diagnosis),
+        "remainder": _remainder(diagnosis.gap),
         "account": _account(diagnosis.account, diagnosis.first_push),
         "where": {by: [_group(group) for group in groups] for by, groups in diagnosis.where.items()},
         "ranking": _ranking(diagnosis.selection),
@@ -86,7 +89,7 @@ def _gap(gap: Gap | None) -> Json:
     if gap is None:
         nan = float("nan")
         lengths = dict.fromkeys(("before_m", "after_m", "noise_m", "shrink"), nan)
-        return {**lengths, "shrink_interval": [nan, nan], "before_per_push_m": [], "after_per_push_m": [], "stages": []}
+        return {**lengths, "shrink_interval": [nan, nan], "before_per_push_m": [], "after_per_push_m": [], "stages": [], "motion": None}
     return {
         "before_m": float(np.mean(gap.before)),
         "after_m": float(np.mean(gap.after)),
@@ -96,7 +99,42 @@ def _gap(gap: Gap | None) -> Json:
         "before_per_push_m": gap.before.tolist(),
         "after_per_push_m": gap.after.tolist(),
         "stages": [{"effects": names.split(", "), "after_m": float(np.mean(errors))} for names, errors in gap.stages.items()],
+        "motion": gap.motion
+        and {
+            "before_m": float(np.mean(gap.motion.before)),
+            "after_m": float(np.mean(gap.motion.after)),
+            "noise_m": float(np.mean(gap.motion.noise)),
+            "before_per_push_m": gap.motion.before.tolist(),
+            "after_per_push_m": gap.motion.after.tolist(),
+        },
     }
+
+
+def _causes(diagnosis: Diagnosis) -> list[Json]:
+    """What each named cause closes of the error on held-out pushes."""
+    if diagnosis.gap is None or not diagnosis.effects:
+        return []
+    return [
+        {
+            "names": list(cause.names),
+            "at_end": _closed(cause.at_end),
+            "over_motion": None if cause.over_motion is None else _closed(cause.over_motion),
+        }
+        for cause in closed_by_cause(diagnosis.gap)
+    ]
+
+
+def _closed(closed: Closed) -> Json:
+    return {"closes_m": closed.mean, "interval_m": list(closed.interval), "share": closed.share}
+
+
+def _remainder(gap: Gap | None) -> Json | None:
+    """Error on held-out pushes that remains beside all named causes, and the part of it that noise makes."""
+    if gap is None:
+        return None
+    motion = gap.motion
+    over_motion = motion and {"error_m": float(np.mean(motion.after)), "noise_m": float(np.mean(motion.noise))}
+    return {"at_end": {"error_m": float(np.mean(gap.after)), "noise_m": float(np.mean(gap.noise))}, "over_motion": over_motion}
 
 
 def _account(account: Account | None, first_push: PlannedPush | None) -> Json:

@@ -89,7 +89,10 @@ def _sentence(
     elif decision.effects:
         sentence = wording.sentence_of_effects(decision.effects, decision.confusion_sets, account)
         if any(SOMETHING_ELSE in names for names in decision.confusion_sets.values()) and words is not None:
-            sentence += wording.sentence_of_doubt(words, validation.probabilities.something_else)
+            sentence += wording.sentence_of_doubt(words, validation.probabilities.outside_alone)
+        elif words is not None and validation.probabilities.something_else > state.settings.policy.selection.max_probability_of_error:
+            remainder = account.after - float(np.mean(account.gap.noise))
+            sentence += wording.sentence_of_remainder(words, validation.probabilities.something_else, remainder)
     else:
         sentence = wording.sentence_of_nothing(account, [state.source_of(push) for push in range(len(state.records))], first_push)
         if validation.probabilities.nothing < state.settings.policy.selection.max_probability_of_nothing:

@@ -14,9 +14,24 @@ from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_errors
 from push_ident.identification.fitting.fit import Fit
-from push_ident.identification.predicting.prediction import held_out_errors
+from push_ident.identification.predicting.prediction import errors_of_motion
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
+
+
+@dataclass(frozen=True, slots=True)
+class MotionGap:
+    """Cell error over the motion of held-out pushes, root mean square over the frames: a latency changes no end. Each of shape
+    (n_pushes,) [m]."""
+
+    before: Float64Array
+    """Without the effects."""
+    after: Float64Array
+    """With them."""
+    noise: Float64Array
+    """That the noise of the poses would make if the model were right."""
+    stages: dict[str, Float64Array] = field(default_factory=dict)
+    """With some of the effects only, as `Gap.stages`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +57,8 @@ class Gap:
     """Of each push with some of the effects only, by their names [m], shape (n_pushes,); in the order in which they were added."""
     names: tuple[str, ...] = ()
     """Effects that are added."""
+    motion: MotionGap | None = None
+    """The same over the motion; None where only ends are known."""
     fits: tuple[Fit, ...] = ()
     """With the effects, to the pushes outside each of the folds."""
     policy: ValidationPolicy = field(default_factory=ValidationPolicy)
@@ -66,6 +83,23 @@ class Gap:
         """Whether held-out pushes are predicted no better with the effects, neither by their end positions nor by their density."""
         no_more_probable = float(np.mean(self.log_density_gain)) <= self.policy.min_log_density_gain
         return no_more_probable and float(np.mean(self.after)) >= float(np.mean(self.before))
+
+    @property
+    def is_closed_in_part(self) -> bool:
+        """Whether the effects certainly help to predict held-out pushes: their density, their end or their motion."""
+        gain = self.log_density_gain
+        closed = [self.before - self.after, *([] if self.motion is None else [self.motion.before - self.motion.after])]
+        more_probable = np.mean(gain) > self.policy.min_gap_standard_errors * np.std(gain, ddof=1) / np.sqrt(len(gain))
+        return bool(more_probable) or any(self.mean_interval(values)[0] > 0.0 for values in closed)
+
+    @property
+    def closed_share(self) -> float:
+        """Part of the error above noise that the effects close, at the end or over the motion, whichever is larger, 0 to 1."""
+        errors = [(self.before, self.after, self.noise)]
+        if self.motion is not None:
+            errors.append((self.motion.before, self.motion.after, self.motion.noise))
+        shares = [_shrink(before, after, noise) for before, after, noise in errors]
+        return float(np.clip(np.nanmax([*shares, 0.0]), 0.0, 1.0))
 
     def mean_interval(self, values: Float64Array, shared_std: float = 0.0) -> tuple[float, float]:
         """Contains the mean of values, one for each push, shape (n,), with the probability of the policy, by bootstrap over the pushes.
@@ -105,8 +139,8 @@ def _shrink(before: Float64Array, after: Float64Array, noise: Float64Array) -> f
 class _HeldOutFold:
     """What a fit without the pushes of a fold predicts of them."""
 
-    errors: Float64Array
-    """Cell error of each push [m]."""
+    errors: tuple[Float64Array, Float64Array]
+    """Cell error of each push at its end and over its motion [m]."""
     log_density: float
     """Of the pushes of the fold under the fit to the others, up to a constant [nat]."""
     fit: Fit
@@ -156,19 +190,21 @@ def measure_gap(
     stages = {} if fit is base else dict(between or {})
     fits = [base] if fit is base else [base, *stages.values(), fit]
     by_fit = (held_out or HeldOutFits()).of(fits, folds)
-    errors = np.array([_by_push(results, folds) for results in by_fit])
+    errors, of_motion = (np.array([_by_push(results, folds, kind) for results in by_fit]) for kind in (0, 1))
+    noise, noise_of_motion = noise_errors(fit, policy.noise_draws)
     density = np.array([[result.log_density for result in results] for results in by_fit])
     evidence = np.array([one.log_evidence for one in fits])[:, None] - density
     return Gap(
         before=errors[0],
         after=errors[-1],
-        noise=noise_errors(fit, policy.noise_draws),
+        noise=noise,
         log_density_gain=density[-1] - density[0],
         estimates=np.array([result.fit.effects.values for result in by_fit[-1]]),
         folds=tuple(map(tuple, folds)),
         log_bayes_factor_without=np.diff(evidence, axis=0),
         stages=dict(zip(stages, errors[1:-1], strict=True)),
         names=tuple(name for name in fit.names if name not in base.names),
+        motion=MotionGap(of_motion[0], of_motion[-1], noise_of_motion, dict(zip(stages, of_motion[1:-1], strict=True))),
         fits=tuple(result.fit for result in by_fit[-1]),
         policy=policy,
     )
@@ -180,11 +216,11 @@ def folds_of(n_pushes: int, max_folds: int) -> list[list[int]]:
     return [list(range(first, n_pushes, n_folds)) for first in range(n_folds)]
 
 
-def _by_push(results: Sequence[_HeldOutFold], folds: Sequence[Sequence[int]]) -> Float64Array:
-    """Cell errors of all folds in the order of the pushes [m], shape (n_pushes,)."""
+def _by_push(results: Sequence[_HeldOutFold], folds: Sequence[Sequence[int]], kind: int) -> Float64Array:
+    """Cell errors of all folds in the order of the pushes [m], shape (n_pushes,), at their ends (0) or over their motions (1)."""
     errors = np.empty(sum(map(len, folds)))
     for fold, result in zip(folds, results, strict=True):
-        errors[list(fold)] = result.errors
+        errors[list(fold)] = result.errors[kind]
     return errors
 
 
@@ -192,12 +228,13 @@ def _hold_out(fit: Fit, pushes: Sequence[int], earlier: EarlierFits) -> _HeldOut
     rest, problem = without_pushes(fit, pushes, earlier.start(fit, pushes)), fit.problem
     records = [problem.records[push] for push in pushes]
     observations = [problem.observations[push] for push in pushes]
-    errors = held_out_errors(rest.model, records, effects=rest.effects, settings=problem.settings, observed=observations)
+    errors = errors_of_motion(rest.model, records, effects=rest.effects, settings=problem.settings, observed=observations)
     return _HeldOutFold(errors, fit.log_evidence - rest.log_evidence, rest)
 
 
-def noise_errors(fit: Fit, n_draws: int) -> Float64Array:
-    """Cell error that the noise of the first and the last pose would make if the model were right [m], shape (n_pushes,).
+def noise_errors(fit: Fit, n_draws: int) -> tuple[Float64Array, Float64Array]:
+    """Cell error that the noise of the poses would make if the model were right, at the end of each push and over its motion [m], shape
+    (n_pushes,) each.
 
     What an error of the first pose makes of the end is taken from pushes that begin a standard deviation to either side: where a pusher
     just touches a corner the derivative is hundreds of times that.
@@ -206,17 +243,23 @@ def noise_errors(fit: Fit, n_draws: int) -> Float64Array:
     mechanics = fit.mechanics
     normal = np.random.default_rng(0).normal(size=(len(problem.records), n_draws, 2, 3))
 
-    def error(push: int) -> float:
+    def errors(push: int) -> tuple[float, float]:
         record, observation = problem.records[push], problem.observations[push]
 
-        def end(first: Float64Array) -> Float64Array:
-            scenario = PushScenario(record.pusher, first, observation.time[-1:], record.order)
-            return mechanics.simulate(scenario, settings=problem.settings_of(push)).pose[-1]
+        def motion(first: Float64Array) -> Float64Array:
+            scenario = PushScenario(record.pusher, first, observation.time[1:], record.order)
+            return mechanics.simulate(scenario, settings=problem.settings_of(push)).pose
 
         first, roots = problem.first_pose(fit.x, push), np.linalg.cholesky(observation.first_covariance).T
-        by_first = np.array([end(first + root) - end(first - root) for root in roots]) / 2.0
-        draws = normal[push, :, 0] @ by_first + normal[push, :, 1] @ np.linalg.cholesky(observation.last_covariance).T
-        expected = end(first)
-        return float(np.median(cell_errors(record.shape.cells, expected, expected + draws)))
+        by_first = np.array([motion(first + root) - motion(first - root) for root in roots]) / 2.0
+        expected = motion(first)
+        draws = np.einsum("di,ifj->dfj", normal[push, :, 0], by_first)
+        ends = draws[:, -1] + normal[push, :, 1] @ np.linalg.cholesky(observation.last_covariance).T
+        at_end = np.median(cell_errors(record.shape.cells, expected[-1], expected[-1] + ends))
+        of_frames = np.random.default_rng([2, push]).normal(size=draws.shape)
+        draws += np.einsum("fij,dfj->dfi", np.linalg.inv(observation.whitening[1:]), of_frames)
+        of_motion = np.sqrt(np.mean(cell_errors(record.shape.cells, expected, expected + draws) ** 2, axis=1))
+        return float(at_end), float(np.median(of_motion))
 
-    return np.array(map_in_threads(error, range(len(problem.records))))
+    ends, motions = zip(*map_in_threads(errors, range(len(problem.records))), strict=True)
+    return np.array(ends), np.array(motions)

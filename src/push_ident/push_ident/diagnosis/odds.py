@@ -107,16 +107,24 @@ class Probabilities:
     """That a cause outside the catalogue acts, alone or beside effects."""
     effects: Mapping[str, float]
     """That an effect acts, alone or beside others; of all effects of the catalogue that the base model does not have."""
-    in_place: float = 0.0
-    """That only a cause outside the catalogue acts, none of which an effect is an imitation."""
+    outside_alone: float = 0.0
+    """That only a cause outside the catalogue acts."""
+    outside_alone_unlike_effects: float = 0.0
+    """The same, and no effect that was found is an imitation of it."""
 
 
 def explanations_of(
-    selection: Selection, outside: OutsideEvidence, policy: SelectionPolicy, *, rejected: Mapping[str, float] | None = None
+    selection: Selection,
+    outside: OutsideEvidence,
+    policy: SelectionPolicy,
+    *,
+    rejected: Mapping[str, float] | None = None,
+    closed: float = 0.0,
 ) -> tuple[Explanation, ...]:
     """All explanations that were considered, with their weights.
 
     `rejected`: log Bayes factors [nat] of effects in the pushes that do not support them: no effect that was not added has more.
+    `closed`: part of the gap that the selected effects close on held-out pushes [1].
     """
     names: list[str] = []
     weight = 0.0
@@ -133,7 +141,7 @@ def explanations_of(
         named.append(Explanation(frozenset([*names, SOMETHING_ELSE]), weight + policy.log_prior_something_else + outside.in_addition))
     nothing = Explanation(frozenset(), 0.0)
     other = Explanation(frozenset({SOMETHING_ELSE}), policy.log_prior_something_else + outside.in_place)
-    return (nothing, other, *_with_imitations(named, policy), *_not_added(selection, weight, policy, rejected or {}))
+    return (nothing, other, *_with_imitations(named, closed, policy), *_not_added(selection, weight, policy, rejected or {}))
 
 
 def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[str, ...]) -> Probabilities:
@@ -145,11 +153,12 @@ def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[
         return float(min(1.0, sum(share for e, share in zip(explanations, shares, strict=True) if name in e.causes)))
 
     nothing = float(sum(share for e, share in zip(explanations, shares, strict=True) if not e.causes))
-    in_place = sum(share for e, share in zip(explanations, shares, strict=True) if e.causes == {SOMETHING_ELSE} and not e.imitated_by)
+    alone = [(share, e.imitated_by) for e, share in zip(explanations, shares, strict=True) if e.causes == {SOMETHING_ELSE}]
+    outside_alone, unlike = float(sum(share for share, _ in alone)), float(sum(share for share, imitated_by in alone if not imitated_by))
     considered = {name for explanation in explanations for name in explanation.causes}
     names = (*CAUSES, *(name for name in FORCE_CAUSES if name in considered))
     effects = {name: of(name) for name in names if name not in base_effects}
-    return Probabilities(nothing, of(SOMETHING_ELSE), effects, float(in_place))
+    return Probabilities(nothing, of(SOMETHING_ELSE), effects, outside_alone, unlike)
 
 
 def is_outside(probabilities: Probabilities, policy: SelectionPolicy) -> bool:
@@ -157,7 +166,7 @@ def is_outside(probabilities: Probabilities, policy: SelectionPolicy) -> bool:
 
     Beside effects that explain more it is the remainder that real pushes always hold: the effects are named, and it stays possible.
     """
-    return probabilities.in_place > 0.5 and probabilities.nothing < policy.max_probability_of_nothing
+    return probabilities.outside_alone_unlike_effects > 0.5 and probabilities.nothing < policy.max_probability_of_nothing
 
 
 def _twins(names: Sequence[str], weight: float, others: Sequence[Explanation]) -> list[Explanation]:
@@ -167,11 +176,15 @@ def _twins(names: Sequence[str], weight: float, others: Sequence[Explanation]) -
     return [Explanation(causes, weight) for causes in twins if causes not in explained and len(causes) == len(names)]
 
 
-def _with_imitations(explanations: Sequence[Explanation], policy: SelectionPolicy) -> list[Explanation]:
-    """Explanations by effects, of each of which a part says that something else is there in their place, which they imitate."""
+def _with_imitations(explanations: Sequence[Explanation], closed: float, policy: SelectionPolicy) -> list[Explanation]:
+    """Explanations by effects, of each of which a part says that something else is there in their place, which they imitate.
+
+    What leaves a structure is the less probably an imitation, the more of the gap it closes.
+    """
+    in_part = max(policy.imitated_wholly, policy.imitated_in_part * (1.0 - closed))
     split: list[Explanation] = []
     for one in explanations:
-        imitated = policy.imitated_in_part if SOMETHING_ELSE in one.causes else policy.imitated_wholly
+        imitated = in_part if SOMETHING_ELSE in one.causes else policy.imitated_wholly
         other = Explanation(frozenset({SOMETHING_ELSE}), one.log_weight + math.log(imitated), one.causes - {SOMETHING_ELSE})
         split += [replace(one, log_weight=one.log_weight + math.log1p(-imitated)), other]
     return split

@@ -36,7 +36,7 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     remaining = others[0] if others else base
     reported, probabilities = _weigh_outside(state, selection, base, remaining, {})
     held_out = HeldOutFits(state.earlier)
-    unsupported = None
+    unsupported, rejected, closes_nothing = None, dict[str, float](), False
     if not is_outside(probabilities, policy.selection):
         gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
         supported, unsupported = supported_selection(selection, gap, policy.validation)
@@ -45,9 +45,11 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
                 (name for name in selection.selected if name not in supported.selected), policy.validation.min_log_bayes_factor_without_push
             )
             selection, remaining = supported, _look_for_structure(state, supported.fit, ()) if supported.selected else base
-            reported, probabilities = _weigh_outside(state, selection, base, remaining, rejected)
             gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
-    is_unknown = is_outside(probabilities, policy.selection)
+        closed = gap.closed_share if selection.selected else 0.0
+        reported, probabilities = _weigh_outside(state, selection, base, remaining, rejected, closed)
+        closes_nothing = bool(selection.selected) and not gap.is_closed_in_part and probabilities.something_else > 0.5
+    is_unknown = closes_nothing or is_outside(probabilities, policy.selection)
     if is_unknown:
         selection = selection.without_effects()
         gap = measure_gap(selection.base, selection.base, policy.validation, on_progress, held_out=held_out)
@@ -112,7 +114,12 @@ def _look_for_structure(state: DiagnosisState, fit: Fit, folds: Sequence[Sequenc
 
 
 def _weigh_outside(
-    state: DiagnosisState, selection: Selection, base: _Structure, remaining: _Structure, rejected: Mapping[str, float]
+    state: DiagnosisState,
+    selection: Selection,
+    base: _Structure,
+    remaining: _Structure,
+    rejected: Mapping[str, float],
+    closed: float = 0.0,
 ) -> tuple[SomethingElse | None, Probabilities]:
     """From the residuals of the base model and of the fit with all effects of a selection: something else in place of the effects or
     in addition to them, whichever explains more, and the probabilities of all causes."""
@@ -122,7 +129,7 @@ def _weigh_outside(
     failed = failed_tests(base_residuals, residuals, policy.unknown, correlation_std=correlation_std)
     named = sum(candidate.log_bayes_factor for _, candidate in selection.added.values())
     evidence = OutsideEvidence.of(in_place, in_addition, failed, policy.selection, named=named)
-    explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected)
+    explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected, closed=closed)
     outside = [explanation for explanation in explanations if SOMETHING_ELSE in explanation.causes]
     most = max(outside, key=lambda explanation: explanation.log_weight)
     reported = in_addition if (most.causes | most.imitated_by) - {SOMETHING_ELSE} else in_place

@@ -78,10 +78,20 @@ def sentence_of_unknown(
 
 
 def sentence_of_doubt(words: PatternWords, probability: float) -> str:
-    """Added to the sentence where an effect is named, but something else may act in its place or beside it."""
+    """Added to the sentence where an effect is named, but something else may act in its place."""
     return (
-        f" Something outside the catalogue may act in its place or beside it (probability {probability:.2f}): {words.what}, {words.where}; "
+        f" Something outside the catalogue may act in its place (probability {probability:.2f}): {words.what}, {words.where}; "
         f"look for {words.look_for}."
+    )
+
+
+def sentence_of_remainder(words: PatternWords, probability: float, remainder: float) -> str:
+    """Added to the sentence where effects are named and something else acts beside them; `remainder`: of the error on held-out pushes that
+    neither they nor what is expected explain [m]."""
+    explained = f", {in_mm(remainder)} of error" if remainder > 0.0 else ""
+    return (
+        f" Beside that, something outside the catalogue remains (probability {probability:.2f}{explained}), most probably {words.what}, "
+        f"{words.where}; look for {words.look_for}."
     )
 
 
@@ -168,11 +178,24 @@ def _share_of_effects(account: Account) -> str:
     """How much of the error the effects account for, to continue the sentence that names them."""
     removed = account.before - account.after
     if not removed > 0.0:
-        return ""
+        return _share_over_motion(account)
     parts = account.effects
     each = f" ({_interval(parts[0])})" if len(parts) == 1 else f" ({', '.join(f'{p.name} {in_mm(p.mean)}' for p in parts)})"
     which = "which accounts" if len(parts) == 1 else "which together account"
-    return f", {which} for {in_mm(removed)} of the mean error of {in_mm(account.before)} on held-out pushes{each}"
+    return (
+        f", {which} for {in_mm(removed)} of the mean error of {in_mm(account.before)} on held-out pushes{each}{_share_over_motion(account)}"
+    )
+
+
+def _share_over_motion(account: Account) -> str:
+    """The same over the motion, to continue it: where that is more than at the end; a latency changes no end."""
+    motion = account.gap.motion
+    if motion is None:
+        return ""
+    before, after = float(np.mean(motion.before)), float(np.mean(motion.after))
+    if not before - after > max(account.before - account.after, account.policy.negligible):
+        return ""
+    return f", and over the motion for {in_mm(before - after)} of {in_mm(before)} (root mean square over the frames)"
 
 
 def _rest(account: Account) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
 
-from push_ident.geometry.cells import cell_displacement, cell_error, cell_error_std
+from push_ident.geometry.cells import cell_displacement, cell_error_std, cell_errors
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.observing.observation import NoiseModel, Observation, observe_push
 from push_ident.identification.results.posterior import ModelPosterior, square_root
@@ -128,24 +128,42 @@ def held_out_errors(
     settings: SimulationSettings | None = None,
     observed: Sequence[Observation] | None = None,
 ) -> Float64Array:
-    """Cell error at the end of each push [m], shape (n_records,), with the object simulated from its observed first pose.
+    """Cell error at the end of each push [m], shape (n_records,); see `errors_of_motion`."""
+    return errors_of_motion(model, records, effects=effects, settings=settings, observed=observed)[0]
+
+
+def errors_of_motion(
+    model: ObjectModel,
+    records: Sequence[PushRecord],
+    *,
+    effects: EffectsLike | None = None,
+    settings: SimulationSettings | None = None,
+    observed: Sequence[Observation] | None = None,
+) -> tuple[Float64Array, Float64Array]:
+    """Cell error of each push, with the object simulated from its observed first pose: at the end, and over the motion [m], shape
+    (n_records,) each; the second is the root mean square over all frames but the first.
 
     First and last pose are the means of the frames at rest. `effects` act beside the model; those of measured forces move nothing.
     `observed` are the condensed records, where they are known. NaN where the simulation failed.
     """
     acting = effect_values(effects).of_poses
     condensed = [observe_push(record) for record in records] if observed is None else observed
-    errors = []
+    ends, motions = [], []
     for record, push in zip(records, condensed, strict=True):
-        scenario = PushScenario(record.pusher, true_pose(acting, push.pose[0]), push.time[-1:], record.order)
+        scenario = PushScenario(record.pusher, true_pose(acting, push.pose[0]), push.time[1:], record.order)
 
         @cache
-        def end_pose(numerics: SimulationSettings, scenario: PushScenario = scenario) -> Float64Array:
-            return simulate(model, scenario, settings=numerics, effects=acting).pose[-1]
+        def poses(numerics: SimulationSettings, scenario: PushScenario = scenario) -> Float64Array:
+            return simulate(model, scenario, settings=numerics, effects=acting).pose
+
+        def end_pose(numerics: SimulationSettings, poses: Callable[[SimulationSettings], Float64Array] = poses) -> Float64Array:
+            return np.asarray(poses(numerics)[-1])
 
         chosen = choose_steps(end_pose, settings or SimulationSettings(), push.last_covariance, scenario.duration)
-        errors.append(cell_error(record.shape.cells, end_pose(chosen.settings), push.pose[-1]))
-    return np.array(errors)
+        errors = cell_errors(record.shape.cells, poses(chosen.settings), push.pose[1:])
+        ends.append(float(errors[-1]))
+        motions.append(float(np.sqrt(np.mean(errors**2))))
+    return np.array(ends), np.array(motions)
 
 
 @dataclass(frozen=True, slots=True)
