@@ -8,8 +8,9 @@ import numpy as np
 
 from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.policy import GatePolicy
+from push_ident.diagnosis.reference import fit_after
 from push_ident.diagnosis.residuals import correlation_in_motion
-from push_ident.diagnosis.settings import Progress
+from push_ident.diagnosis.settings import DiagnosisSettings, Progress
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.diagnosis.verdict import Gate
 from push_ident.identification.fitting.fit import Fit
@@ -29,18 +30,24 @@ def fit_base_model(state: DiagnosisState, on_progress: Progress) -> DiagnosisSta
     on_progress("fitting the base model")
     settings = state.settings
     policy = settings.policy
-    base = fit_base(state.records, settings, state.earlier)
+    base = _fit(state, settings)
     if not state.rest_noise_known:
         correlation = correlation_in_motion(base, policy.residuals)
         if correlation > settings.noise.correlation:
-            base = fit_base(state.records, replace(settings, noise=replace(settings.noise, correlation=correlation)), state.earlier)
+            base = _fit(state, replace(settings, noise=replace(settings.noise, correlation=correlation)))
     change = step_effect(base)
     noise = noise_above_steps(base, change, policy.gates)
     if noise is not None:
         on_progress("the time steps are less exact than the poses: repeating the fit with poses as exact as the steps")
-        base = fit_base(state.records, replace(settings, noise=noise), state.earlier)
+        base = _fit(state, replace(settings, noise=noise))
         change = step_effect(base)
     return replace(state, base=base, selection=None, fit_gates=tuple(check_fit(base, change, policy.gates)))
+
+
+def _fit(state: DiagnosisState, settings: DiagnosisSettings) -> Fit:
+    if state.reference is not None:
+        return fit_after(state.reference, state.records, settings)
+    return fit_base(state.records, settings, state.earlier)
 
 
 def step_effect(fit: Fit) -> float:

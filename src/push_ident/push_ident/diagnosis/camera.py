@@ -66,7 +66,7 @@ def camera_is_in_question(state: DiagnosisState) -> bool:
     fit, requested = state.selection.fit, state.requested
     pose_errors = [name for name in POSE_ERRORS if name in fit.names and name not in requested.base_effects]
     limit = requested.policy.camera.max_deviations
-    return any(bool(np.any(np.abs(fit.effect_unknowns[fit.effects.slice_of(name)]) > limit)) for name in pose_errors)
+    return any(bool(np.any(np.abs(fit.effect_unknowns[fit.fitted_effects.slice_of(name)]) > limit)) for name in pose_errors)
 
 
 def question_camera(state: DiagnosisState) -> DiagnosisState:

@@ -67,7 +67,7 @@ def verdict_of(effects: Sequence[FoundEffect], sets: Mapping[str, Sequence[str]]
 
 
 def _sized(fit: Fit, std: Float64Array, name: str, log_bayes_factor: float) -> FoundEffect:
-    columns = fit.effects.slice_of(name)
+    columns = fit.fitted_effects.slice_of(name)
     names = [p.name for p in EFFECTS[name].parameters]
-    values, deviations = (dict(zip(names, map(float, v[columns]), strict=True)) for v in (fit.effects.values, std))
+    values, deviations = (dict(zip(names, map(float, v[columns]), strict=True)) for v in (fit.fitted_effects.values, std))
     return FoundEffect(name, values, deviations, log_bayes_factor)

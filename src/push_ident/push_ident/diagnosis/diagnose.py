@@ -11,6 +11,7 @@ from push_ident.diagnosis.decide import decide
 from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.explain import explain
 from push_ident.diagnosis.gates import check_pushes
+from push_ident.diagnosis.reference import fit_reference
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.select import select
 from push_ident.diagnosis.settings import DiagnosisSettings, Progress
@@ -26,6 +27,7 @@ def diagnose(
     records: Sequence[PushRecord],
     settings: DiagnosisSettings | None = None,
     *,
+    against: Sequence[PushRecord] = (),
     push_settings: PushSettings | None = None,
     earlier: Diagnosis | None = None,
     on_progress: Progress | None = None,
@@ -35,16 +37,21 @@ def diagnose(
     Args:
         records: the pushes, in the order in which they were made.
         settings: of the base model and of the decisions.
+        against: pushes of the same object in the same cell while all was well. What both recordings share is then no cause: effects are
+            changes since.
         push_settings: limits of the push that is proposed.
         earlier: outcome for the first of these pushes: fits start at its fits, which takes less time and may end in another minimum of
             a cost with kinks, within the tolerance of the fits. Where its pushes are others, it is not used.
         on_progress: called with what is under way.
 
     Raises:
-        InputError: no push, pushes of different objects, or an unknown effect in the base model.
+        InputError: no push, pushes of different objects, a reference that cannot be used, or an unknown effect in the base model.
     """
     report = on_progress or (lambda text: None)
     state = check_pushes(_initial_state(records, settings or DiagnosisSettings()))
+    if against and not state.abstains:
+        report("fitting the reference")
+        state = replace(state, reference=fit_reference(against, state.settings))
     if earlier is not None and earlier.selection is not None and earlier.held_out is not None:
         selection = earlier.selection
         whole = [selection.base, selection.fit, *selection.stages.values()]

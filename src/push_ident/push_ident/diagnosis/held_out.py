@@ -199,7 +199,7 @@ def measure_gap(
         after=errors[-1],
         noise=noise,
         log_density_gain=density[-1] - density[0],
-        estimates=np.array([result.fit.effects.values for result in by_fit[-1]]),
+        estimates=np.array([result.fit.fitted_effects.values for result in by_fit[-1]]),
         folds=tuple(map(tuple, folds)),
         log_bayes_factor_without=np.diff(evidence, axis=0),
         stages=dict(zip(stages, errors[1:-1], strict=True)),

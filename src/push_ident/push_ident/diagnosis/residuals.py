@@ -165,7 +165,7 @@ def _refitted_noise(fit: Fit, n_draws: int, rng: np.random.Generator) -> list[Fl
     linear = problem.linearise(fit.x)
     if linear is not None:
         # The first pose of a push is part of both: as an unknown, and as the frame that is its prior.
-        jacobian, precision = linear.by_poses, np.diag(problem.prior_precision)
+        jacobian, precision = linear.by_poses, problem.prior_at(fit.x)[2]
         noise = noise - np.linalg.solve(jacobian.T @ jacobian + precision, jacobian.T @ noise.T).T @ jacobian.T
     split = np.split(noise.reshape(n_draws, -1, 3), np.cumsum(counts)[:-1], axis=1)
     return [np.asarray(part) for part in split]

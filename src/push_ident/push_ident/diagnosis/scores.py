@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fitting.discrepancy import TAILS, WIDTH, FrameErrors, LinearPushes
+from push_ident.identification.fitting.discrepancy import TAILS, FrameErrors, LinearPushes
 from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array
 
@@ -80,6 +81,8 @@ class LinearRange:
     by_forces: Float64Array
     """Their derivative, shape (2 n_windows, size)."""
     errors: FrameErrors
+    known_beforehand: Quadratic
+    """Of the unknowns of the object, beyond the unit prior."""
 
     def log_evidence(self, effect: NDArray[np.intp]) -> tuple[float, Float64Array]:
         """With some of the new unknowns, up to a constant [nat], and the unknowns of the object of largest density."""
@@ -98,11 +101,13 @@ class LinearRange:
                 break
         group, factor = self.pushes.group, np.exp(-logs)
         of_pushes = at.of_push[:, group >= 0] * factor[group[group >= 0]]
-        size2 = float(np.sum(at.unknowns**2) + np.sum(of_pushes**2) + np.sum(((self.pushes.first + logs) / WIDTH) ** 2))
+        z = np.zeros(n)
+        z[chosen] = at.unknowns
+        size2 = float(np.sum(z**2) + np.sum(of_pushes**2) + np.sum(((self.pushes.first + logs) / self.pushes.width) ** 2))
         forces = self.forces + (self.by_forces @ moved).reshape(-1, 2)
         of_forces = 0.5 * (TAILS + 2.0) * float(np.sum(np.log1p(np.sum(forces**2, axis=1) / TAILS)))
         cost = self.errors.cost(residual, log) + self.errors.cost_of_first(residual) + of_forces
-        cost += 0.5 * size2 + at.volume + linear.log_size(logs)
+        cost += self.known_beforehand(z) + 0.5 * size2 + at.volume + linear.log_size(logs)
         return -cost, at.unknowns
 
 
@@ -132,7 +137,7 @@ def effect_information(fit: Fit) -> EffectInformation | None:
     pushes, errors = LinearPushes.of(problem, x, end.hessian, end.gradient), FrameErrors.of(fit.problem, fit.end)
     of_object = np.arange(unknowns.size)
     fitted_of_object, forces = np.setdiff1d(of_object, new), np.concatenate(linear.forces)
-    in_range = LinearRange(pushes, fitted_of_object, new, x, end.residual, linear.by_poses, forces, linear.by_forces, errors)
+    in_range = LinearRange(pushes, fitted_of_object, new, x, end.residual, linear.by_poses, forces, linear.by_forces, errors, problem.past)
     return EffectInformation(indices, precision, slope, in_range)
 
 

@@ -39,7 +39,7 @@ def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Ga
 
     `names`: of the effects of the base model that displace the outline, see `camera.OUTLINE_ERRORS`.
     """
-    columns = [fit.effects.slice_of(name) for name in names if name in fit.names]
+    columns = [fit.fitted_effects.slice_of(name) for name in names if name in fit.names]
     return [
         Gate(
             abs(offset) < policy.max_outline_deviations * std,
@@ -47,7 +47,7 @@ def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Ga
             "Measure the radius of the pusher; calibrate the camera; compare the outline with the object.",
         )
         for of_effect in columns
-        for offset, std in zip(fit.effects.values[of_effect].tolist(), fit.unknowns.effect_std[of_effect].tolist(), strict=True)
+        for offset, std in zip(fit.fitted_effects.values[of_effect].tolist(), fit.unknowns.effect_std[of_effect].tolist(), strict=True)
     ]
 
 
@@ -150,7 +150,7 @@ def _freed(selection: Selection, best: Candidate, policy: SelectionPolicy) -> Se
 def _is_negligible(candidate: Candidate, policy: SelectionPolicy) -> bool:
     """Whether an effect with an exact law is smaller than the accuracy of a cell."""
     effect, fit = EFFECTS[candidate.name], candidate.fit
-    values = fit.effects.values[fit.effects.slice_of(candidate.name)]
+    values = fit.fitted_effects.values[fit.fitted_effects.slice_of(candidate.name)]
     return effect.law is Law.EXACT and float(np.linalg.norm(values)) < policy.negligible.get(effect.parameters[0].unit, 0.0)
 
 

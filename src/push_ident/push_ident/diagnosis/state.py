@@ -77,6 +77,8 @@ class DiagnosisState:
     """Whether frames at rest show how the errors of neighbouring frames are correlated."""
     rest_correlation_std: float = float("inf")
     """Standard error of that correlation [1]."""
+    reference: Fit | None = None
+    """To pushes of a recording that was good; an effect is then a change since."""
     earlier: EarlierFits = field(default_factory=EarlierFits)
     """Of a diagnosis of the first of these pushes."""
     data_gates: tuple[Gate, ...] = ()

@@ -93,10 +93,9 @@ class _Linear:
     """Observed minus simulated, shape (n_rows,)."""
     weight: Float64Array
     """Root of the weight of each frame and of each mean force, shape (n_rows,)."""
-    precision: Float64Array
-    """Of the unknowns by the prior, shape (n_unknowns,)."""
-    start: Float64Array
-    """The unknowns, shape (n_unknowns,)."""
+    prior: tuple[float, Float64Array, Float64Array]
+    """Cost at the fit of the prior of the unknowns and of what is known of them beforehand, its gradient, shape (n_unknowns,), and its
+    Hessian, shape (n_unknowns, n_unknowns)."""
     log_prior: float
     """Of the size of the discrepancy, up to a constant [nat]."""
     rows: tuple[NDArray[np.int64], ...]
@@ -111,8 +110,7 @@ class _Linear:
     @classmethod
     def of(
         cls,
-        precision: Float64Array,
-        start: Float64Array,
+        prior: tuple[float, Float64Array, Float64Array],
         jacobian: Float64Array,
         observed: Float64Array,
         weight: Float64Array,
@@ -120,33 +118,32 @@ class _Linear:
         log_prior: float = 0.0,
     ) -> _Linear:
         """With the minimum of the quadratic approximation."""
-        hessian = jacobian.T @ jacobian + np.diag(precision)
+        hessian = jacobian.T @ jacobian + prior[2]
         onto = np.asarray(np.linalg.solve(hessian, jacobian.T), dtype=np.float64)
-        linear = cls(jacobian, observed, weight, precision, start, log_prior, rows, hessian, onto, observed)
+        linear = cls(jacobian, observed, weight, prior, log_prior, rows, hessian, onto, observed)
         return replace(linear, residual=np.asarray(observed - jacobian @ linear.step(observed)))
 
     @property
     def log_evidence(self) -> float:
         """Of the size of the discrepancy, without any pattern, up to a constant [nat]."""
-        x = self.start + self.step(self.observed)
-        informed = self.precision[self.precision > 0.0]
-        misfit = float(self.residual @ self.residual + self.precision @ x**2)
-        return self.log_prior + 0.5 * float(np.sum(np.log(informed)) - np.linalg.slogdet(self.hessian)[1] - misfit)
+        step, (cost, gradient, hessian) = self.step(self.observed), self.prior
+        cost += float(gradient @ step + 0.5 * step @ hessian @ step + 0.5 * self.residual @ self.residual)
+        return self.log_prior - 0.5 * float(np.linalg.slogdet(self.hessian)[1]) - cost
 
     def without_fitted(self, columns: Float64Array) -> Float64Array:
         """M times columns, shape (n_rows, n)."""
         return columns - self.jacobian @ (self.onto @ columns)
 
     def step(self, observed: Float64Array) -> Float64Array:
-        """From `start` to the optimum of the quadratic approximation, for `observed` as in the field, shape (n_unknowns,)."""
-        slope = self.jacobian.T @ observed - self.precision * self.start
+        """From the fit to the optimum of the quadratic approximation, for `observed` as in the field, shape (n_unknowns,)."""
+        slope = self.jacobian.T @ observed - self.prior[1]
         return np.asarray(np.linalg.solve(self.hessian, slope), dtype=np.float64)
 
     def without(self, layout: _Layout, fold: Sequence[int]) -> _Linear:
         """The same without some pushes."""
         used = layout.without(fold)
         rows = layout.rows_of_pushes(used)
-        return _Linear.of(self.precision, self.start, self.jacobian[used], self.observed[used], self.weight[used], rows, self.log_prior)
+        return _Linear.of(self.prior, self.jacobian[used], self.observed[used], self.weight[used], rows, self.log_prior)
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,11 +225,14 @@ def _of_smaller_discrepancy(fit: Fit, linear: _Linear) -> list[_Linear]:
     of_discrepancy = np.r_[np.zeros(problem.unknowns.size, dtype=bool), np.tile(groups_of(problem) >= 0, len(problem.records))]
 
     def of_size(size: float) -> _Linear:
-        precision = np.where(of_discrepancy, linear.precision / size**2, linear.precision)
+        # The unknowns of the fit stay in their units, in which their prior is narrower then.
+        added = np.where(of_discrepancy, 1.0 / size**2 - 1.0, 0.0)
+        cost, gradient, hessian = linear.prior
+        prior = (cost + 0.5 * float(added @ fit.x**2), gradient + added * fit.x, hessian + np.diag(added))
         contact, position, yaw = noise.discrepancy_factor
         smaller = replace(noise, discrepancy_factor=(size * contact, size * position, size * yaw))
-        log_prior = log_prior_of_size(smaller) - log_prior_of_size(noise)
-        return _Linear.of(precision, linear.start, linear.jacobian, linear.observed, linear.weight, linear.rows, log_prior)
+        log_prior = log_prior_of_size(smaller) - log_prior_of_size(noise) - float(np.count_nonzero(of_discrepancy)) * float(np.log(size))
+        return _Linear.of(prior, linear.jacobian, linear.observed, linear.weight, linear.rows, log_prior)
 
     return [of_size(size) for size in _SIZES[1:]]
 
@@ -294,7 +294,7 @@ def _linear(fit: Fit) -> _Linear | None:
     # The residual of a problem is simulated minus observed.
     observed = -weight * np.concatenate([residual.ravel() for residual in residuals])
     layout = _Layout.of(fit)
-    return _Linear.of(problem.prior_precision, fit.x, weighted, observed, weight, layout.rows_of_pushes(layout.all))
+    return _Linear.of(problem.prior_at(fit.x), weighted, observed, weight, layout.rows_of_pushes(layout.all))
 
 
 def _noise(fit: Fit, linear: _Linear, n_draws: int) -> Float64Array:

@@ -29,9 +29,6 @@ from push_ident.types import Float64Array
 if TYPE_CHECKING:
     from push_ident.identification.fitting.problem import Evaluation, FitProblem
 
-WIDTH: Final = 1.0
-"""Standard deviation of the logarithm of a factor about that of the noise model [-]: a factor of 2.7 either way. Effect-free pushes of the
-simulators here have a third of the default to its double, recordings of others up to ten times as much."""
 _LARGEST: Final = 5.0
 """Of the logarithm of a factor [-]: of 150, where nothing is predicted any more."""
 TAILS: Final = 4.0
@@ -42,7 +39,7 @@ their factor is 1; 3 would be that of errors with those tails."""
 
 
 @dataclass(frozen=True, slots=True)
-class DiscrepancySize:
+class EstimatedSize:
     """The size of largest evidence, in factors on that of the noise model of a fit."""
 
     frames: float
@@ -66,7 +63,7 @@ class LinearMinimum:
     volume: float
     """Half the log determinant of the Hessian, prior included."""
     cost: float
-    """Above that at the fit without the prior [nat]."""
+    """Above that of the pushes at the fit [nat]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +78,11 @@ class LinearPushes:
     at_push: Float64Array
     """Those of each push, shape (n_pushes, m)."""
     constant: float
-    """Cost there [nat]."""
+    """Cost there, that of the prior of the object included [nat]."""
+    prior_hessian: Float64Array
+    """Of the prior of the object, and of what is known of it beforehand, shape (n, n)."""
+    prior_slope: Float64Array
+    """Shape (n,)."""
     hessian: Float64Array
     """By the unknowns of the object, shape (n, n)."""
     slope: Float64Array
@@ -95,36 +96,45 @@ class LinearPushes:
     group: NDArray[np.intp]
     """Of each unknown of a push: number of its factor, -1 for the first pose, shape (m,)."""
     first: Float64Array
-    """Logarithms of the factors of the noise model, shape (3,)."""
+    """Logarithms of the factors of the noise model over those that are usual, shape (3,)."""
+    width: float
+    """Standard deviation of their prior [-]."""
 
     @classmethod
     def of(cls, problem: FitProblem, x: Float64Array, hessian: Float64Array, gradient: Float64Array) -> LinearPushes:
         """Of a cost with Hessian and gradient at `x`, shapes (size, size) and (size,), prior included."""
         assert problem.noise is not None
-        prior, n, m, n_pushes = problem.prior_precision, problem.unknowns.size, problem.unknowns_of_push, len(problem.records)
-        data, slope = hessian - np.diag(prior), gradient - prior * x
+        n, m, n_pushes = problem.unknowns.size, problem.unknowns_of_push, len(problem.records)
+        _, prior_slope, prior_hessian = problem.prior_at(x)
+        data, slope = hessian - prior_hessian, gradient - prior_slope
         of_pushes = data[n:, n:].reshape(n_pushes, m, n_pushes, m)
         return cls(
             at=x[:n],
             at_push=x[n:].reshape(n_pushes, m),
-            constant=0.0,
+            constant=problem.prior_at(np.r_[x[:n], np.zeros(m * n_pushes)])[0],
+            prior_hessian=prior_hessian[:n, :n],
+            prior_slope=prior_slope[:n],
             hessian=data[:n, :n],
             slope=slope[:n],
             cross=data[:n, n:].reshape(n, n_pushes, m).transpose(1, 0, 2),
             hessian_of_push=of_pushes[np.arange(n_pushes), :, np.arange(n_pushes), :],
             slope_of_push=slope[n:].reshape(n_pushes, m),
             group=groups_of(problem),
-            first=np.log(problem.noise.discrepancy_factor),
+            first=np.log(np.divide(problem.noise.discrepancy_factor, problem.noise.usual_size.shared)),
+            width=problem.noise.usual_size.width,
         )
 
     def of_unknowns(self, chosen: NDArray[np.intp]) -> LinearPushes:
         """With some of the unknowns of the object only, the others zero."""
         others = np.setdiff1d(np.arange(len(self.at)), chosen)
-        back = -self.at[others]
+        back, both = -self.at[others], self.hessian + self.prior_hessian
+        slope = self.slope + self.prior_slope
         return replace(
             self,
             at=self.at[chosen],
-            constant=self.constant + float(self.slope[others] @ back + 0.5 * back @ self.hessian[np.ix_(others, others)] @ back),
+            constant=self.constant + float(slope[others] @ back + 0.5 * back @ both[np.ix_(others, others)] @ back),
+            prior_hessian=self.prior_hessian[np.ix_(chosen, chosen)],
+            prior_slope=self.prior_slope[chosen] + self.prior_hessian[np.ix_(chosen, others)] @ back,
             hessian=self.hessian[np.ix_(chosen, chosen)],
             slope=self.slope[chosen] + self.hessian[np.ix_(chosen, others)] @ back,
             cross=self.cross[:, chosen],
@@ -134,7 +144,7 @@ class LinearPushes:
     def weighted(self, weight: float) -> LinearPushes:
         """With errors of so much more weight."""
         return replace(
-            self, constant=weight * self.constant, hessian=weight * self.hessian, slope=weight * self.slope, cross=weight * self.cross,
+            self, hessian=weight * self.hessian, slope=weight * self.slope, cross=weight * self.cross,
             hessian_of_push=weight * self.hessian_of_push, slope_of_push=weight * self.slope_of_push,
         )  # fmt: skip
 
@@ -142,8 +152,8 @@ class LinearPushes:
         """Negative log evidence under factors with these logarithms on those of the noise model, shape (3,), up to a constant [nat], and
         its derivative."""
         at = self.solve(logs)
-        prior = (self.first + logs) / WIDTH
-        slope = prior / WIDTH
+        prior = (self.first + logs) / self.width
+        slope = prior / self.width
         for k in range(3):
             chosen = self.group == k
             expected = np.exp(-2.0 * logs[k]) * (at.of_push[:, chosen] ** 2 + at.variance_of_push[:, chosen])
@@ -156,20 +166,19 @@ class LinearPushes:
 
     def solve(self, logs: Float64Array) -> LinearMinimum:
         """The minimum under factors with these logarithms. Raises LinAlgError where rounding leaves none."""
-        n = len(self.at)
         precision = np.where(self.group < 0, 0.0, np.exp(-2.0 * logs)[self.group])
         of_push = self.hessian_of_push + np.diag(precision)
         pull_of_push = -(self.slope_of_push + precision * self.at_push)
         right = np.concatenate([self.cross.transpose(0, 2, 1), pull_of_push[:, :, None]], axis=2)
         inverse = np.linalg.inv(of_push)
         eliminated = inverse @ right
-        reduced = np.eye(n) + self.hessian - np.einsum("pim,pmj->ij", self.cross, eliminated[:, :, :-1])
-        pull = -(self.slope + self.at) - np.einsum("pim,pm->i", self.cross, eliminated[:, :, -1])
+        reduced = self.prior_hessian + self.hessian - np.einsum("pim,pmj->ij", self.cross, eliminated[:, :, :-1])
+        pull = -(self.slope + self.prior_slope) - np.einsum("pim,pm->i", self.cross, eliminated[:, :, -1])
         covariance = np.linalg.inv(reduced)
         moved = np.asarray(covariance @ pull)
         volume = 0.5 * float(np.linalg.slogdet(reduced)[1] + np.sum(np.linalg.slogdet(of_push)[1]))
         gained = 0.5 * float(pull @ moved + np.sum(pull_of_push * eliminated[:, :, -1]))
-        cost = self.constant + 0.5 * float(self.at @ self.at + np.sum(precision * self.at_push**2)) - gained
+        cost = self.constant + 0.5 * float(np.sum(precision * self.at_push**2)) - gained
         follows = eliminated[:, :, :-1]
         variance = np.diagonal(inverse, axis1=1, axis2=2) + np.sum((follows @ covariance) * follows, axis=2)
         return LinearMinimum(self.at + moved, self.at_push + eliminated[:, :, -1] - follows @ moved, variance, volume, cost)
@@ -195,6 +204,10 @@ class FrameErrors:
     """Degrees of freedom that the unknowns leave, of all [1]."""
     first: float
     """Logarithm of the factor of the noise model."""
+    usual: float
+    """Of the one that is usual."""
+    width: float
+    """Standard deviation of its prior [-]."""
 
     @classmethod
     def of(cls, problem: FitProblem, end: Evaluation) -> FrameErrors:
@@ -202,15 +215,16 @@ class FrameErrors:
         assert problem.noise is not None
         starts = np.cumsum([0, *(len(o.time) for o in problem.observations)])
         frames = np.concatenate([np.arange(a + 1, b) for a, b in pairwise(starts)])
-        used = problem.size - float(np.trace(np.linalg.solve(end.hessian, np.diag(problem.prior_precision))))
+        used = problem.size - float(np.trace(np.linalg.solve(end.hessian, problem.prior_at(np.zeros(problem.size))[2])))
         share = max(1.0 - used / (3.0 * max(len(frames), 1)), 0.25)
-        return cls(frames, share, float(np.log(problem.noise.frame_factor)))
+        noise = problem.noise
+        return cls(frames, share, float(np.log(noise.frame_factor)), float(np.log(noise.usual_size.frames)), noise.usual_size.width)
 
     def cost(self, residual: Float64Array, log: float = 0.0) -> float:
         """Negative log density of residuals of shape (n_frames, 3) under a factor on that of the fit [nat]."""
         size2 = np.sum(residual[self.frames] ** 2, axis=1)
         of_frames = OF_FRAME * self.share * log + 0.5 * (TAILS + 3.0) * np.log1p(size2 * np.exp(-2.0 * log) / TAILS)
-        return float(np.sum(of_frames)) + 0.5 * ((self.first + log) / WIDTH) ** 2
+        return float(np.sum(of_frames)) + 0.5 * ((self.first + log - self.usual) / self.width) ** 2
 
     def cost_of_first(self, residual: Float64Array) -> float:
         """Of the first frames of the pushes, whose errors are those of the noise [nat]."""
@@ -223,11 +237,11 @@ class FrameErrors:
         return float(minimize_scalar(partial(self.cost, residual), bounds=bounds, method="bounded").x)
 
 
-def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> DiscrepancySize:
+def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> EstimatedSize:
     """The size of largest evidence near a fit `x`, shape (size,), with its evaluation `end`; factors of 1 where none is estimated."""
     noise = problem.noise
     if noise is None or noise.discrepancy_modes == 0 or not np.isfinite(end.cost):
-        return DiscrepancySize(1.0, np.ones(3), 0.0)
+        return EstimatedSize(1.0, np.ones(3), 0.0)
     linear, errors = LinearPushes.of(problem, x, end.hessian, end.gradient), FrameErrors.of(problem, end)
     try:
         logs = linear.best(np.zeros(3))
@@ -236,17 +250,19 @@ def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> Disc
         logs, gain = np.zeros(3), 0.0
     of_frames = errors.best(end.residual)
     gain += errors.cost(end.residual) - errors.cost(end.residual, of_frames)
-    return DiscrepancySize(float(np.exp(of_frames)), np.exp(logs), gain)
+    return EstimatedSize(float(np.exp(of_frames)), np.exp(logs), gain)
 
 
 def log_prior_of_size(noise: NoiseModel | None) -> float:
     """Logarithm of the prior density of the size of a noise model, up to a constant [nat]."""
     if noise is None or noise.discrepancy_modes == 0:
         return 0.0
-    return -0.5 * float(np.sum((np.log([*noise.discrepancy_factor, noise.frame_factor]) / WIDTH) ** 2))
+    usual = noise.usual_size
+    factors = np.divide([*noise.discrepancy_factor, noise.frame_factor], [*usual.shared, usual.frames])
+    return -0.5 * float(np.sum((np.log(factors) / usual.width) ** 2))
 
 
-def with_size(problem: FitProblem, x: Float64Array, size: DiscrepancySize) -> tuple[FitProblem, Float64Array]:
+def with_size(problem: FitProblem, x: Float64Array, size: EstimatedSize) -> tuple[FitProblem, Float64Array]:
     """The problem under a discrepancy of another size, and the unknowns of the same motions, shape (size,)."""
     noise = problem.noise
     assert noise is not None, "a size was estimated"

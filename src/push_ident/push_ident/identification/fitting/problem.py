@@ -30,7 +30,7 @@ import numpy as np
 from push_ident.errors import InputError
 from push_ident.identification.fitting.budget import Budget, Meter
 from push_ident.identification.observing.observation import ForceObservation, NoiseModel, Observation, observe_forces, observe_push
-from push_ident.identification.unknowns.mechanics import Mechanics, effect_values_at, mechanics_at
+from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at
 from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.identification.unknowns.spec import Block, Layout, UnknownsSpec
 from push_ident.physics.accuracy import MAX_LEVEL, SHARE, StepChoice, choose_steps, step_error
@@ -99,7 +99,7 @@ class FitProblem:
         settings: numerics of the simulation.
         meter: counts the simulations and ends a solve when its budget is spent; by default without a limit, so that no clock decides a
             result.
-        past: information from other pushes, in the unknowns of the object.
+        past: information from other pushes, in the unknowns of the object; by default that of a reference, where they have one.
         steps: time steps that another problem of the same pushes chose (`FitProblem.steps`).
         run_all: how the pushes are simulated. In parallel, the meter counts them only roughly.
 
@@ -136,7 +136,7 @@ class FitProblem:
         self.run_all = run_all
         self._timelines: dict[tuple[int, SimulationSettings], tuple[PushRecord, Timeline]] = {}
         """Steps of each push that was simulated, by the identity of its record, which is kept; problems of the same pushes share them."""
-        self.past = past or Quadratic.zero(unknowns.size)
+        self.past = past or unknowns.known_beforehand
         self.steps: list[StepChoice | None] = list(steps) if steps is not None else [None] * len(self.records)
         """Time steps of each push; None until it is simulated."""
         self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
@@ -144,9 +144,10 @@ class FitProblem:
         """Number of unknowns that each push has of its own."""
 
     def of(self, unknowns: UnknownsSpec, *, meter: Meter | None = None, past: Quadratic | None = None) -> FitProblem:
-        """The same pushes with other unknowns of the object; by default with an unlimited budget and without information from others."""
+        """The same pushes with other unknowns of the object; by default with an unlimited budget and without information from others but a
+        reference."""
         other = copy(self)
-        other.unknowns, other.past, other.meter = unknowns, past or Quadratic.zero(unknowns.size), meter or _unlimited()
+        other.unknowns, other.past, other.meter = unknowns, past or unknowns.known_beforehand, meter or _unlimited()
         other.steps = [None if choice is None else choice.at_most(_FIRST_LEVEL, self.settings) for choice in self.steps]
         return other
 
@@ -213,6 +214,15 @@ class FitProblem:
         """Precision of the unit normal prior of all unknowns, shape (size,): 0 for first poses, whose prior counts as a measurement."""
         of_push = np.r_[np.zeros(_POSE), np.ones(self.unknowns_of_push - _POSE)]
         return np.r_[np.ones(self.unknowns.size), np.tile(of_push, len(self.records))]
+
+    def prior_at(self, x: Float64Array) -> tuple[float, Float64Array, Float64Array]:
+        """Cost of the prior of all unknowns and of earlier pushes at `x`, shape (size,), its gradient and its Hessian, but for first poses,
+        whose prior counts as a measurement."""
+        n, precision = self.unknowns.size, self.prior_precision
+        gradient, hessian = precision * x, np.diag(precision)
+        gradient[:n] += self.past.slope(x[:n])
+        hessian[:n, :n] += self.past.hessian
+        return 0.5 * float(precision @ x**2) + self.past(x[:n]), gradient, hessian
 
     @property
     def unit_prior(self) -> Float64Array:
@@ -453,7 +463,7 @@ class FitProblem:
         )  # fmt: skip
         jacobian, by_factor, by_value = observed.derivative(motion, by_unknowns, mechanics.mass_factor, mechanics.all_effects)
         jacobian[:, :, unknowns.slices["total_mass"]] += by_factor[:, :, None] * unknowns.blocks["total_mass"].std
-        jacobian[:, :, unknowns.slices["effects"]] += by_value * effect_values_at(unknowns, self.object_unknowns(x))[1]
+        jacobian[:, :, : unknowns.size] += by_value @ unknowns.acting_effects(self.object_unknowns(x))[1]
         return jacobian.reshape(2 * len(observed.force), -1)
 
     def _whitened_jacobian(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:

@@ -80,17 +80,17 @@ def mechanics_at(spec: UnknownsSpec, z: Float64Array) -> Mechanics:
     weight = model.mass / body.mass
     arms = spec.shape.cells.centres - body.centre
     moment = np.sum(arms**2, axis=1) + spec.shape.cells.size**2 / 6
-    effects, d_values = effects_at(spec, z), effect_values_at(spec, z)[1]
+    effects, d_values = spec.acting_effects(z)
     mass_factor = float(np.exp(spec.blocks["total_mass"].std @ z[spec.slices["total_mass"]]))
     d_mass, d_friction = log_derivatives_at(spec, z, model)
-    shown = np.array([not effect.needs_forces for effect in spec.effects.effects for _ in effect.parameters], dtype=bool)
+    shown = np.array([not effect.needs_forces for effect in effects.effects for _ in effect.parameters], dtype=bool)
     n_cells, n_values = len(weight), int(np.sum(shown))
     derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values, spec.size))
     derivative[Param.CENTRE : Param.CENTRE + 2] = (weight[:, None] * arms).T @ d_mass
     derivative[Param.INERTIA] = body.mass * ((weight * moment) @ d_mass)
     derivative[Param.LIMIT : Param.LIMIT + n_cells] = body.limit[:, None] * (d_mass + d_friction)
     derivative[Param.MU, spec.slices["pusher_friction"]] = model.pusher_friction * spec.prior.pusher_friction_std
-    derivative[Param.LIMIT + n_cells :, spec.slices["effects"]] = np.diag(d_values)[shown]
+    derivative[Param.LIMIT + n_cells :] = d_values[shown]
     return Mechanics(spec.shape, body, model.pusher_friction, effects.of_poses, derivative, effects, mass_factor)
 
 
@@ -216,15 +216,7 @@ def foot_position_unknowns(spec: UnknownsSpec, positions: Float64Array) -> Float
 
 def effects_at(spec: UnknownsSpec, z: Float64Array) -> EffectValues:
     """The effects with their values at `z`; values beyond a bound are clipped to it."""
-    return spec.effects.with_values(effect_values_at(spec, z)[0])
-
-
-def effect_values_at(spec: UnknownsSpec, z: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Values of the effects and their derivative by their own unknowns, 0 beyond a bound, each shape (n_values,)."""
-    low, high = (np.array([getattr(p, name) for p in spec.effects.parameters]) for name in ("low", "high"))
-    std = spec.blocks["effects"].std
-    free = spec.effects.values + std * z[spec.slices["effects"]]
-    return np.clip(free, low, high), np.where((free >= low) & (free <= high), std, 0.0)
+    return spec.acting_effects(z)[0]
 
 
 # --- unknowns of given maps

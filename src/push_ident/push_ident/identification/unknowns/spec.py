@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
 from push_ident.identification.unknowns.prior import GIVEN_STD, MAP_STDS, Prior
+from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS, SENSOR_ERRORS
 from push_ident.types import Float64Array, ObjectShape
@@ -60,6 +61,10 @@ class Layout:
         return y
 
 
+_OF_REFERENCE = "reference_effects"
+"""Block of the effects of a reference."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class UnknownsSpec:
     """The unknowns of one object, in the blocks `mass_map`, `pressure_map`, `friction_map`, `foot_positions`, `foot_width`,
@@ -80,6 +85,8 @@ class UnknownsSpec:
     given_effect_std: Mapping[str, ArrayLike]
     """Prior standard deviations of the parameters of an effect, by its name, where they are not those of `measured_std` or of the
     catalogue. Names of other effects are ignored."""
+    reference: Reference | None = None
+    """Of pushes before these. Its effects are unknowns too, in the block `reference_effects`, and `effects` add to them: changes since."""
     layout: Layout = field(init=False)
     """Position of each block."""
     blocks: Mapping[str, Block] = field(init=False)
@@ -102,6 +109,7 @@ class UnknownsSpec:
                 Block("foot_positions", np.ones(2 * feet)),
                 Block("foot_width", np.ones(min(feet, 1))),
                 Block("foot_preferences", np.full(feet, preference_std)),
+                *([] if self.reference is None else [Block(_OF_REFERENCE, self.reference.unknowns.effect_std)]),
                 Block("effects", self._effect_std()),
                 Block("friction_scale", np.array([prior.friction_std])),
                 Block("pusher_friction", np.array([prior.pusher_friction_std])),
@@ -181,6 +189,43 @@ class UnknownsSpec:
         """Prior variance of a unit map that the modes leave out, shape (n_cells,): posteriors add it back."""
         return np.maximum(0.0, 1.0 - np.sum(self.modes**2, axis=1))
 
+    @property
+    def known_beforehand(self) -> Quadratic:
+        """What a reference tells beyond the unit prior."""
+        if self.reference is None:
+            return Quadratic.zero(self.size)
+        return Quadratic.beyond_unit_normal(self.reference.mean, self.reference.covariance).transformed(self._from_reference.T)
+
+    def of_reference(self, z: Float64Array) -> Float64Array:
+        """Unknowns of the reference, shape (reference.unknowns.size,), as those of this, without a change, shape (size,)."""
+        return np.asarray(self._from_reference @ z)
+
+    @property
+    def _from_reference(self) -> Float64Array:
+        assert self.reference is not None, "only a specification with a reference maps its unknowns"
+        into = np.zeros((self.size, self.reference.unknowns.size))
+        for name, at in self.reference.unknowns.slices.items():
+            into[self.slices[_OF_REFERENCE if name == "effects" else name], at] = np.eye(at.stop - at.start)
+        return into
+
+    def acting_effects(self, z: Float64Array) -> tuple[EffectValues, Float64Array]:
+        """All effects at `z`, shape (size,), those of a reference with their changes, and the derivative of their values by `z`, shape
+        (n_values, size). Values beyond a bound are clipped to it, and their derivative is 0."""
+        blocks = [(self.effects, "effects")]
+        if self.reference is not None:
+            blocks.append((self.reference.unknowns.effects, _OF_REFERENCE))
+        acting = effect_values(tuple(dict.fromkeys(name for effects, _ in blocks for name in effects.names)))
+        values, derivative = np.array(acting.values), np.zeros((len(acting), self.size))
+        for effects, block in blocks:
+            std, at = self.blocks[block].std, self.slices[block]
+            for name in effects.names:
+                to, of = acting.slice_of(name), effects.slice_of(name)
+                values[to] += (std * z[at])[of]
+                derivative[to, at.start + of.start : at.start + of.stop] = np.diag(std[of])
+        low, high = (np.array([getattr(p, bound) for p in acting.parameters]) for bound in ("low", "high"))
+        inside = (values >= low) & (values <= high)
+        return acting.with_values(np.clip(values, low, high)), np.where(inside[:, None], derivative, 0.0)
+
     def amplitude_unit(self, amplitude: float) -> Float64Array:
         """Unit of each unknown at an amplitude of the maps, in units of the full prior, shape (size,): `amplitude` for maps, else 1."""
         unit = np.ones(self.size)
@@ -206,6 +251,18 @@ def measured_std(name: str, shape: ObjectShape, prior: Prior) -> Float64Array:
         return np.array([prior.force_offset_std if p.unit == "N" else (p.sensor_std or 0.0) * uses for p in effect.parameters])
     stated = {"m": prior.camera_position_std, "rad": prior.camera_heading_std} if effect.is_camera_error else {}
     return np.array([stated.get(parameter.unit, 0.0) for parameter in effect.parameters])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """What pushes of the same object in the same cell taught before."""
+
+    unknowns: UnknownsSpec
+    """Of the object and of all errors of the cell that pushes may show."""
+    mean: Float64Array
+    """Shape (unknowns.size,)."""
+    covariance: Float64Array
+    """Shape (unknowns.size, unknowns.size)."""
 
 
 # --- maps as Gaussian processes over the cells (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, section 4.2)

@@ -148,7 +148,7 @@ def _detectability(base: Fit, wanted: Mapping[str, Float64Array]) -> Json:
             """Of a share of the true size [nat]."""
             at_size = np.array(x)
             at_size[index] *= share
-            expected = LinearPushes.of(fit.problem, at_size, hessian, fit.problem.prior_precision * at_size)
+            expected = LinearPushes.of(fit.problem, at_size, hessian, fit.problem.prior_at(at_size)[1])
             return expected.of_unknowns(of_object).least_cost() - expected.least_cost()
 
         least = max(0.0, 1.0 - 1.2816 / np.sqrt(max(noncentrality, 1e-9)))  # lowest tenth of a normal distribution
