@@ -128,6 +128,25 @@ def test_cause_outside_the_catalogue_is_unknown_and_described(tmp_path: Path) ->
     assert "mm with something else" in page_of(found, tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("changed", "names"), [({}, []), pytest.param({"camera_rotation": [0.02]}, ["camera_rotation"], marks=pytest.mark.long)]
+)
+def test_against_a_reference_only_what_changed_is_named(changed: dict[str, list[float]], names: list[str]) -> None:
+    """Table and camera are the same in both recordings, but for the change."""
+    reference = simulated_pushes(6, 11, {"table_tilt": [0.03, 0.0]})
+    found = diagnose(simulated_pushes(6, 12, {"table_tilt": [0.03, 0.0], **changed}), QUICK, against=reference)
+    assert [effect.name for effect in found.effects] == names
+    assert found.verdict is (Verdict.NAMED if names else Verdict.NO_GAP) and "since the reference" in found.sentence.lower()
+    assert to_json(found)["shared_with_reference"] == ["table_tilt"]
+    for effect in found.effects:
+        assert effect.parameters["angle"] == pytest.approx(0.02, abs=3.0 * effect.std["angle"])
+
+
+def test_reference_that_cannot_be_trusted_is_refused() -> None:
+    with pytest.raises(InputError, match="reference cannot be used: 2 of 2 pushes touch"):
+        diagnose(simulated_pushes(6, 12), QUICK, against=simulated_pushes(2, 11))
+
+
 def test_small_error_of_a_traced_outline_joins_the_base_model_and_a_large_one_is_not_trusted() -> None:
     small = diagnose(traced_by_camera(simulated_pushes(5, 1, {"outline_error": [5e-4]})), QUICK)
     assert small.verdict is Verdict.NO_GAP

@@ -152,6 +152,7 @@ def diagnose(
     prior: Prior | None = None,
     base_effects: Sequence[str] = (),
     from_camera: bool = False,
+    against: Sequence[PushRecord] = (),
     earlier: Diagnosis | None = None,
 ) -> Diagnosis:
     """Say where simulation and reality differ, which effect that the model lacks causes it, and how far the gap shrinks with it.
@@ -162,6 +163,7 @@ def diagnose(
         prior: nominal values and their standard deviations.
         base_effects: effects that the base model has already.
         from_camera: whether poses and outline come from a camera.
+        against: pushes of the same object in the same cell while all was well: effects are then changes since.
         earlier: outcome for the first of these pushes, from whose fits this diagnosis starts: with one more push it takes less time.
 
     Returns:
@@ -173,7 +175,7 @@ def diagnose(
     settings = DiagnosisSettings(
         prior=_weighed(prior or Prior(), total_mass), base_effects=tuple(base_effects), outline_from_camera=from_camera
     )
-    return _diagnose(list(pushes), settings, earlier=earlier)
+    return _diagnose(list(pushes), settings, against=list(against), earlier=earlier)
 
 
 @in_one_thread

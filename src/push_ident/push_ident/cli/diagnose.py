@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -29,6 +31,7 @@ from push_ident.extras import need
 from push_ident.identification.results.model_file import save_model
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import load_pushes
+from push_ident.types import PushRecord
 
 _NOMINAL = Prior()
 
@@ -38,6 +41,15 @@ def diagnose_command(
     base: Annotated[
         list[str] | None,
         typer.Option("--with", metavar="EFFECT", help="Put this effect into the base model; may be repeated.", show_default=False),
+    ] = None,
+    against: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--against",
+            metavar="BAG",
+            help="Name what changed since this recording of the same object and cell; may be repeated.",
+            show_default=False,
+        ),
     ] = None,
     out: OutOption = None,
     json: JsonOption = None,
@@ -60,7 +72,12 @@ def diagnose_command(
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
     with progress() as report:
         loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
-        diagnosis = diagnose(loaded.records, settings, on_progress=report)
+        reference: Sequence[PushRecord] = ()
+        if against:
+            # Read with those of the bags, so that it is certainly the same object with the same cells.
+            both = load_pushes([*bags, *against], object_id=loaded.object_id, camera_in_table=read_camera(camera), on_progress=report)
+            reference = both.records[len(loaded.records) :]
+        diagnosis = diagnose(loaded.records, settings, against=reference, on_progress=report)
     _show(diagnosis)
     content = to_json(diagnosis)
     write_json(json, content)
@@ -70,7 +87,7 @@ def diagnose_command(
             out / "report.html", diagnosis, object_id=loaded.object_id, sources=[r.source for r in loaded.records], notes=loaded.notes
         )
         files = ["report.html", "diagnosis.json"]
-        if diagnosis.fit is not None:
+        if diagnosis.fit is not None and not against:
             sources = [record.source for record in loaded.records]
             save_model(out / "model.json", diagnosis.fit.posterior, object_id=loaded.object_id, sources=sources)
             files.append("model.json")

@@ -166,7 +166,7 @@ def account_of(gap: Gap, problem: FitProblem, policy: AccountPolicy) -> Account:
 
 def expected_errors(fits: Sequence[Fit], folds: Sequence[Sequence[int]], problem: FitProblem, policy: AccountPolicy) -> ExpectedErrors:
     """Cell errors to expect of all pushes of a problem; `fits`: to those outside each of the `folds`, which are numbers of pushes."""
-    errors = np.empty((len(problem.records), 3, policy.draws))
+    errors = np.empty((problem.n_pushes, 3, policy.draws))
     results = map_in_threads(lambda task: _errors_of_fold(*task, problem, policy), list(zip(fits, folds, strict=True)))
     for fold, errors_of_fold in zip(folds, results, strict=True):
         errors[list(fold)] = errors_of_fold

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from push_ident.diagnosis.fits import fit_base
+from push_ident.diagnosis.fits import fit_base, fit_with_reference
 from push_ident.diagnosis.policy import GatePolicy
-from push_ident.diagnosis.reference import fit_after
 from push_ident.diagnosis.residuals import correlation_in_motion
 from push_ident.diagnosis.settings import DiagnosisSettings, Progress
 from push_ident.diagnosis.state import DiagnosisState
@@ -45,8 +44,8 @@ def fit_base_model(state: DiagnosisState, on_progress: Progress) -> DiagnosisSta
 
 
 def _fit(state: DiagnosisState, settings: DiagnosisSettings) -> Fit:
-    if state.reference is not None:
-        return fit_after(state.reference, state.records, settings)
+    if state.reference:
+        return fit_with_reference(state.records, state.reference, settings)
     return fit_base(state.records, settings, state.earlier)
 
 

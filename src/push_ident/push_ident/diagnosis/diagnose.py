@@ -10,8 +10,7 @@ from push_ident.diagnosis.camera import camera_is_in_question, camera_settings, 
 from push_ident.diagnosis.decide import decide
 from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.explain import explain
-from push_ident.diagnosis.gates import check_pushes
-from push_ident.diagnosis.reference import fit_reference
+from push_ident.diagnosis.gates import check_pushes, reference_pushes
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.select import select
 from push_ident.diagnosis.settings import DiagnosisSettings, Progress
@@ -50,8 +49,7 @@ def diagnose(
     report = on_progress or (lambda text: None)
     state = check_pushes(_initial_state(records, settings or DiagnosisSettings()))
     if against and not state.abstains:
-        report("fitting the reference")
-        state = replace(state, reference=fit_reference(against, state.settings))
+        state = replace(state, reference=reference_pushes(state, against))
     if earlier is not None and earlier.selection is not None and earlier.held_out is not None:
         selection = earlier.selection
         whole = [selection.base, selection.fit, *selection.stages.values()]

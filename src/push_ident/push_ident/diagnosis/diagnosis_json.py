@@ -35,6 +35,7 @@ def to_json(diagnosis: Diagnosis) -> Json:
         "confusable": list(diagnosis.confusion_set),
         "gap": _gap(diagnosis.gap),
         "causes": _causes(diagnosis),
+        "shared_with_reference": _shared(diagnosis.selection),
         "remainder": _remainder(diagnosis.gap),
         "account": _account(diagnosis.account, diagnosis.first_push),
         "where": {by: [_group(group) for group in groups] for by, groups in diagnosis.where.items()},
@@ -108,6 +109,12 @@ def _gap(gap: Gap | None) -> Json:
             "after_per_push_m": gap.motion.after.tolist(),
         },
     }
+
+
+def _shared(selection: Selection | None) -> list[str] | None:
+    """Effects that pushes of a reference have, too; None without a reference."""
+    shared = None if selection is None else selection.base.unknowns.shared
+    return None if shared is None else list(shared.names)
 
 
 def _causes(diagnosis: Diagnosis) -> list[Json]:

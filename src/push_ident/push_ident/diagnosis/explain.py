@@ -39,7 +39,7 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
     if len(explanations) > 1:
         next_push = separating_push(explanations, pose, limits, policy.next_push)
     something_else = validation.something_else
-    sources = [state.source_of(push) for push in range(len(state.records))]
+    sources = [state.source_of(push) for push in range(len(state.records) + len(state.reference))]
     words = None if something_else is None else describe_pattern(something_else.best, sources)
     return Diagnosis(
         verdict=decision.verdict,
@@ -87,12 +87,14 @@ def _sentence(
         groups = group_residuals(validation.base_residuals, state.settings.policy.residuals)
         sentence = wording.sentence_of_unknown(account, words, validation.probabilities.something_else, validation.residuals, groups)
     elif decision.effects:
-        sentence = wording.sentence_of_effects(decision.effects, decision.confusion_sets, account)
+        sentence = wording.sentence_of_effects(decision.effects, decision.confusion_sets, account, is_change=bool(state.reference))
         if any(SOMETHING_ELSE in names for names in decision.confusion_sets.values()) and words is not None:
             sentence += wording.sentence_of_doubt(words, validation.probabilities.outside_alone)
         elif words is not None and validation.probabilities.something_else > state.settings.policy.selection.max_probability_of_error:
             remainder = account.after - float(np.mean(account.gap.noise))
             sentence += wording.sentence_of_remainder(words, validation.probabilities.something_else, remainder)
+    elif state.reference:
+        sentence = wording.sentence_of_no_change(account)
     else:
         sentence = wording.sentence_of_nothing(account, [state.source_of(push) for push in range(len(state.records))], first_push)
         if validation.probabilities.nothing < state.settings.policy.selection.max_probability_of_nothing:

@@ -17,6 +17,7 @@ from push_ident.identification.fitting.levenberg_marquardt import minimise
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.unknowns.prior import GIVEN_STD
 from push_ident.identification.unknowns.spec import UnknownsSpec
+from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.effects import EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array, PushRecord
 
@@ -73,13 +74,48 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings, earlier
     previous = earlier.base(unknowns.effects.names) if earlier else None
     starts = [previous.minimum_at(amplitude) for amplitude in AMPLITUDES] if previous else []
     start = np.zeros(problem.size)
-    if problem.noise is not None and problem.noise.discrepancy_modes > 0:
-        # A rough fit shows how exact the model can be: nothing needs to be fitted more exactly, nor simulated so.
-        rough = Fit(problem, *minimise(problem, start, _SETTINGS.rough_iterations, relative=True))
-        rough = at_its_discrepancy(rough, _SETTINGS.rough_iterations)
-        problem, start = rough.problem, rough.x
+    problem, start = _roughly_sized(problem, start)
     fits = fit_amplitudes(lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), start, _SETTINGS.max_base_iterations, starts)
     return at_its_discrepancy(max(fits, key=lambda fit: fit.log_evidence), _SETTINGS.max_base_iterations)
+
+
+def fit_with_reference(records: Sequence[PushRecord], reference: Sequence[PushRecord], settings: DiagnosisSettings) -> Fit:
+    """The base model of pushes and of those of a reference: nothing has changed between them.
+
+    Raises InputError where there is no push, or pushes of different objects.
+    """
+    known = fit_base(reference, settings)
+    unknowns = replace(known.unknowns.with_effects(()), shared=effect_values(known.names))
+    problem = FitProblem(
+        [*records, *reference], unknowns, noise=settings.noise, settings=settings.numerics, n_reference=len(reference),
+        run_all=map_in_threads,
+    )  # fmt: skip
+    start = np.r_[known.unknowns.layout.moved(known.z, unknowns.layout), np.zeros(problem.size - unknowns.size)]
+    start[unknowns.slices["shared_effects"]] = known.effect_unknowns
+    problem, start = _roughly_sized(problem, start)
+    fit = Fit(problem, *minimise(problem, start, _SETTINGS.max_base_iterations, relative=True), known.amplitude)
+    return at_its_discrepancy(fit, _SETTINGS.max_base_iterations)
+
+
+def with_shared(fit: Fit, name: str, start: Float64Array) -> Fit:
+    """Fit with one more effect that pushes of a reference have, too; it starts at `start`, shape (n_values,)."""
+    before = fit.unknowns
+    assert before.shared is not None, "only pushes beside a reference share effects"
+    unknowns = replace(before, shared=effect_values((*before.shared.names, name)))
+    problem = fit.problem.of(unknowns)
+    x0 = fit.problem.layout.moved(fit.x, problem.layout)
+    x0[problem.layout.slices["shared_effects"]] = np.r_[fit.z[before.slices["shared_effects"]], start]
+    end = minimise(problem, x0, _SETTINGS.max_iterations, tolerance=_SETTINGS.coarse_tolerance)
+    return Fit(problem, *end, fit.amplitude)
+
+
+def _roughly_sized(problem: FitProblem, start: Float64Array) -> tuple[FitProblem, Float64Array]:
+    """The problem under the size of the discrepancy that a rough fit shows: nothing needs to be fitted more exactly, nor simulated so."""
+    if problem.noise is None or problem.noise.discrepancy_modes == 0:
+        return problem, start
+    rough = Fit(problem, *minimise(problem, start, _SETTINGS.rough_iterations, relative=True))
+    rough = at_its_discrepancy(rough, _SETTINGS.rough_iterations)
+    return rough.problem, rough.x
 
 
 def at_its_discrepancy(fit: Fit, max_iterations: int = _SETTINGS.max_iterations) -> Fit:
@@ -103,7 +139,7 @@ def fit_effects(
     `required`: least gain at which the fit matters [nat]; a fit that cannot reach it ends early.
     """
     unknowns = base.unknowns.with_effects(names)
-    guess = _effects_of({name: base for name in names if name in base.names}, unknowns)
+    guess = _effects_of({name: base for name in names if name in base.names}, unknowns.effects)
     first = guess if start is None else start
     needed_cost = base.end.cost - required
     fits = [_refit(base, unknowns, first, needed_cost)]
@@ -116,7 +152,7 @@ def with_another(fit: Fit, old: str, new: str, other: Fit) -> Fit:
     """Fit with the effect `new` in the place of `old`; `other`: a fit that has it, where its values start."""
     names = [*(name for name in fit.names if name != old), new]
     unknowns = fit.unknowns.with_effects(names)
-    return _refit(fit, unknowns, _effects_of({name: other if name == new else fit for name in names}, unknowns))
+    return _refit(fit, unknowns, _effects_of({name: other if name == new else fit for name in names}, unknowns.effects))
 
 
 def polished(fit: Fit) -> Fit:
@@ -146,11 +182,11 @@ def without_pushes(fit: Fit, pushes: Sequence[int], start: Float64Array | None =
     return min(rest, from_start(of_all), key=lambda one: one.end.cost)
 
 
-def _effects_of(sources: dict[str, Fit], unknowns: UnknownsSpec) -> Float64Array:
-    """Unknowns of the effects, each from the fit that has it, zero where no fit is given; shape (n_values,)."""
-    start = np.zeros(len(unknowns.effects))
+def _effects_of(sources: dict[str, Fit], effects: EffectValues) -> Float64Array:
+    """Unknowns of effects, each from the fit that has it, zero where no fit is given; shape (n_values,)."""
+    start = np.zeros(len(effects))
     for name, fit in sources.items():
-        start[unknowns.effects.slice_of(name)] = fit.z[fit.unknowns.slice_of_effect(name)]
+        start[effects.slice_of(name)] = fit.z[fit.unknowns.slice_of_effect(name)]
     return start
 
 

@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.diagnosis.verdict import Gate
+from push_ident.errors import InputError
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.observing.observation import (
     NoiseModel,
@@ -40,6 +41,15 @@ def check_pushes(state: DiagnosisState) -> DiagnosisState:
         rest_correlation_std=noise_correlation_std(records),
         data_gates=tuple(gates),
     )
+
+
+def reference_pushes(state: DiagnosisState, records: Sequence[PushRecord]) -> tuple[PushRecord, ...]:
+    """Pushes of a reference that touch the object. Raises InputError where a gate is not passed."""
+    reference = check_pushes(replace(state, records=tuple(records), data_gates=()))
+    failed = next((gate for gate in reference.gates if not gate.passed), None)
+    if failed is not None:
+        raise InputError(f"The reference cannot be used: {failed.finding}. {failed.remedy}")
+    return reference.records
 
 
 def check_data(records: Sequence[PushRecord], noise: NoiseModel, policy: GatePolicy) -> list[Gate]:

@@ -184,7 +184,7 @@ def measure_gap(
     the gap; `held_out`: known fits without some pushes, to which those of this gap are added.
     """
     report = on_progress or (lambda text: None)
-    n = len(base.problem.records)
+    n = base.problem.n_pushes
     folds = folds_of(n, policy.max_folds)
     report(f"holding out each of {n} pushes once, in {len(folds)} fits")
     stages = {} if fit is base else dict(between or {})
@@ -241,7 +241,7 @@ def noise_errors(fit: Fit, n_draws: int) -> tuple[Float64Array, Float64Array]:
     """
     problem = fit.problem
     mechanics = fit.mechanics
-    normal = np.random.default_rng(0).normal(size=(len(problem.records), n_draws, 2, 3))
+    normal = np.random.default_rng(0).normal(size=(problem.n_pushes, n_draws, 2, 3))
 
     def errors(push: int) -> tuple[float, float]:
         record, observation = problem.records[push], problem.observations[push]
@@ -261,5 +261,5 @@ def noise_errors(fit: Fit, n_draws: int) -> tuple[Float64Array, Float64Array]:
         of_motion = np.sqrt(np.mean(cell_errors(record.shape.cells, expected, expected + draws) ** 2, axis=1))
         return float(at_end), float(np.median(of_motion))
 
-    ends, motions = zip(*map_in_threads(errors, range(len(problem.records))), strict=True)
+    ends, motions = zip(*map_in_threads(errors, range(problem.n_pushes)), strict=True)
     return np.array(ends), np.array(motions)

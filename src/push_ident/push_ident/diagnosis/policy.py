@@ -104,7 +104,7 @@ class SelectionPolicy:
     margin below `min_log_bayes_factor` is a judgement of its error."""
     min_promise_next: float = 0.5
     """The same of an effect beside others, which needs more evidence [nat]."""
-    promise_share: float = 0.2
+    promise_share: float = 0.5
     """This share of the best score is added to `min_promise_first` [1]: an effect with many times less is no rival. On 25 tuning cases no
     effect within a tie of the best one had less than 0.7 of its score."""
     min_promised_share: float = 0.2

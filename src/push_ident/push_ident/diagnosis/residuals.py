@@ -113,7 +113,7 @@ def standardized_residuals(fit: Fit, policy: ResidualPolicy) -> FrameResiduals:
         fields, to_motion_frame = _push_residuals(motion, observation, push, policy, problem.displacement(fit.x, push))
         return fields, np.einsum("fij,dfj->dfi", to_motion_frame, drawn[push])[:, 1:]
 
-    parts, draws = zip(*map_in_threads(of_push, range(len(problem.records))), strict=True)
+    parts, draws = zip(*map_in_threads(of_push, range(problem.n_pushes)), strict=True)
     fields = {name: np.concatenate([part[name][1:] for part in parts]) for name in parts[0]}
     return FrameResiduals(**fields, null_draws=np.concatenate(draws, axis=1))
 

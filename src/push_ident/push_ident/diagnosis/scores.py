@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fitting.discrepancy import TAILS, FrameErrors, LinearPushes
+from push_ident.identification.fitting.discrepancy import TAILS, WIDTH, FrameErrors, LinearPushes
 from push_ident.identification.fitting.fit import Fit
-from push_ident.identification.unknowns.quadratic import Quadratic
+from push_ident.physics.effect_values import effect_values
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array
 
@@ -81,8 +81,6 @@ class LinearRange:
     by_forces: Float64Array
     """Their derivative, shape (2 n_windows, size)."""
     errors: FrameErrors
-    known_beforehand: Quadratic
-    """Of the unknowns of the object, beyond the unit prior."""
 
     def log_evidence(self, effect: NDArray[np.intp]) -> tuple[float, Float64Array]:
         """With some of the new unknowns, up to a constant [nat], and the unknowns of the object of largest density."""
@@ -101,24 +99,28 @@ class LinearRange:
                 break
         group, factor = self.pushes.group, np.exp(-logs)
         of_pushes = at.of_push[:, group >= 0] * factor[group[group >= 0]]
-        z = np.zeros(n)
-        z[chosen] = at.unknowns
-        size2 = float(np.sum(z**2) + np.sum(of_pushes**2) + np.sum(((self.pushes.first + logs) / self.pushes.width) ** 2))
+        size2 = float(np.sum(at.unknowns**2) + np.sum(of_pushes**2) + np.sum(((self.pushes.first + logs) / WIDTH) ** 2))
         forces = self.forces + (self.by_forces @ moved).reshape(-1, 2)
         of_forces = 0.5 * (TAILS + 2.0) * float(np.sum(np.log1p(np.sum(forces**2, axis=1) / TAILS)))
         cost = self.errors.cost(residual, log) + self.errors.cost_of_first(residual) + of_forces
-        cost += self.known_beforehand(z) + 0.5 * size2 + at.volume + linear.log_size(logs)
+        cost += 0.5 * size2 + at.volume + linear.log_size(logs)
         return -cost, at.unknowns
 
 
-def effect_information(fit: Fit) -> EffectInformation | None:
-    """Information of the pushes of a fit about all effects that they can show and it does not have; None where they cannot be simulated."""
+def effect_information(fit: Fit, *, shared: bool = False) -> EffectInformation | None:
+    """Information of the pushes of a fit about all effects that they can show and it does not have; None where they cannot be simulated.
+
+    `shared`: about effects that pushes of a reference have, too; without it, beside a reference, about changes since.
+    """
     visible = (*CAUSES, *FORCE_CAUSES) if fit.problem.uses_forces else CAUSES
-    absent = [name for name in visible if name not in fit.names]
     before = fit.unknowns
-    unknowns = before.with_effects((*fit.names, *absent))
+    known = before.shared if shared else before.effects
+    assert known is not None, "only pushes beside a reference share effects"
+    absent = [name for name in visible if name not in known.names]
+    with_all = effect_values((*known.names, *absent))
+    unknowns = replace(before, shared=with_all) if shared else replace(before, effects=with_all)
     problem = fit.problem.of(unknowns)
-    n_new, start = unknowns.size - before.size, before.slices["effects"].stop
+    n_new, start = unknowns.size - before.size, before.slices["shared_effects" if shared else "effects"].stop
     new = np.arange(start, start + n_new)
     x = np.insert(fit.x, start, np.zeros(n_new))
     end = problem.evaluate(x)
@@ -126,8 +128,8 @@ def effect_information(fit: Fit) -> EffectInformation | None:
         return None
     fitted = np.setdiff1d(np.arange(problem.size), new)
     onto = np.linalg.solve(end.hessian[np.ix_(fitted, fitted)], end.hessian[np.ix_(fitted, new)]).T
-    slices = [unknowns.effects.slice_of(name) for name in absent]
-    indices = {name: np.arange(o.start, o.stop) - len(before.effects) for name, o in zip(absent, slices, strict=True)}
+    slices = [with_all.slice_of(name) for name in absent]
+    indices = {name: np.arange(o.start, o.stop) - len(known) for name, o in zip(absent, slices, strict=True)}
     between = end.hessian[np.ix_(fitted, new)]
     precision, slope = end.hessian[np.ix_(new, new)] - onto @ between, end.gradient[new] - onto @ end.gradient[fitted]
     noise = problem.noise
@@ -137,7 +139,7 @@ def effect_information(fit: Fit) -> EffectInformation | None:
     pushes, errors = LinearPushes.of(problem, x, end.hessian, end.gradient), FrameErrors.of(fit.problem, fit.end)
     of_object = np.arange(unknowns.size)
     fitted_of_object, forces = np.setdiff1d(of_object, new), np.concatenate(linear.forces)
-    in_range = LinearRange(pushes, fitted_of_object, new, x, end.residual, linear.by_poses, forces, linear.by_forces, errors, problem.past)
+    in_range = LinearRange(pushes, fitted_of_object, new, x, end.residual, linear.by_poses, forces, linear.by_forces, errors)
     return EffectInformation(indices, precision, slope, in_range)
 
 

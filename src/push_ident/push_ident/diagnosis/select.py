@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 
 from push_ident.diagnosis.camera import OUTLINE_ERRORS
-from push_ident.diagnosis.fits import fit_effects, polished, with_another
+from push_ident.diagnosis.fits import fit_effects, polished, with_another, with_shared
 from push_ident.diagnosis.policy import GatePolicy, SelectionPolicy
 from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
@@ -21,6 +22,9 @@ from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import SolveStatus
+
+_OF_A_RECORDING: Final = ("wear",)
+"""Effects that follow the order of the pushes of a recording, which no reference shares."""
 
 
 def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
@@ -58,6 +62,9 @@ def select_effects(base: Fit, policy: SelectionPolicy, on_progress: Progress | N
     while True:
         step = _make_step(selection, policy, report)
         best = step.best
+        if (sharing := _shared_instead(selection, step, policy)) is not None:
+            report(f"{sharing.unknowns.shared_names[-1]} acts on the reference, too: it joins the base model")
+            return select_effects(sharing, policy, on_progress)
         if best is None or not step.log_bayes_factor >= required_log_bayes_factor(selection, policy):
             return replace(selection, steps=(*selection.steps, step))
         if (freed := _freed(selection, best, policy)) is not selection:
@@ -119,6 +126,25 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     required = needed - policy.tie_margin if selection.selected else -np.inf
     candidates = _ranked(map_in_threads(partial(_refit, fit, required), chosen), policy.tie_margin)
     return Step(fit, information, scores, tuple(candidates))
+
+
+def _shared_instead(selection: Selection, step: Step, policy: SelectionPolicy) -> Fit | None:
+    """Beside a reference: the base model with an effect that pushes of the reference have, too, where that explains more than any change.
+
+    None where none does, or there is no reference.
+    """
+    shared = selection.fit.unknowns.shared
+    if shared is None or len(shared.names) >= policy.max_effects:
+        return None
+    scores = score_effects(effect_information(selection.fit, shared=True), policy)
+    least = max(policy.min_log_bayes_factor, step.log_bayes_factor)
+    likely = [score for score in scores if score.name not in _OF_A_RECORDING][:1]
+    for score in likely:
+        if score.expected_log_bayes_factor > policy.promise_share * least:
+            fit = with_shared(selection.fit, score.name, score.start)
+            if fit.log_evidence - selection.fit.log_evidence > least:
+                return polished(fit_effects(fit, selection.base.names))
+    return None
 
 
 def _refit(fit: Fit, required: float, score: EffectScore) -> Candidate:

@@ -77,8 +77,8 @@ class DiagnosisState:
     """Whether frames at rest show how the errors of neighbouring frames are correlated."""
     rest_correlation_std: float = float("inf")
     """Standard error of that correlation [1]."""
-    reference: Fit | None = None
-    """To pushes of a recording that was good; an effect is then a change since."""
+    reference: tuple[PushRecord, ...] = ()
+    """Pushes of a recording that was good; where there are some, an effect is a change since."""
     earlier: EarlierFits = field(default_factory=EarlierFits)
     """Of a diagnosis of the first of these pushes."""
     data_gates: tuple[Gate, ...] = ()
@@ -102,4 +102,4 @@ class DiagnosisState:
 
     def source_of(self, push: int) -> str:
         """Where a push, by its number, comes from."""
-        return self.records[push].source or f"push {push}"
+        return (*self.records, *self.reference)[push].source or f"push {push}"

@@ -30,7 +30,7 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
     on_progress("looking for something else")
     selection, policy = state.selection, state.settings.policy
     # Folds decide only about something else in place of effects.
-    folds = folds_of(len(selection.base.problem.records), policy.validation.max_folds)
+    folds = folds_of(selection.base.problem.n_pushes, policy.validation.max_folds)
     fits = [(selection.base, folds), *([(selection.fit, ())] if selection.selected else [])]
     base, *others = map_in_threads(lambda task: _look_for_structure(state, *task), fits)
     remaining = others[0] if others else base
@@ -110,6 +110,8 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
 
 def _look_for_structure(state: DiagnosisState, fit: Fit, folds: Sequence[Sequence[int]]) -> _Structure:
     policy = state.settings.policy
+    if state.reference:  # what recordings share outside the catalogue is no change
+        return standardized_residuals(fit, policy.residuals), None
     return (standardized_residuals(fit, policy.residuals), find_something_else(fit, policy.unknown, folds))
 
 
@@ -126,7 +128,7 @@ def _weigh_outside(
     policy, (base_residuals, in_place), (residuals, in_addition) = state.settings.policy, base, remaining
     # Errors of perceived poses depend on the pose, so that they continue from frame to frame.
     correlation_std = state.rest_correlation_std if state.rest_noise_known and not state.from_camera else np.inf
-    failed = failed_tests(base_residuals, residuals, policy.unknown, correlation_std=correlation_std)
+    failed = () if state.reference else failed_tests(base_residuals, residuals, policy.unknown, correlation_std=correlation_std)
     named = sum(candidate.log_bayes_factor for _, candidate in selection.added.values())
     evidence = OutsideEvidence.of(in_place, in_addition, failed, policy.selection, named=named)
     explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected, closed=closed)

@@ -43,12 +43,20 @@ def sentence_of_nothing(account: Account, sources: Sequence[str], first: Planned
     return f"No gap beyond noise: of {error}, {_known_parts(account)}; {_unexplained(account)}."
 
 
-def sentence_of_effects(effects: Sequence[FoundEffect], confusion_sets: Mapping[str, Sequence[str]], account: Account) -> str:
-    """Of a diagnosis that names causes."""
+def sentence_of_no_change(account: Account) -> str:
+    """Of a diagnosis against a reference that names nothing."""
+    return f"No change since the reference is found. {_parts_of(account)}."
+
+
+def sentence_of_effects(
+    effects: Sequence[FoundEffect], confusion_sets: Mapping[str, Sequence[str]], account: Account, *, is_change: bool = False
+) -> str:
+    """Of a diagnosis that names causes; `is_change`: since a reference."""
     causes = "; and ".join(f"{_plain(e.name)} ({e.name}: {size_of(e)})" for e in effects)
     open_to = {name: [rival for rival in names if rival != SOMETHING_ELSE] for name, names in confusion_sets.items()}
     ties = "".join(f" These pushes cannot distinguish {name} from {' or '.join(names)}." for name, names in open_to.items() if names)
-    return f"The simulation leaves out that {causes}{_share_of_effects(account)}.{ties} {_rest(account)}"
+    begin = "Since the reference it has changed that" if is_change else "The simulation leaves out that"
+    return f"{begin} {causes}{_share_of_effects(account)}.{ties} {_rest(account)}"
 
 
 def sentence_of_unknown(

@@ -35,9 +35,10 @@ _N_PUSHES: Final = 14
 """Drawn from a recording at most, as many as of a case of the blind check."""
 _SIZES: Final = (0.5, 1.0, 2.0)
 """Times the typical size of an effect."""
-_NULL: Final = "as-recorded"
-_COUNTS: Final = {_NULL: 0, "single": 1, "pair": 2}
+_COUNTS: Final = {"as-recorded": 0, "single": 1, "pair": 2, "against-half": 0, "single-against-half": 1, "pair-against-half": 2}
 """Causes that a variant puts in."""
+_AGAINST: Final = "against-half"
+"""End of the names of variants whose reference are the other half of the pushes, as they were recorded."""
 
 
 def draw_causes(case: Case, n_causes: int) -> dict[str, Values]:
@@ -51,11 +52,12 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     drawn = draw_pushes(find_sets(settings.recordings)[case.object_name], _N_PUSHES, np.random.default_rng([case.model]), with_forces=False)
     of_diagnosis = DiagnosisSettings(prior=prior_of(drawn))
     causes = draw_causes(case, _COUNTS[case.variant])
+    records, reference = (drawn.records[1::2], drawn.records[::2]) if case.variant.endswith(_AGAINST) else (drawn.records, [])
     start = time.process_time()
-    diagnosis = diagnose(with_causes(drawn.records, causes), of_diagnosis)
-    values: Json = {"n": len(drawn.records), "causes": causes, "seconds": time.process_time() - start, **_outcome(diagnosis)}
+    diagnosis = diagnose(with_causes(records, causes), of_diagnosis, against=reference)
+    values: Json = {"n": len(records), "causes": causes, "seconds": time.process_time() - start, **_outcome(diagnosis)}
     if causes:
-        values["before"] = _outcome(diagnose(drawn.records, of_diagnosis))
+        values["before"] = _outcome(diagnose(records, of_diagnosis, against=reference))
         values["gain"] = _gain(diagnosis, causes)
     return finite(values)
 
@@ -110,7 +112,7 @@ def _summarise(results: Sequence[CaseResult]) -> Json:
         if of_variant:
             summary["variants"][variant] = _row(of_variant)
     for name in CHANGES:
-        single = [r.values for r in results if r.case.variant == "single" and name in r.values["causes"]]
+        single = [r.values for r in results if r.case.variant.startswith("single") and name in r.values["causes"]]
         if single:
             summary["causes"][name] = _row(single)
     return summary
@@ -202,7 +204,8 @@ STUDY = Experiment(
     title="Does it name known causes in real recordings?",
     question=(
         "Errors of camera, clock, tool and geometry are put into recordings of others (`--recordings DIR`, as of `recorded`), from half "
-        "to twice their typical size, singly and in pairs; each seed is a draw of pushes and causes. Detectable: the model that is given "
+        "to twice their typical size, singly and in pairs; each seed is a draw of pushes and causes. Against half: the other half of the "
+        "pushes, as recorded, is the reference of `--against`. Detectable: the model that is given "
         "the true causes predicts held-out pushes better by more than twice the standard error of that gain. Exact twins count as right. "
         "Left open: true, but only one of several. Wrong: neither true nor given to the same pushes as they were recorded."
     ),

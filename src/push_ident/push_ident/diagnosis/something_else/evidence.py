@@ -255,7 +255,7 @@ def error_with_patterns(fit: Fit, something_else: SomethingElse, folds: Sequence
     assert linear is not None, "patterns were found in the residuals of this fit"
     probable = [pattern for pattern in something_else.patterns if pattern.share >= 0.1 * something_else.best.share]
     weights = np.array([pattern.share for pattern in probable])
-    ends = np.empty((1 + len(probable), len(fit.problem.records), 3))
+    ends = np.empty((1 + len(probable), fit.problem.n_pushes, 3))
     for fold, residuals_of_fold in zip(folds, map_in_threads(partial(_end_residuals, fit, linear, probable), folds), strict=True):
         ends[:, list(fold)] = residuals_of_fold
     with_them = np.tensordot(weights / weights.sum(), ends[1:], axes=1)

@@ -177,7 +177,8 @@ def pattern_families(fit: Fit) -> tuple[Family, ...] | None:
 
 def _respond(fit: Fit, push: int, motion: Motion, path: _Path, positions: Float64Array) -> dict[str, Rows]:
     """Change of the residuals of one push by every pattern."""
-    problem, mechanics, blocks = fit.problem, fit.mechanics, _blocks_of(path, positions, fit.problem.uses_forces)
+    problem, mechanics = fit.problem, fit.problem.mechanics_at(fit.x)[push]
+    blocks = _blocks_of(path, positions, fit.problem.uses_forces)
     wrench = np.concatenate([b.wrench for b in blocks.values()], axis=2)
     displacement = np.concatenate([b.displacement for b in blocks.values()], axis=2)
     by_pose, by_impulse = path.response(wrench, displacement)

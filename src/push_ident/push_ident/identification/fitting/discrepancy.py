@@ -29,6 +29,9 @@ from push_ident.types import Float64Array
 if TYPE_CHECKING:
     from push_ident.identification.fitting.problem import Evaluation, FitProblem
 
+WIDTH: Final = 1.0
+"""Standard deviation of the logarithm of a factor about that of the noise model [-]: a factor of 2.7 either way. Effect-free pushes of the
+simulators here have a third of the default to its double, recordings of others up to ten times as much."""
 _LARGEST: Final = 5.0
 """Of the logarithm of a factor [-]: of 150, where nothing is predicted any more."""
 TAILS: Final = 4.0
@@ -39,7 +42,7 @@ their factor is 1; 3 would be that of errors with those tails."""
 
 
 @dataclass(frozen=True, slots=True)
-class EstimatedSize:
+class DiscrepancySize:
     """The size of largest evidence, in factors on that of the noise model of a fit."""
 
     frames: float
@@ -96,9 +99,7 @@ class LinearPushes:
     group: NDArray[np.intp]
     """Of each unknown of a push: number of its factor, -1 for the first pose, shape (m,)."""
     first: Float64Array
-    """Logarithms of the factors of the noise model over those that are usual, shape (3,)."""
-    width: float
-    """Standard deviation of their prior [-]."""
+    """Logarithms of the factors of the noise model, shape (3,)."""
 
     @classmethod
     def of(cls, problem: FitProblem, x: Float64Array, hessian: Float64Array, gradient: Float64Array) -> LinearPushes:
@@ -120,8 +121,7 @@ class LinearPushes:
             hessian_of_push=of_pushes[np.arange(n_pushes), :, np.arange(n_pushes), :],
             slope_of_push=slope[n:].reshape(n_pushes, m),
             group=groups_of(problem),
-            first=np.log(np.divide(problem.noise.discrepancy_factor, problem.noise.usual_size.shared)),
-            width=problem.noise.usual_size.width,
+            first=np.log(problem.noise.discrepancy_factor),
         )
 
     def of_unknowns(self, chosen: NDArray[np.intp]) -> LinearPushes:
@@ -152,8 +152,8 @@ class LinearPushes:
         """Negative log evidence under factors with these logarithms on those of the noise model, shape (3,), up to a constant [nat], and
         its derivative."""
         at = self.solve(logs)
-        prior = (self.first + logs) / self.width
-        slope = prior / self.width
+        prior = (self.first + logs) / WIDTH
+        slope = prior / WIDTH
         for k in range(3):
             chosen = self.group == k
             expected = np.exp(-2.0 * logs[k]) * (at.of_push[:, chosen] ** 2 + at.variance_of_push[:, chosen])
@@ -204,10 +204,6 @@ class FrameErrors:
     """Degrees of freedom that the unknowns leave, of all [1]."""
     first: float
     """Logarithm of the factor of the noise model."""
-    usual: float
-    """Of the one that is usual."""
-    width: float
-    """Standard deviation of its prior [-]."""
 
     @classmethod
     def of(cls, problem: FitProblem, end: Evaluation) -> FrameErrors:
@@ -217,14 +213,13 @@ class FrameErrors:
         frames = np.concatenate([np.arange(a + 1, b) for a, b in pairwise(starts)])
         used = problem.size - float(np.trace(np.linalg.solve(end.hessian, problem.prior_at(np.zeros(problem.size))[2])))
         share = max(1.0 - used / (3.0 * max(len(frames), 1)), 0.25)
-        noise = problem.noise
-        return cls(frames, share, float(np.log(noise.frame_factor)), float(np.log(noise.usual_size.frames)), noise.usual_size.width)
+        return cls(frames, share, float(np.log(problem.noise.frame_factor)))
 
     def cost(self, residual: Float64Array, log: float = 0.0) -> float:
         """Negative log density of residuals of shape (n_frames, 3) under a factor on that of the fit [nat]."""
         size2 = np.sum(residual[self.frames] ** 2, axis=1)
         of_frames = OF_FRAME * self.share * log + 0.5 * (TAILS + 3.0) * np.log1p(size2 * np.exp(-2.0 * log) / TAILS)
-        return float(np.sum(of_frames)) + 0.5 * ((self.first + log - self.usual) / self.width) ** 2
+        return float(np.sum(of_frames)) + 0.5 * ((self.first + log) / WIDTH) ** 2
 
     def cost_of_first(self, residual: Float64Array) -> float:
         """Of the first frames of the pushes, whose errors are those of the noise [nat]."""
@@ -237,11 +232,11 @@ class FrameErrors:
         return float(minimize_scalar(partial(self.cost, residual), bounds=bounds, method="bounded").x)
 
 
-def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> EstimatedSize:
+def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> DiscrepancySize:
     """The size of largest evidence near a fit `x`, shape (size,), with its evaluation `end`; factors of 1 where none is estimated."""
     noise = problem.noise
     if noise is None or noise.discrepancy_modes == 0 or not np.isfinite(end.cost):
-        return EstimatedSize(1.0, np.ones(3), 0.0)
+        return DiscrepancySize(1.0, np.ones(3), 0.0)
     linear, errors = LinearPushes.of(problem, x, end.hessian, end.gradient), FrameErrors.of(problem, end)
     try:
         logs = linear.best(np.zeros(3))
@@ -250,19 +245,17 @@ def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> Esti
         logs, gain = np.zeros(3), 0.0
     of_frames = errors.best(end.residual)
     gain += errors.cost(end.residual) - errors.cost(end.residual, of_frames)
-    return EstimatedSize(float(np.exp(of_frames)), np.exp(logs), gain)
+    return DiscrepancySize(float(np.exp(of_frames)), np.exp(logs), gain)
 
 
 def log_prior_of_size(noise: NoiseModel | None) -> float:
     """Logarithm of the prior density of the size of a noise model, up to a constant [nat]."""
     if noise is None or noise.discrepancy_modes == 0:
         return 0.0
-    usual = noise.usual_size
-    factors = np.divide([*noise.discrepancy_factor, noise.frame_factor], [*usual.shared, usual.frames])
-    return -0.5 * float(np.sum((np.log(factors) / usual.width) ** 2))
+    return -0.5 * float(np.sum((np.log([*noise.discrepancy_factor, noise.frame_factor]) / WIDTH) ** 2))
 
 
-def with_size(problem: FitProblem, x: Float64Array, size: EstimatedSize) -> tuple[FitProblem, Float64Array]:
+def with_size(problem: FitProblem, x: Float64Array, size: DiscrepancySize) -> tuple[FitProblem, Float64Array]:
     """The problem under a discrepancy of another size, and the unknowns of the same motions, shape (size,)."""
     noise = problem.noise
     assert noise is not None, "a size was estimated"

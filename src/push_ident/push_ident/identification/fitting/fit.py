@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.identification.fitting.discrepancy import OF_FRAME, EstimatedSize, estimate_size, log_prior_of_size
+from push_ident.identification.fitting.discrepancy import OF_FRAME, DiscrepancySize, estimate_size, log_prior_of_size
 from push_ident.identification.fitting.levenberg_marquardt import MAX_ITERATIONS, NeededCost, minimise, poorness
 from push_ident.identification.fitting.problem import Evaluation, FitProblem
 from push_ident.identification.observing.observation import NoiseModel
@@ -95,19 +95,19 @@ class Fit:
 
     @property
     def effects(self) -> EffectValues:
-        """All effects that act, those of a reference with their changes."""
+        """All effects that act, those shared with a reference with their changes."""
         return effects_at(self.unknowns, self.z)
 
     @property
     def fitted_effects(self) -> EffectValues:
-        """The effects of `names`; changes of those that a reference has, too."""
-        if self.unknowns.reference is None:
+        """The effects of `names`: with a reference, changes since."""
+        if self.unknowns.shared is None:
             return self.effects
         effects = self.unknowns.effects
         return effects.with_values(effects.values + self.unknowns.effect_std * self.effect_unknowns)
 
     @cached_property
-    def discrepancy_size(self) -> EstimatedSize:
+    def discrepancy_size(self) -> DiscrepancySize:
         """Of largest evidence, where the noise has a discrepancy that the frames of a push share."""
         return estimate_size(self.problem, self.x, self.end)
 

@@ -99,7 +99,8 @@ class FitProblem:
         settings: numerics of the simulation.
         meter: counts the simulations and ends a solve when its budget is spent; by default without a limit, so that no clock decides a
             result.
-        past: information from other pushes, in the unknowns of the object; by default that of a reference, where they have one.
+        past: information from other pushes, in the unknowns of the object.
+        n_reference: number of pushes, the last ones, that are those of a reference: without the changes since.
         steps: time steps that another problem of the same pushes chose (`FitProblem.steps`).
         run_all: how the pushes are simulated. In parallel, the meter counts them only roughly.
 
@@ -116,6 +117,7 @@ class FitProblem:
         settings: SimulationSettings | None = None,
         meter: Meter | None = None,
         past: Quadratic | None = None,
+        n_reference: int = 0,
         steps: Sequence[StepChoice | None] | None = None,
         run_all: RunAll = map,
     ) -> None:
@@ -128,6 +130,7 @@ class FitProblem:
         self.records = list(records)
         self.noise = noise
         self.unknowns = unknowns
+        self.n_reference = n_reference
         self.observations: list[Observation] = [observe_push(record, noise) for record in records]
         is_used = unknowns.prior.force_offset_std > 0
         self.forces: list[ForceObservation | None] = [observe_forces(record, noise) if is_used else None for record in records]
@@ -136,7 +139,7 @@ class FitProblem:
         self.run_all = run_all
         self._timelines: dict[tuple[int, SimulationSettings], tuple[PushRecord, Timeline]] = {}
         """Steps of each push that was simulated, by the identity of its record, which is kept; problems of the same pushes share them."""
-        self.past = past or unknowns.known_beforehand
+        self.past = past or Quadratic.zero(unknowns.size)
         self.steps: list[StepChoice | None] = list(steps) if steps is not None else [None] * len(self.records)
         """Time steps of each push; None until it is simulated."""
         self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
@@ -144,10 +147,9 @@ class FitProblem:
         """Number of unknowns that each push has of its own."""
 
     def of(self, unknowns: UnknownsSpec, *, meter: Meter | None = None, past: Quadratic | None = None) -> FitProblem:
-        """The same pushes with other unknowns of the object; by default with an unlimited budget and without information from others but a
-        reference."""
+        """The same pushes with other unknowns of the object; by default with an unlimited budget and without information from others."""
         other = copy(self)
-        other.unknowns, other.past, other.meter = unknowns, past or unknowns.known_beforehand, meter or _unlimited()
+        other.unknowns, other.past, other.meter = unknowns, past or Quadratic.zero(unknowns.size), meter or _unlimited()
         other.steps = [None if choice is None else choice.at_most(_FIRST_LEVEL, self.settings) for choice in self.steps]
         return other
 
@@ -166,7 +168,13 @@ class FitProblem:
         for name in ("records", "observations", "forces", "first_scale", "steps"):
             setattr(rest, name, [value for i, value in enumerate(getattr(self, name)) if i not in pushes])
         rest.meter = _unlimited()
+        rest.n_reference -= sum(push >= self.n_pushes for push in pushes)
         return rest
+
+    @property
+    def n_pushes(self) -> int:
+        """Number of pushes, the first ones, that are not those of a reference."""
+        return len(self.records) - self.n_reference
 
     @property
     def uses_forces(self) -> bool:
@@ -187,9 +195,11 @@ class FitProblem:
         """The unknowns `z` of the object within `x`, shape (unknowns.size,)."""
         return x[: self.unknowns.size]
 
-    def mechanics_at(self, x: Float64Array) -> Mechanics:
-        """The moving body at `x`, shape (size,)."""
-        return mechanics_at(self.unknowns, self.object_unknowns(x))
+    def mechanics_at(self, x: Float64Array) -> list[Mechanics]:
+        """The moving body of each push at `x`, shape (size,)."""
+        z = self.object_unknowns(x)
+        bodies = [mechanics_at(self.unknowns, z)] * self.n_pushes
+        return bodies + [mechanics_at(self.unknowns, z, of_reference=True)] * self.n_reference if self.n_reference else bodies
 
     def slice_of_first_pose(self, push: int) -> slice:
         """Place of the first pose of a push in `x`."""
@@ -243,9 +253,9 @@ class FitProblem:
 
     def simulate(self, x: Float64Array) -> list[Motion]:
         """All pushes at `x`, shape (size,), reported at the observed frames; ends early at one that fails."""
-        mechanics = self.mechanics_at(x)
+        bodies = self.mechanics_at(x)
         motions: list[Motion] = []
-        for motion in self._of_pushes(partial(self._simulate_push, mechanics, x)):
+        for motion in self._of_pushes(lambda push: self._simulate_push(bodies[push], x, push)):
             motions.append(motion)
             if motions[-1].status is SolveStatus.SIMULATION_FAILED:
                 break
@@ -284,7 +294,7 @@ class FitProblem:
 
     def respond(self, x: Float64Array, push: int) -> tuple[Motion, StepResponse | None]:
         """One push at `x`, shape (size,), and how its poses change under small forces; None where its simulation fails."""
-        mechanics = self.mechanics_at(x)
+        mechanics = self.mechanics_at(x)[push]
         self.meter.count(1)
         return simulate_body_with_response(
             mechanics.shape, mechanics.body, mechanics.pusher_friction, self._scenario(mechanics, x, push), settings=self.settings_of(push),
@@ -310,9 +320,9 @@ class FitProblem:
 
         Steps never become longer. A push that was below 0.3 of the accepted error is not looked at.
         """
-        mechanics = self.mechanics_at(x)
+        bodies = self.mechanics_at(x)
         doubtful = {push: old.level for push, old in enumerate(self.steps) if old is not None and 0.3 * SHARE <= old.error < np.inf}
-        choices = self.run_all(lambda push: self._choose_steps(mechanics, x, push, doubtful[push]), doubtful)
+        choices = self.run_all(lambda push: self._choose_steps(bodies[push], x, push, doubtful[push]), doubtful)
         refined = False
         for (push, level), choice in zip(doubtful.items(), choices, strict=True):
             self.steps[push] = choice
@@ -324,10 +334,10 @@ class FitProblem:
 
         Shape (n_pushes,); infinite where a simulation fails.
         """
-        mechanics = self.mechanics_at(x)
+        bodies = self.mechanics_at(x)
 
         def error(push: int) -> float:
-            end_pose = partial(self._end_pose, mechanics, x, push)
+            end_pose = partial(self._end_pose, bodies[push], x, push)
             return step_error(end_pose, self.settings_of(push), self.observations[push].end_covariance)
 
         return np.array(list(self._of_pushes(error)))
@@ -375,8 +385,8 @@ class FitProblem:
             return np.inf
         of_pushes = sum(self.weigh(self.residual(x, motion, push))[0] for push, motion in enumerate(motions))
         if self.uses_forces:
-            mechanics = self.mechanics_at(x)
-            of_pushes += sum(self.weigh(self.force_residual(mechanics, motion, push))[0] for push, motion in enumerate(motions))
+            bodies = self.mechanics_at(x)
+            of_pushes += sum(self.weigh(self.force_residual(bodies[push], motion, push))[0] for push, motion in enumerate(motions))
         return self._prior_cost(self.object_unknowns(x)) + of_pushes + 0.5 * float(np.sum(self.push_unknowns(x)[:, _POSE:] ** 2))
 
     def _prior_cost(self, z: Float64Array) -> float:
@@ -387,14 +397,14 @@ class FitProblem:
         """Cost and derivatives at `x`: one simulation per push, with its derivative."""
         n_z = self.unknowns.size
         z = self.object_unknowns(x)
-        mechanics = self.mechanics_at(x)
+        bodies = self.mechanics_at(x)
         cost = self._prior_cost(z)
         gradient = np.zeros(self.size)
         gradient[:n_z] = z + self.past.slope(z)
         hessian = np.diag(self.unit_prior)
         hessian[:n_z, :n_z] += self.past.hessian
         residuals = []
-        for push, terms in enumerate(self._of_pushes(partial(self._push_terms, mechanics, x))):
+        for push, terms in enumerate(self._of_pushes(lambda push: self._push_terms(bodies[push], x, push))):
             if terms is None:
                 return Evaluation(np.inf, gradient, hessian, np.empty((0, 3)))
             columns = np.r_[0:n_z, self.slice_of_push(push)]
@@ -406,12 +416,13 @@ class FitProblem:
 
     def linearise(self, x: Float64Array) -> Linearisation | None:
         """Residuals at `x`, shape (size,), with their derivative: one simulation per push. None where one fails."""
-        mechanics = self.mechanics_at(x)
+        bodies = self.mechanics_at(x)
         residuals: list[tuple[Float64Array, Float64Array]] = []
         poses, forces = [np.zeros((0, self.size))], [np.zeros((0, self.size))]
-        for push, motion in enumerate(self._of_pushes(partial(self._simulate_push, mechanics, x, jacobian=True))):
+        for push, motion in enumerate(self._of_pushes(lambda push: self._simulate_push(bodies[push], x, push, jacobian=True))):
             if motion.status is SolveStatus.SIMULATION_FAILED:
                 return None
+            mechanics = bodies[push]
             residuals.append((self.residual(x, motion, push), self.force_residual(mechanics, motion, push)))
             poses.append(self._rows(self._whitened_jacobian(mechanics, motion, push), push))
             if self.forces[push] is not None:
@@ -428,7 +439,7 @@ class FitProblem:
 
     def evaluate_push(self, x: Float64Array, push: int) -> Evaluation | None:
         """Contribution of one push to `evaluate`, by the unknowns of the object and its own; None where its simulation fails."""
-        return self._push_terms(self.mechanics_at(x), x, push)
+        return self._push_terms(self.mechanics_at(x)[push], x, push)
 
     def _push_terms(self, mechanics: Mechanics, x: Float64Array, push: int) -> Evaluation | None:
         motion = self._simulate_push(mechanics, x, push, jacobian=True)

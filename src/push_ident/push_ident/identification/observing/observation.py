@@ -45,19 +45,6 @@ _MAX_CORRELATION = 0.98
 
 
 @dataclass(frozen=True, slots=True)
-class DiscrepancySize:
-    """Prior of the size of a discrepancy: log-normal factors on the defaults of a noise model."""
-
-    shared: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """Median of `NoiseModel.discrepancy_factor` [-]."""
-    frames: float = 1.0
-    """Median of `NoiseModel.frame_factor` [-]."""
-    width: float = 1.0
-    """Standard deviation of the logarithms of the factors [-]: 1 is a factor of 2.7 either way. Effect-free pushes of the simulators here
-    have a third of the default to its double, recordings of others up to ten times as much."""
-
-
-@dataclass(frozen=True, slots=True)
 class NoiseModel:
     """Errors of observed poses beyond the covariance that comes with them."""
 
@@ -78,8 +65,6 @@ class NoiseModel:
     them [-]."""
     frame_factor: float = 1.0
     """On the standard deviation of every frame but the first, as pushes set it [-]: what neither noise nor shared discrepancy explains."""
-    usual_size: DiscrepancySize = field(default_factory=DiscrepancySize)
-    """What `discrepancy_factor` and `frame_factor` are expected to be, as a reference shows them, and how certainly."""
     discrepancy_modes: int = 0
     """Modes by which the frames of a push share the model discrepancy in a fit, as in a prediction; 0: they count as independent, each
     with the discrepancy of a frame in a fit."""

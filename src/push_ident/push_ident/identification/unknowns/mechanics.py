@@ -73,14 +73,14 @@ class Mechanics:
         )  # fmt: skip
 
 
-def mechanics_at(spec: UnknownsSpec, z: Float64Array) -> Mechanics:
-    """The moving body at `z`, shape (size,), and its derivative by `z`."""
+def mechanics_at(spec: UnknownsSpec, z: Float64Array, *, of_reference: bool = False) -> Mechanics:
+    """The moving body at `z`, shape (size,), and its derivative by `z`; `of_reference`: as pushes of a reference moved it."""
     model = model_at(spec, z)
     body = body_of_cells(spec.shape, model.mass, model.friction)
     weight = model.mass / body.mass
     arms = spec.shape.cells.centres - body.centre
     moment = np.sum(arms**2, axis=1) + spec.shape.cells.size**2 / 6
-    effects, d_values = spec.acting_effects(z)
+    effects, d_values = spec.acting_effects(z, of_reference=of_reference)
     mass_factor = float(np.exp(spec.blocks["total_mass"].std @ z[spec.slices["total_mass"]]))
     d_mass, d_friction = log_derivatives_at(spec, z, model)
     shown = np.array([not effect.needs_forces for effect in effects.effects for _ in effect.parameters], dtype=bool)

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
 from push_ident.identification.unknowns.prior import GIVEN_STD, MAP_STDS, Prior
-from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS, SENSOR_ERRORS
 from push_ident.types import Float64Array, ObjectShape
@@ -61,8 +60,8 @@ class Layout:
         return y
 
 
-_OF_REFERENCE = "reference_effects"
-"""Block of the effects of a reference."""
+_SHARED = "shared_effects"
+"""Block of the effects that pushes of a reference have, too."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,8 +84,9 @@ class UnknownsSpec:
     given_effect_std: Mapping[str, ArrayLike]
     """Prior standard deviations of the parameters of an effect, by its name, where they are not those of `measured_std` or of the
     catalogue. Names of other effects are ignored."""
-    reference: Reference | None = None
-    """Of pushes before these. Its effects are unknowns too, in the block `reference_effects`, and `effects` add to them: changes since."""
+    shared: EffectValues | None = None
+    """Effects that pushes of a reference have, too, at their nominal values: unknowns in the block `shared_effects`. `effects` add to them
+    and are changes since, which pushes of the reference do not have. None where there is no reference."""
     layout: Layout = field(init=False)
     """Position of each block."""
     blocks: Mapping[str, Block] = field(init=False)
@@ -109,8 +109,8 @@ class UnknownsSpec:
                 Block("foot_positions", np.ones(2 * feet)),
                 Block("foot_width", np.ones(min(feet, 1))),
                 Block("foot_preferences", np.full(feet, preference_std)),
-                *([] if self.reference is None else [Block(_OF_REFERENCE, self.reference.unknowns.effect_std)]),
-                Block("effects", self._effect_std()),
+                *([] if self.shared is None else [Block(_SHARED, self._effect_std(self.shared))]),
+                Block("effects", self._effect_std(self.effects)),
                 Block("friction_scale", np.array([prior.friction_std])),
                 Block("pusher_friction", np.array([prior.pusher_friction_std])),
                 Block("total_mass", np.full(int(prior.force_offset_std > 0), max(prior.total_mass_std, GIVEN_STD))),
@@ -148,14 +148,14 @@ class UnknownsSpec:
             modes = leading_modes(shape, prior) if maps else np.zeros((len(shape.cells), 0))
         return cls(shape, prior, modes, effect_values(effects), dict(effect_std or {}))
 
-    def _effect_std(self) -> Float64Array:
-        std = np.array([parameter.scale for parameter in self.effects.parameters], dtype=np.float64)
-        for name in self.effects.names:
-            measured, at = measured_std(name, self.shape, self.prior), self.effects.slice_of(name)
+    def _effect_std(self, effects: EffectValues) -> Float64Array:
+        std = np.array([parameter.scale for parameter in effects.parameters], dtype=np.float64)
+        for name in effects.names:
+            measured, at = measured_std(name, self.shape, self.prior), effects.slice_of(name)
             std[at] = np.where(measured > 0, measured, std[at])
         for name, given in self.given_effect_std.items():
-            if name in self.effects.names:
-                std[self.effects.slice_of(name)] = given
+            if name in effects.names:
+                std[effects.slice_of(name)] = given
         return std
 
     def with_effects(self, names: Sequence[str]) -> UnknownsSpec:
@@ -180,6 +180,11 @@ class UnknownsSpec:
         return slice(start + at.start, start + at.stop)
 
     @property
+    def shared_names(self) -> tuple[str, ...]:
+        """Names of the effects that pushes of a reference have, too."""
+        return () if self.shared is None else self.shared.names
+
+    @property
     def effect_std(self) -> Float64Array:
         """Prior standard deviation of each value of the effects, shape (n_values,)."""
         return self.blocks["effects"].std
@@ -189,31 +194,12 @@ class UnknownsSpec:
         """Prior variance of a unit map that the modes leave out, shape (n_cells,): posteriors add it back."""
         return np.maximum(0.0, 1.0 - np.sum(self.modes**2, axis=1))
 
-    @property
-    def known_beforehand(self) -> Quadratic:
-        """What a reference tells beyond the unit prior."""
-        if self.reference is None:
-            return Quadratic.zero(self.size)
-        return Quadratic.beyond_unit_normal(self.reference.mean, self.reference.covariance).transformed(self._from_reference.T)
-
-    def of_reference(self, z: Float64Array) -> Float64Array:
-        """Unknowns of the reference, shape (reference.unknowns.size,), as those of this, without a change, shape (size,)."""
-        return np.asarray(self._from_reference @ z)
-
-    @property
-    def _from_reference(self) -> Float64Array:
-        assert self.reference is not None, "only a specification with a reference maps its unknowns"
-        into = np.zeros((self.size, self.reference.unknowns.size))
-        for name, at in self.reference.unknowns.slices.items():
-            into[self.slices[_OF_REFERENCE if name == "effects" else name], at] = np.eye(at.stop - at.start)
-        return into
-
-    def acting_effects(self, z: Float64Array) -> tuple[EffectValues, Float64Array]:
-        """All effects at `z`, shape (size,), those of a reference with their changes, and the derivative of their values by `z`, shape
-        (n_values, size). Values beyond a bound are clipped to it, and their derivative is 0."""
-        blocks = [(self.effects, "effects")]
-        if self.reference is not None:
-            blocks.append((self.reference.unknowns.effects, _OF_REFERENCE))
+    def acting_effects(self, z: Float64Array, *, of_reference: bool = False) -> tuple[EffectValues, Float64Array]:
+        """All effects at `z`, shape (size,), with the changes since a reference or, `of_reference`, without, and the derivative of their
+        values by `z`, shape (n_values, size). Values beyond a bound are clipped to it, and their derivative is 0."""
+        blocks = [] if of_reference else [(self.effects, "effects")]
+        if self.shared is not None:
+            blocks.append((self.shared, _SHARED))
         acting = effect_values(tuple(dict.fromkeys(name for effects, _ in blocks for name in effects.names)))
         values, derivative = np.array(acting.values), np.zeros((len(acting), self.size))
         for effects, block in blocks:
@@ -251,18 +237,6 @@ def measured_std(name: str, shape: ObjectShape, prior: Prior) -> Float64Array:
         return np.array([prior.force_offset_std if p.unit == "N" else (p.sensor_std or 0.0) * uses for p in effect.parameters])
     stated = {"m": prior.camera_position_std, "rad": prior.camera_heading_std} if effect.is_camera_error else {}
     return np.array([stated.get(parameter.unit, 0.0) for parameter in effect.parameters])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reference:
-    """What pushes of the same object in the same cell taught before."""
-
-    unknowns: UnknownsSpec
-    """Of the object and of all errors of the cell that pushes may show."""
-    mean: Float64Array
-    """Shape (unknowns.size,)."""
-    covariance: Float64Array
-    """Shape (unknowns.size, unknowns.size)."""
 
 
 # --- maps as Gaussian processes over the cells (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, section 4.2)
