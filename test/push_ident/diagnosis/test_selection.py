@@ -103,7 +103,7 @@ def test_effect_beside_another_is_refitted_only_where_it_promises_something() ->
         scores = [EffectScore(name, value, np.zeros(1), np.eye(1), np.inf) for name, value in expected.items()]
         return [score.name for score in choose_refits(scores, POLICY, required=5.0 if is_first else 12.0, is_first=is_first)]
 
-    assert chosen(True, wear=3.0, restitution=-1.0) == ["wear", "restitution"]
+    assert chosen(True, wear=3.0, restitution=-0.1) == ["wear", "restitution"]
     assert chosen(False, wear=3.0, restitution=-1.0) == ["wear"]
     assert chosen(True, outline_error=100.0, wear=5.0) == ["outline_error"]  # no rival of so much more
     # Effects whose scores mislead about one another are refitted together.

@@ -181,7 +181,7 @@ class SelectionPolicy:
 class ValidationPolicy:
     """What held-out pushes have to confirm."""
 
-    max_folds: int = 10
+    max_folds: int = 7
     """Fits without some pushes; with more pushes, two or more are held out together. A limit of time, not of evidence."""
     min_log_density_gain: float = 0.0
     """Mean gain of log predictive density at or below which held-out pushes are predicted no better [nat a fold]. A difference of zero."""

@@ -68,8 +68,9 @@ def select_effects(base: Fit, policy: SelectionPolicy, on_progress: Progress | N
         if best is None or not step.log_bayes_factor >= required_log_bayes_factor(selection, policy):
             return replace(selection, steps=(*selection.steps, step))
         if (freed := _freed(selection, best, policy)) is not selection:
-            selection = freed
-            continue
+            selection, step = freed, _beside(step, freed.fit)
+            if not step.log_bayes_factor >= required_log_bayes_factor(selection, policy):
+                continue
         if _is_negligible(best, policy):
             report(f"{best.name} is negligible: it joins the base model")
             return select_effects(polished(fit_effects(selection.base, (*selection.base.names, best.name))), policy, on_progress)
@@ -137,7 +138,7 @@ def _shared_instead(selection: Selection, step: Step, policy: SelectionPolicy) -
     if shared is None or len(shared.names) >= policy.max_effects:
         return None
     scores = score_effects(effect_information(selection.fit, shared=True), policy)
-    least = max(policy.min_log_bayes_factor, step.log_bayes_factor)
+    least = max(required_log_bayes_factor(selection, policy), step.log_bayes_factor)
     likely = [score for score in scores if score.name not in _OF_A_RECORDING][:1]
     for score in likely:
         if score.expected_log_bayes_factor > policy.promise_share * least:
@@ -171,6 +172,12 @@ def _freed(selection: Selection, best: Candidate, policy: SelectionPolicy) -> Se
         return selection
     freed = polished(freed)
     return replace(selection, base=freed if selection.fit is selection.base else selection.base, fit=freed)
+
+
+def _beside(step: Step, fit: Fit) -> Step:
+    """The same step beside a better fit of the same effects."""
+    candidates = tuple(replace(c, log_bayes_factor=c.fit.log_evidence - fit.log_evidence) for c in step.candidates)
+    return replace(step, before=fit, candidates=candidates)
 
 
 def _is_negligible(candidate: Candidate, policy: SelectionPolicy) -> bool:
