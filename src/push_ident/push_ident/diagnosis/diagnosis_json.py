@@ -44,6 +44,7 @@ def to_json(diagnosis: Diagnosis) -> Json:
         "check": diagnosis.check,
         "unknown": _unknown(diagnosis.something_else),
         "probabilities": p and {**p.effects, SOMETHING_ELSE: p.something_else, "nothing": p.nothing},
+        "subsystems": p and {part.value: value for part, value in p.subsystems.items()},
         "something_else": _something_else(diagnosis),
         "gates": [{"passed": g.passed, "found": g.finding, "remedy": g.remedy} for g in diagnosis.gates],
     }

@@ -14,7 +14,7 @@ from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_errors
 from push_ident.identification.fitting.fit import Fit
-from push_ident.identification.predicting.prediction import errors_of_motion
+from push_ident.identification.predicting.prediction import PredictionErrors, prediction_errors
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
 
@@ -32,6 +32,12 @@ class MotionGap:
     """That the noise of the poses would make if the model were right."""
     stages: dict[str, Float64Array] = field(default_factory=dict)
     """With some of the effects only, as `Gap.stages`."""
+    end: Float64Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """Observed position at the end of each push, table frame [m], shape (n_pushes, 2)."""
+    displacement_before: Float64Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """Observed minus predicted position there, without the effects [m], shape (n_pushes, 2)."""
+    displacement_after: Float64Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """The same with them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +145,8 @@ def _shrink(before: Float64Array, after: Float64Array, noise: Float64Array) -> f
 class _HeldOutFold:
     """What a fit without the pushes of a fold predicts of them."""
 
-    errors: tuple[Float64Array, Float64Array]
-    """Cell error of each push at its end and over its motion [m]."""
+    errors: PredictionErrors
+    """Of each push."""
     log_density: float
     """Of the pushes of the fold under the fit to the others, up to a constant [nat]."""
     fit: Fit
@@ -190,7 +196,11 @@ def measure_gap(
     stages = {} if fit is base else dict(between or {})
     fits = [base] if fit is base else [base, *stages.values(), fit]
     by_fit = (held_out or HeldOutFits()).of(fits, folds)
-    errors, of_motion = (np.array([_by_push(results, folds, kind) for results in by_fit]) for kind in (0, 1))
+    errors, of_motion, displacement = (
+        np.array([_by_push([getattr(result.errors, kind) for result in results], folds) for results in by_fit])
+        for kind in ("at_end", "over_motion", "end_displacement")
+    )
+    ends = np.array([observation.pose[-1, :2] for observation in base.problem.observations[:n]])
     noise, noise_of_motion = noise_errors(fit, policy.noise_draws)
     density = np.array([[result.log_density for result in results] for results in by_fit])
     evidence = np.array([one.log_evidence for one in fits])[:, None] - density
@@ -204,7 +214,15 @@ def measure_gap(
         log_bayes_factor_without=np.diff(evidence, axis=0),
         stages=dict(zip(stages, errors[1:-1], strict=True)),
         names=tuple(name for name in fit.names if name not in base.names),
-        motion=MotionGap(of_motion[0], of_motion[-1], noise_of_motion, dict(zip(stages, of_motion[1:-1], strict=True))),
+        motion=MotionGap(
+            of_motion[0],
+            of_motion[-1],
+            noise_of_motion,
+            dict(zip(stages, of_motion[1:-1], strict=True)),
+            ends,
+            displacement[0],
+            displacement[-1],
+        ),
         fits=tuple(result.fit for result in by_fit[-1]),
         policy=policy,
     )
@@ -216,19 +234,16 @@ def folds_of(n_pushes: int, max_folds: int) -> list[list[int]]:
     return [list(range(first, n_pushes, n_folds)) for first in range(n_folds)]
 
 
-def _by_push(results: Sequence[_HeldOutFold], folds: Sequence[Sequence[int]], kind: int) -> Float64Array:
-    """Cell errors of all folds in the order of the pushes [m], shape (n_pushes,), at their ends (0) or over their motions (1)."""
-    errors = np.empty(sum(map(len, folds)))
-    for fold, result in zip(folds, results, strict=True):
-        errors[list(fold)] = result.errors[kind]
-    return errors
+def _by_push(of_folds: Sequence[Float64Array], folds: Sequence[Sequence[int]]) -> Float64Array:
+    """Values of the pushes of all folds in the order of the pushes, shape (n_pushes, ...)."""
+    return np.concatenate(of_folds)[np.argsort(np.concatenate([np.array(fold, dtype=int) for fold in folds]))]
 
 
 def _hold_out(fit: Fit, pushes: Sequence[int], earlier: EarlierFits) -> _HeldOutFold:
     rest, problem = without_pushes(fit, pushes, earlier.start(fit, pushes)), fit.problem
     records = [problem.records[push] for push in pushes]
     observations = [problem.observations[push] for push in pushes]
-    errors = errors_of_motion(rest.model, records, effects=rest.effects, settings=problem.settings, observed=observations)
+    errors = prediction_errors(rest.model, records, effects=rest.effects, settings=problem.settings, observed=observations)
     return _HeldOutFold(errors, fit.log_evidence - rest.log_evidence, rest)
 
 

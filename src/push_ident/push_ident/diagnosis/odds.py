@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -22,7 +22,7 @@ from scipy.special import logsumexp
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.selection import RivalFit, Selection
 from push_ident.diagnosis.something_else.evidence import SomethingElse
-from push_ident.physics.effect import Law
+from push_ident.physics.effect import Law, Subsystem
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 
 SOMETHING_ELSE = "something_else"
@@ -107,6 +107,8 @@ class Probabilities:
     """That a cause outside the catalogue acts, alone or beside effects."""
     effects: Mapping[str, float]
     """That an effect acts, alone or beside others; of all effects of the catalogue that the base model does not have."""
+    subsystems: Mapping[Subsystem, float] = field(default_factory=dict)
+    """That some effect of a part of the cell acts."""
     outside_alone: float = 0.0
     """That only a cause outside the catalogue acts."""
     outside_alone_unlike_effects: float = 0.0
@@ -155,10 +157,16 @@ def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[
     nothing = float(sum(share for e, share in zip(explanations, shares, strict=True) if not e.causes))
     alone = [(share, e.imitated_by) for e, share in zip(explanations, shares, strict=True) if e.causes == {SOMETHING_ELSE}]
     outside_alone, unlike = float(sum(share for share, _ in alone)), float(sum(share for share, imitated_by in alone if not imitated_by))
+
+    def of_part(part: Subsystem) -> float:
+        acts = (any(name != SOMETHING_ELSE and EFFECTS[name].subsystem is part for name in e.causes) for e in explanations)
+        return float(min(1.0, sum(share for share, here in zip(shares, acts, strict=True) if here)))
+
+    subsystems = {part: of_part(part) for part in Subsystem}
     considered = {name for explanation in explanations for name in explanation.causes}
     names = (*CAUSES, *(name for name in FORCE_CAUSES if name in considered))
     effects = {name: of(name) for name in names if name not in base_effects}
-    return Probabilities(nothing, of(SOMETHING_ELSE), effects, outside_alone, unlike)
+    return Probabilities(nothing, of(SOMETHING_ELSE), effects, subsystems, outside_alone, unlike)
 
 
 def is_outside(probabilities: Probabilities, policy: SelectionPolicy) -> bool:

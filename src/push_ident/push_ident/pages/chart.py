@@ -154,13 +154,12 @@ def cell_panel(panel: CellPanel) -> str:
     return svg_of(panel.title, height, parts)
 
 
-def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor: float, most: int = 400) -> str:
-    """Small displacements [m], shape (n, 2), at points of the table [m], shape (n, 2), drawn `factor` times as long, in millimetres; of
-    more than `most` some are left out, as they would hide one another.
+def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor: float, frame: Float64Array) -> str:
+    """Small displacements [m], shape (n, 2), at points of the table [m], shape (n, 2), drawn `factor` times as long, in millimetres.
+
+    `frame`: positions that the drawing has room for [m], shape (m, 2).
     """
-    shown = slice(None, None, 1 + len(points) // most)
-    points, ends = points[shown], (points + factor * vectors)[shown]
-    low, high = np.vstack([points, ends]).min(axis=0), np.vstack([points, ends]).max(axis=0)
+    ends, low, high = points + factor * vectors, frame.min(axis=0), frame.max(axis=0)
     scale = (WIDTH - 2 * MARGIN) / max(float(np.max(high - low)), 1e-6)
     height = scale * float(high[1] - low[1]) + 2 * MARGIN + SCALE
 
@@ -168,7 +167,7 @@ def field_panel(title: str, points: Float64Array, vectors: Float64Array, factor:
         return MARGIN + scale * float(point[0] - low[0]), MARGIN + scale * float(high[1] - point[1])
 
     parts = []
-    for start, end, vector in zip(points, ends, vectors[shown], strict=True):
+    for start, end, vector in zip(points, ends, vectors, strict=True):
         (x, y), (to_x, to_y) = place(start), place(end)
         parts.append(
             f"<g><title>{1e3 * float(np.linalg.norm(vector)):.1f} mm at ({1e3 * start[0]:.0f}, {1e3 * start[1]:.0f}) mm</title>"

@@ -266,6 +266,19 @@ class Memory:
     """remember(p, body, dt, memory, after): fills `after` from the state and the memory at the start of a step; compiled."""
 
 
+class Subsystem(Enum):
+    """Part of a cell where an effect has its cause; values as in JSON."""
+
+    CAMERA = "camera"
+    """With its clock."""
+    ARM = "arm"
+    """With the tool, but for its friction."""
+    CONTACT = "contact"
+    TABLE = "table"
+    OBJECT = "object"
+    FORCE_SENSOR = "force sensor"
+
+
 @dataclass(frozen=True, slots=True)
 class Effect:
     """A physical or measurement law that the base model leaves out."""
@@ -297,6 +310,8 @@ class Effect:
     """Effects whose scores mislead about one another: where one of them is refitted, all are. They name it as well."""
     export: ExportAs | None = None
     """The part of an exported description that carries it; None where no format has one."""
+    within: Subsystem | None = None
+    """Where its cause is, if not where it acts."""
 
     def __post_init__(self) -> None:
         memory = 0 if self.memory is None else self.memory.size
@@ -319,6 +334,17 @@ class Effect:
     def nominal(self) -> NDArray[np.float64]:
         """Values at which it is absent, shape (n_parameters,)."""
         return np.array([parameter.nominal for parameter in self.parameters])
+
+    @property
+    def subsystem(self) -> Subsystem:
+        """Where its cause is."""
+        if self.within is not None:
+            return self.within
+        by_kind: dict[type, Subsystem] = {
+            OnPoses: Subsystem.CAMERA, OnTimes: Subsystem.CAMERA, OnPusherPath: Subsystem.ARM, OnContact: Subsystem.CONTACT,
+            OnPusherFriction: Subsystem.CONTACT, OnForces: Subsystem.FORCE_SENSOR, OnForceTimes: Subsystem.FORCE_SENSOR,
+        }  # fmt: skip
+        return by_kind.get(type(self.acts), Subsystem.TABLE)
 
     @property
     def is_camera_error(self) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from push_ident.diagnosis.account import Account
-from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.held_out import Gap, MotionGap
 from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.residuals import N_SECTORS, FrameResiduals, ResidualGroup
 from push_ident.diagnosis.selection import Selection
@@ -122,12 +122,15 @@ def _heat(text: str, value: float, bold: bool = False) -> dict[str, Any]:
     return {"text": text, "colour": colour, "ink": text_on(colour), "bold": bold}
 
 
-def draw_residuals(frames: FrameResiduals) -> str:
-    """Observed minus simulated position at every frame, on the table."""
-    cos, sin = np.cos(frames.heading_in_table), np.sin(frames.heading_in_table)
-    along, across = frames.difference[:, 0], frames.difference[:, 1]
-    vectors = np.column_stack([cos * along - sin * across, sin * along + cos * across])
-    return field_panel("Observed minus simulated position on the table", frames.position, vectors, EXAGGERATION)
+def draw_held_out(motion: MotionGap) -> list[tuple[str, str]]:
+    """Observed minus predicted position at the end of every held-out push, on the table: without the effects and, where there are some,
+    with them. Captions and drawings."""
+    drawn = [("without the effects", motion.displacement_before)]
+    if motion.after is not motion.before:
+        drawn.append(("with the effects", motion.displacement_after))
+    reach = motion.end + EXAGGERATION * np.concatenate([vectors for _, vectors in drawn]).reshape(len(drawn), -1, 2)
+    frame = np.vstack([motion.end, *reach])
+    return [(text, field_panel(f"Held-out errors {text}", motion.end, vectors, EXAGGERATION, frame=frame)) for text, vectors in drawn]
 
 
 def ranking_bars(selection: Selection, min_log_bayes_factor: float) -> tuple[list[Bar], float]:

@@ -15,8 +15,8 @@ from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.report.figures import (
     EXAGGERATION,
     account_bar,
+    draw_held_out,
     draw_proposal,
-    draw_residuals,
     heat_of_headings,
     heat_of_pushes,
     ranking_bars,
@@ -24,15 +24,12 @@ from push_ident.diagnosis.report.figures import (
 )  # fmt: skip
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.verdict import Verdict
-from push_ident.diagnosis.wording import sentence_of_more_pushes, size_of
+from push_ident.diagnosis.wording import in_mm, sentence_of_more_pushes, size_of
 from push_ident.pages.page import write_page
 from push_ident.physics.effects import EFFECTS
 
 _TITLES = {
     Verdict.NO_GAP: "no gap beyond noise",
-    Verdict.NAMED: "the cause is named",
-    Verdict.ONE_OF: "one of a few causes",
-    Verdict.SEVERAL: "several causes",
     Verdict.UNKNOWN: "an unknown cause",
     Verdict.NOT_TRUSTWORTHY: "these data cannot be diagnosed",
 }
@@ -61,7 +58,15 @@ def write_report(path: Path, diagnosis: Diagnosis, *, object_id: str, sources: S
 
 
 def _title(diagnosis: Diagnosis) -> str:
-    account = diagnosis.account
+    """The verdict; where causes are named, these with their size and what they close together."""
+    account, gap = diagnosis.account, diagnosis.gap
+    if diagnosis.effects and gap is not None:
+        causes = " and ".join(f"{e.name} {size_of(e)}" for e in diagnosis.effects)
+        before, after, where = gap.before, gap.after, "at the end"
+        if gap.motion is not None and np.mean(gap.motion.before - gap.motion.after) > np.mean(before - after):
+            before, after, where = gap.motion.before, gap.motion.after, "over the motion"
+        closes = float(np.mean(before - after))
+        return f"{causes}: {'closes' if closes > 0.0 else 'of'} {in_mm(max(closes, 0.0))} of {in_mm(float(np.mean(before)))} {where}"
     if diagnosis.verdict is Verdict.NO_GAP and account is not None:
         if account.is_unexplained:
             return "nothing named, part of the error unexplained"
@@ -83,11 +88,13 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
         "more_pushes": sentence_of_more_pushes(account, diagnosis.first_push).strip(),
         "heat_of_pushes": heat_of_pushes(diagnosis.where["push"]),
         "heat_of_headings": heat_of_headings(frames),
-        "residuals": draw_residuals(frames),
+        "held_out": [] if gap.motion is None else draw_held_out(gap.motion),
+        "subsystems": _likely_parts(diagnosis),
         "exaggeration": EXAGGERATION,
         "ranking": ranking_bars(selection, policy.min_log_bayes_factor),
         "shrink": shrink_bars(gap, added),
         "shrink_text": _shrink_text(gap, added),
+        "motion_text": _motion_text(gap, added),
         "effects": [
             {"name": e.name, "what": EFFECTS[e.name].what, "size": size_of(e), "log_bayes_factor": e.log_bayes_factor}
             for e in diagnosis.effects
@@ -101,6 +108,15 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
         "no_rival_text": no_rival if diagnosis.effects else "No effect was found, so that there is nothing to distinguish it from.",
         "next_push": _proposal(diagnosis),
     }
+
+
+def _likely_parts(diagnosis: Diagnosis) -> str:
+    """Parts of the cell where something probably acts, the most probable first."""
+    probabilities = diagnosis.probabilities
+    if probabilities is None:
+        return ""
+    parts = sorted(probabilities.subsystems.items(), key=lambda item: -item[1])
+    return ", ".join(f"{part.value} {value:.2f}" for part, value in parts if value >= 0.005)
 
 
 def _probable(diagnosis: Diagnosis) -> list[dict[str, Any]]:
@@ -141,6 +157,16 @@ def _shrink_text(gap: Gap, selected: tuple[str, ...]) -> str:
         f"{error} without and {after:.1f} mm with {', '.join(selected)}; the noise of the poses causes {noise:.1f} mm. Of the gap above "
         f"the noise, {100 * gap.shrink:.0f} % is closed (90 % interval {100 * low:.0f} to {100 * high:.0f} %)."
     )
+
+
+def _motion_text(gap: Gap, selected: tuple[str, ...]) -> str:
+    """The gap over the whole motion."""
+    motion = gap.motion
+    if motion is None or SOMETHING_ELSE in gap.names:
+        return ""
+    before, after, noise = (in_mm(float(np.mean(values))) for values in (motion.before, motion.after, motion.noise))
+    with_them = f" and {after} with {', '.join(selected)}" if selected else ""
+    return f"Over the whole motion, root mean square over the frames: {before} without{with_them}; the noise of the poses causes {noise}."
 
 
 def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:

@@ -128,27 +128,38 @@ def held_out_errors(
     settings: SimulationSettings | None = None,
     observed: Sequence[Observation] | None = None,
 ) -> Float64Array:
-    """Cell error at the end of each push [m], shape (n_records,); see `errors_of_motion`."""
-    return errors_of_motion(model, records, effects=effects, settings=settings, observed=observed)[0]
+    """Cell error at the end of each push [m], shape (n_records,); see `prediction_errors`."""
+    return prediction_errors(model, records, effects=effects, settings=settings, observed=observed).at_end
 
 
-def errors_of_motion(
+@dataclass(frozen=True, slots=True)
+class PredictionErrors:
+    """Of some pushes; NaN where the simulation failed."""
+
+    at_end: Float64Array
+    """Cell error at the end of each push [m], shape (n,)."""
+    over_motion: Float64Array
+    """Root mean square of the cell error over all frames but the first [m], shape (n,)."""
+    end_displacement: Float64Array
+    """Observed minus predicted position at the end, table frame [m], shape (n, 2)."""
+
+
+def prediction_errors(
     model: ObjectModel,
     records: Sequence[PushRecord],
     *,
     effects: EffectsLike | None = None,
     settings: SimulationSettings | None = None,
     observed: Sequence[Observation] | None = None,
-) -> tuple[Float64Array, Float64Array]:
-    """Cell error of each push, with the object simulated from its observed first pose: at the end, and over the motion [m], shape
-    (n_records,) each; the second is the root mean square over all frames but the first.
+) -> PredictionErrors:
+    """Errors of each push, with the object simulated from its observed first pose.
 
     First and last pose are the means of the frames at rest. `effects` act beside the model; those of measured forces move nothing.
-    `observed` are the condensed records, where they are known. NaN where the simulation failed.
+    `observed` are the condensed records, where they are known.
     """
     acting = effect_values(effects).of_poses
     condensed = [observe_push(record) for record in records] if observed is None else observed
-    ends, motions = [], []
+    ends, motions, displacements = [], [], []
     for record, push in zip(records, condensed, strict=True):
         scenario = PushScenario(record.pusher, true_pose(acting, push.pose[0]), push.time[1:], record.order)
 
@@ -161,9 +172,10 @@ def errors_of_motion(
 
         chosen = choose_steps(end_pose, settings or SimulationSettings(), push.last_covariance, scenario.duration)
         errors = cell_errors(record.shape.cells, poses(chosen.settings), push.pose[1:])
+        displacements.append(push.pose[-1, :2] - end_pose(chosen.settings)[:2])
         ends.append(float(errors[-1]))
         motions.append(float(np.sqrt(np.mean(errors**2))))
-    return np.array(ends), np.array(motions)
+    return PredictionErrors(np.array(ends), np.array(motions), np.array(displacements).reshape(-1, 2))
 
 
 @dataclass(frozen=True, slots=True)

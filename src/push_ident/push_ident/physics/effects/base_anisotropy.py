@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import MAPS, Body, Effect, EffectParameter, ExportAs, Law, OnTable, Rival, equation
+from push_ident.physics.effect import MAPS, Body, Effect, EffectParameter, ExportAs, Law, OnTable, Rival, Subsystem, equation
 
 
 @equation
@@ -28,4 +28,5 @@ EFFECT = Effect(
     check="Inspect the underside of the object for a grain or ribs.",
     source="Linear part of orthotropic friction; Goyal, Ruina & Papadopoulos, Planar sliding with dry friction, Wear 143, 1991.",
     export=ExportAs.CELL_ANISOTROPY,
+    within=Subsystem.OBJECT,
 )

@@ -13,6 +13,7 @@ from push_ident.physics.effect import (
     Memory,
     OnTable,
     Rival,
+    Subsystem,
     analytic_exp,
     equation,
     unit_direction,
@@ -51,4 +52,5 @@ EFFECT = Effect(
     check="Shake the object and listen; wait ten seconds and repeat a push.",
     source="First-order model of sloshing; q moves the centre of friction c; c and the covariance S weigh cells by their limits.",
     refit_with=("push_height", "position_dependent_friction"),
+    within=Subsystem.OBJECT,
 )

@@ -4,7 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import MAPS, STILL, Body, Effect, EffectParameter, Law, Load, OnTable, Rival, analytic_sqrt, equation
+from push_ident.physics.effect import (
+    MAPS,
+    STILL,
+    Body,
+    Effect,
+    EffectParameter,
+    Law,
+    Load,
+    OnTable,
+    Rival,
+    Subsystem,
+    analytic_sqrt,
+    equation,
+)
 
 
 @equation
@@ -32,4 +45,5 @@ EFFECT = Effect(
     check="Repeat a push with the tool 20 mm lower.",
     source="Balance of moments: q moves the centre of friction c; c, the covariance S and <> weigh cells by their friction limits.",
     refit_with=("moving_contents", "position_dependent_friction"),
+    within=Subsystem.CONTACT,
 )
