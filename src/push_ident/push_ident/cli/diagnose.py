@@ -119,6 +119,6 @@ def _ranking(selection: Selection) -> Table:
     ranked = sorted(first.scores, key=lambda s: -refitted.get(s.name, s.expected_log_bayes_factor))
     for score in ranked[:8]:
         value = refitted.get(score.name, score.expected_log_bayes_factor)
-        smallest = detectable_size(score) or "none"
+        smallest = detectable_size(score.name, selection.smallest_detectable[score.name]) or "none"
         table.add_row(score.name, f"{value:.1f}", smallest, "found" if score.name in selection.selected else "")
     return table

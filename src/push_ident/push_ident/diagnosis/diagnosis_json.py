@@ -181,7 +181,7 @@ def _ranking(selection: Selection | None) -> list[Json]:
             "name": score.name,
             "evidence": refitted.get(score.name, score.expected_log_bayes_factor),
             "refitted": score.name in refitted,
-            "smallest": score.smallest_detectable,
+            "smallest": selection.smallest_detectable[score.name],
             "unit": EFFECTS[score.name].parameters[0].unit,
         }
         for score in first.scores

@@ -90,6 +90,11 @@ class Selection:
         return {candidate.name: (self.steps[number], candidate) for number, candidate in sorted(chosen.items())}
 
     @property
+    def smallest_detectable(self) -> dict[str, float]:
+        """Size of each effect that would be detected on average beside all that were found before, in its unit; infinite where none."""
+        return {score.name: score.smallest_detectable for step in self.steps for score in step.scores}
+
+    @property
     def stages(self) -> dict[str, Fit]:
         """Fits with some of the effects that were found, by their names, in the order in which they were added."""
         parts = {tuple(name for name in step.before.names if name not in self.base.names): step.before for step in self.steps}

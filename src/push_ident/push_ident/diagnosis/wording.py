@@ -9,7 +9,6 @@ import numpy as np
 from push_ident.diagnosis.account import Account, AccountPart
 from push_ident.diagnosis.odds import SOMETHING_ELSE, Probabilities
 from push_ident.diagnosis.residuals import FrameResiduals, ResidualGroup
-from push_ident.diagnosis.scores import EffectScore
 from push_ident.diagnosis.something_else.words import PatternWords
 from push_ident.diagnosis.verdict import FoundEffect
 from push_ident.identification.predicting.next_push import PlannedPush
@@ -144,12 +143,12 @@ def _with_unit(number: str, unit: str) -> str:
     return f"{number}{unit}" if unit == "°" else f"{number} {unit}".rstrip()
 
 
-def detectable_size(score: EffectScore) -> str:
+def detectable_size(name: str, smallest: float) -> str:
     """The smallest size of an effect that the pushes would show, in the units of `size_of`; empty where no size would."""
-    if not np.isfinite(score.smallest_detectable):
+    if not np.isfinite(smallest):
         return ""
-    factor, unit = _SHOWN_IN.get(EFFECTS[score.name].parameters[0].unit, (1.0, EFFECTS[score.name].parameters[0].unit))
-    return _with_unit(f"{factor * score.smallest_detectable:.2g}", unit)
+    factor, unit = _SHOWN_IN.get(EFFECTS[name].parameters[0].unit, (1.0, EFFECTS[name].parameters[0].unit))
+    return _with_unit(f"{factor * smallest:.2g}", unit)
 
 
 def sentence_of_more_pushes(account: Account, first: PlannedPush | None) -> str:

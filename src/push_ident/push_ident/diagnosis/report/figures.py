@@ -143,7 +143,7 @@ def ranking_bars(selection: Selection, min_log_bayes_factor: float) -> tuple[lis
     bars = []
     for score in ranked:
         value = values[score.name]
-        size = detectable_size(score)
+        size = detectable_size(score.name, selection.smallest_detectable[score.name])
         quiet = f"not detected; would be from {size} on" if size else "not detected; not detectable at any size"
         text = f"{value:.1f}" if value >= min_log_bayes_factor else quiet
         bars.append(Bar(score.name, text, 100.0 * max(0.0, value) / right, score.name in selection.selected))
