@@ -9,10 +9,12 @@ import pytest
 
 from helpers.objects import hammer, random_records, with_forces, with_frames
 from push_ident.identification.fitting.problem import FitProblem, unknowns_of_push
+from push_ident.identification.observing.observation import NoiseModel
 from push_ident.identification.solvers.autograd import reference_cost
 from push_ident.identification.unknowns.mechanics import log_derivatives_at, mechanics_at, model_at
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec, nuisance_effects
+from push_ident.physics.effect_values import effect_values
 from push_ident.types import CameraAccuracy, PushRecord
 
 TRUTH = hammer(1)
@@ -44,7 +46,21 @@ def seen_by_a_camera() -> FitProblem:
     return problem
 
 
-@pytest.mark.parametrize("make", [of_maps, cell_by_cell, with_measured_forces, seen_by_a_camera])
+def with_shared_discrepancy() -> FitProblem:
+    noise = NoiseModel(discrepancy_modes=2, discrepancy_factor=(3.0, 5.0, 2.0), frame_factor=1.5)
+    problem = FitProblem(RECORDS, UnknownsSpec.of(TRUTH.shape, Prior(max_modes=4), effects=["table_tilt"]), noise=noise)
+    assert problem.unknowns_of_push == unknowns_of_push(TRUTH.shape, noise) == 3 + 2 + 3 * 2
+    return problem
+
+
+def with_a_reference() -> FitProblem:
+    """The second push has the shared effects only; one of them has changed before the first."""
+    unknowns = UnknownsSpec.of(TRUTH.shape, Prior(max_modes=4), effects=["table_tilt", "camera_rotation"])
+    shared = effect_values(("table_tilt", "pusher_friction"))
+    return FitProblem(RECORDS, replace(unknowns, shared=shared), noise=NoiseModel(discrepancy_modes=1), n_reference=1)
+
+
+@pytest.mark.parametrize("make", [of_maps, cell_by_cell, with_measured_forces, seen_by_a_camera, with_shared_discrepancy, with_a_reference])
 def test_gradient_of_a_fit(make) -> None:  # type: ignore[no-untyped-def]
     problem = make()
     x = 0.3 * np.random.default_rng(0).normal(size=problem.size)

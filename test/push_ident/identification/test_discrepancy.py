@@ -1,0 +1,85 @@
+"""The size of a discrepancy that the frames of a push share, set by the pushes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.diagnosis import simulated_pushes
+from push_ident.diagnosis.fits import fit_base, fit_effects
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.identification.fitting.discrepancy import DiscrepancySize, LinearPushes, with_size
+from push_ident.identification.fitting.fit import Fit
+from push_ident.physics.effects import EFFECTS
+from push_ident.types import Float64Array, PushRecord
+
+N_PUSHES = 6
+
+
+def displaced(records: list[PushRecord], std: float) -> list[PushRecord]:
+    """Each push with its own displacement of the tool, of this standard deviation along each axis [m]."""
+    rng = np.random.default_rng(3)
+    moved = [replace(r.pusher, position=r.pusher.position + std * rng.normal(size=2)) for r in records]
+    return [replace(record, pusher=pusher) for record, pusher in zip(records, moved, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fit:
+    return fit_base(simulated_pushes(N_PUSHES, 5, {"table_tilt": [0.01, 0.0]}), DiagnosisSettings())
+
+
+def linear(fit: Fit) -> LinearPushes:
+    return LinearPushes.of(fit.problem, fit.x, fit.end.hessian, fit.end.gradient)
+
+
+def test_pushes_that_differ_by_a_displacement_of_the_contact_show_its_size() -> None:
+    std = 1.5e-3
+    noise = fit_base(displaced(simulated_pushes(N_PUSHES, 5), std), DiagnosisSettings()).problem.noise
+    assert noise is not None
+    found = noise.discrepancy_factor[0] * noise.floor_position
+    assert 0.5 * std < found < 2.0 * std
+    plain = fit_base(simulated_pushes(N_PUSHES, 5), DiagnosisSettings()).problem.noise
+    assert plain is not None and plain.discrepancy_factor[0] * plain.floor_position < 0.2 * std
+    assert 1.0 <= plain.frame_factor < 1.2
+
+
+def test_evidence_of_a_size_is_that_of_the_whole_hessian_and_its_slope_that_of_differences(fit: Fit) -> None:
+    pushes, n = linear(fit), fit.unknowns.size
+    at_fit = pushes.solve(np.zeros(3))
+    assert at_fit.volume == pytest.approx(fit.end.log_volume, abs=1e-6)
+    np.testing.assert_allclose(at_fit.unknowns, fit.x[:n], atol=0.05)
+    # Under another size: the same by the dense Hessian, without eliminating the unknowns of the pushes.
+    logs = np.array([0.4, -0.3, 0.2])
+    added = np.tile(np.where(pushes.group < 0, 0.0, np.exp(-2.0 * logs)[pushes.group] - 1.0), N_PUSHES)
+    hessian = fit.end.hessian + np.diag(np.r_[np.zeros(n), added])
+    gradient = fit.end.gradient + np.r_[np.zeros(n), added] * fit.x
+    moved = fit.x - np.linalg.solve(hessian, gradient)
+    np.testing.assert_allclose(pushes.solve(logs).unknowns, moved[:n], atol=1e-6)
+    assert pushes.solve(logs).volume == pytest.approx(0.5 * np.linalg.slogdet(hessian)[1], abs=1e-6)
+    slope = pushes.cost(logs)[1]
+    for k, step in enumerate(1e-5 * np.eye(3)):
+        assert slope[k] == pytest.approx((pushes.cost(logs + step)[0] - pushes.cost(logs - step)[0]) / 2e-5, rel=1e-4, abs=1e-4)
+
+
+def test_without_an_effect_pushes_are_those_at_its_null_value(fit: Fit) -> None:
+    tilted = fit_effects(fit, ("table_tilt",))
+    pushes, at = linear(tilted), tilted.unknowns.slice_of_effect("table_tilt")
+    without = pushes.of_unknowns(np.setdiff1d(np.arange(tilted.unknowns.size), np.r_[at]))
+    gain = without.least_cost() - pushes.least_cost()
+    assert gain > 2.0
+    # In the linear range, as the fit with and without it.
+    assert gain == pytest.approx(tilted.log_evidence - fit.log_evidence, rel=0.35)
+    assert tilted.effects.values[0] == pytest.approx(0.01, abs=3.0 * EFFECTS["table_tilt"].parameters[0].scale)
+
+
+def test_another_size_has_the_same_motions_and_displacements(fit: Fit) -> None:
+    problem, x = with_size(fit.problem, fit.x, DiscrepancySize(1.3, np.array([2.0, 0.5, 3.0]), 0.0))
+    before, after = ([p.displacement(at, push) for push in range(N_PUSHES)] for p, at in ((fit.problem, fit.x), (problem, x)))
+    for one, other in zip(before, after, strict=True):
+        np.testing.assert_allclose(other, one, atol=1e-12)
+    assert problem.noise is not None and fit.problem.noise is not None
+    assert problem.noise.frame_factor == pytest.approx(1.3 * fit.problem.noise.frame_factor)
+    first: list[Float64Array] = [p.first_pose(at, 0) for p, at in ((fit.problem, fit.x), (problem, x))]
+    np.testing.assert_array_equal(*first)
