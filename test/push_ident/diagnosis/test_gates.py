@@ -52,6 +52,22 @@ def test_pushes_with_many_missing_frames_count_by_their_poses_at_rest(records: l
     assert len(state.records[-1].poses.time) == len(whole.poses.time)
 
 
+def test_burst_of_wrong_poses_is_left_out_and_a_step_that_stays_is_not(records: list[PushRecord]) -> None:
+    poses = records[1].poses
+    start = len(poses.time) // 3
+    frames = slice(start, int(np.searchsorted(poses.time, poses.time[start] + 0.5)))
+    moved = np.array(poses.pose)
+    moved[frames] += [0.06, -0.03, 0.4]
+    state = checked(records[0], replace(records[1], poses=replace(poses, pose=moved)), *records[2:])
+    n = frames.stop - frames.start
+    assert any(f"{n} poses" in gate.finding and gate.passed for gate in state.gates) and not state.abstains
+    np.testing.assert_array_equal(state.records[1].poses.pose, np.delete(poses.pose, np.r_[frames], axis=0))
+    stays = np.array(poses.pose)
+    stays[start:] += [0.06, 0.0, 0.0]
+    kept = checked(records[0], replace(records[1], poses=replace(poses, pose=stays)), *records[2:])
+    assert len(kept.records[1].poses.time) == len(poses.time)
+
+
 @pytest.mark.parametrize(("frames", "axis", "change", "fails"), [(slice(5, None, 10), 2, np.pi, True), (slice(60, None), 0, 0.1, False)])
 def test_poses_that_jump_and_come_back_fail_and_a_step_that_stays_does_not(
     records: list[PushRecord], frames: slice, axis: int, change: float, fails: bool

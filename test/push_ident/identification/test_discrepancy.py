@@ -12,7 +12,6 @@ from push_ident.diagnosis.fits import fit_base, fit_effects
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.fitting.discrepancy import DiscrepancySize, LinearPushes, with_size
 from push_ident.identification.fitting.fit import Fit
-from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, PushRecord
 
 N_PUSHES = 6
@@ -27,7 +26,7 @@ def displaced(records: list[PushRecord], std: float) -> list[PushRecord]:
 
 @pytest.fixture(scope="module")
 def fit() -> Fit:
-    return fit_base(simulated_pushes(N_PUSHES, 5, {"table_tilt": [0.01, 0.0]}), DiagnosisSettings())
+    return fit_base(simulated_pushes(N_PUSHES, 5, {"table_tilt": [0.025, 0.0]}), DiagnosisSettings())
 
 
 def linear(fit: Fit) -> LinearPushes:
@@ -49,7 +48,7 @@ def test_evidence_of_a_size_is_that_of_the_whole_hessian_and_its_slope_that_of_d
     pushes, n = linear(fit), fit.unknowns.size
     at_fit = pushes.solve(np.zeros(3))
     assert at_fit.volume == pytest.approx(fit.end.log_volume, abs=1e-6)
-    np.testing.assert_allclose(at_fit.unknowns, fit.x[:n], atol=0.05)
+    np.testing.assert_allclose(at_fit.unknowns, fit.x[:n], atol=0.2)
     # Under another size: the same by the dense Hessian, without eliminating the unknowns of the pushes.
     logs = np.array([0.4, -0.3, 0.2])
     added = np.tile(np.where(pushes.group < 0, 0.0, np.exp(-2.0 * logs)[pushes.group] - 1.0), N_PUSHES)
@@ -68,10 +67,10 @@ def test_without_an_effect_pushes_are_those_at_its_null_value(fit: Fit) -> None:
     pushes, at = linear(tilted), tilted.unknowns.slice_of_effect("table_tilt")
     without = pushes.of_unknowns(np.setdiff1d(np.arange(tilted.unknowns.size), np.r_[at]))
     gain = without.least_cost() - pushes.least_cost()
-    assert gain > 2.0
+    assert gain > 10.0
     # In the linear range, as the fit with and without it.
     assert gain == pytest.approx(tilted.log_evidence - fit.log_evidence, rel=0.35)
-    assert tilted.effects.values[0] == pytest.approx(0.01, abs=3.0 * EFFECTS["table_tilt"].parameters[0].scale)
+    assert tilted.effects.values[0] == pytest.approx(0.025, abs=0.008)
 
 
 def test_another_size_has_the_same_motions_and_displacements(fit: Fit) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -21,7 +22,7 @@ from push_ident.identification.observing.observation import (
     noise_correlation_std,
     observe_push,
 )  # fmt: skip
-from push_ident.types import BoolArray, PushRecord
+from push_ident.types import BoolArray, PoseTrack, PushRecord
 
 
 def check_pushes(state: DiagnosisState) -> DiagnosisState:
@@ -29,9 +30,11 @@ def check_pushes(state: DiagnosisState) -> DiagnosisState:
 
     A push with too many missing frames counts by its poses at rest: nothing says where its other frames went.
     """
-    settings, records = state.settings, state.records
+    settings = state.settings
     policy, noise = settings.policy.gates, settings.noise
-    gates = check_data(records, noise, policy)
+    bursts = [in_burst(record, policy) for record in state.records]
+    records = tuple(_without(record, burst) for record, burst in zip(state.records, bursts, strict=True))
+    gates = [*_bursts(bursts), *check_data(records, noise, policy)]
     records = tuple(at_rest(record) if _missing_share(record, policy) >= policy.max_missing_share else record for record in records)
     return replace(
         state,
@@ -64,6 +67,42 @@ def check_data(records: Sequence[PushRecord], noise: NoiseModel, policy: GatePol
     ]
     gates += _missing_frames(records, policy)
     return [*gates, _jumps(records, policy)]
+
+
+def in_burst(record: PushRecord, policy: GatePolicy) -> BoolArray:
+    """Of each pose, whether it lies in a burst of wrong ones: between a jump away and the next, which undoes it, no longer than
+    `max_burst`; shape (n_frames,). A tracker that loses its object for a moment does that, and no object."""
+    pose, time = record.poses.pose, record.poses.time
+    wrong = np.zeros(len(pose), dtype=bool)
+    deviation = np.sqrt(np.diagonal(record.poses.covariance, axis1=1, axis2=2))
+    limit = np.array(policy.jump_size) + policy.jump_deviations * deviation[1:]
+    step = np.diff(pose, axis=0)
+    step[:, 2] = wrap_angle(step[:, 2])
+    jumps = np.flatnonzero(np.any(np.abs(step) > limit, axis=1))
+    for first, last in pairwise(jumps):
+        both = step[first] + step[last]
+        both[2] = wrap_angle(both[2])
+        comes_back = np.all(np.abs(both) <= limit[last]) and time[last] - time[first + 1] <= policy.max_burst
+        if comes_back and not wrong[first]:
+            wrong[first + 1 : last + 1] = True
+    return wrong
+
+
+def _without(record: PushRecord, wrong: BoolArray) -> PushRecord:
+    if not np.any(wrong):
+        return record
+    poses = record.poses
+    return replace(record, poses=PoseTrack(poses.time[~wrong], poses.pose[~wrong], poses.covariance[~wrong]))
+
+
+def _bursts(bursts: Sequence[BoolArray]) -> list[Gate]:
+    """What is done about bursts of wrong poses; nothing where there are none."""
+    n = sum(int(np.count_nonzero(burst)) for burst in bursts)
+    if not n:
+        return []
+    share = n / sum(map(len, bursts))
+    finding = f"{n} poses ({100 * share:.1f} %) jump away together and come back, and are left out"
+    return [Gate(True, finding, "Find out why the tracker loses the object for a moment.")]
 
 
 def _missing_frames(records: Sequence[PushRecord], policy: GatePolicy) -> list[Gate]:

@@ -40,6 +40,9 @@ class GatePolicy:
     frame. Judgement from the speed of pushes (0.3 m/s at 15 frames a second)."""
     jump_deviations: float = 8.0
     """Stated standard deviations that are added to `jump_size` [1]. Judgement."""
+    max_burst: float = 1.0
+    """Longest time for which poses that jump away and come back together are left out [s]; longer ones remain. Judgement: twice what a
+    tracker of motion capture was seen to lose a body for."""
     max_jump_share: float = 0.02
     """Share of poses that jump, below which data are accepted. Judgement: a tracker that flips by half a turn exceeds it."""
     min_rest_pairs: int = 80
