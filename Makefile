@@ -31,6 +31,7 @@ bench: setup  ## time and error of engine, identification and perception (ten mi
 	$(VENV)/push-ident bench --page docs/results/benchmarks.md
 
 # The published seeds.
+comma := ,
 experiment = $(VENV)/push-ident experiment $(1) --json docs/results/$(firstword $(1)).json
 experiments: setup  ## the paper's experiments and those of pushing to goals (hours; goes on where it stopped), then their pages
 	$(call experiment,convergence --models 1)
@@ -59,7 +60,7 @@ recordings: setup  ## recordings of others, set by set, DATA=FOLDER of them (goe
 	$(VENV)/push-ident experiment report
 
 injected: setup  ## known causes put into recordings of others, DATA=FOLDER of them (goes on where it stopped), then the page
-	$(call experiment,injected --models 2 --variants single --recordings "$(DATA)")
+	$(call experiment,injected --models 2 --variants single$(comma)single-against-half --recordings "$(DATA)")
 	$(VENV)/push-ident experiment report
 
 STREAMS ?= 10000
