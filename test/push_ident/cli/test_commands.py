@@ -9,6 +9,7 @@ import pytest
 
 from helpers.commands import check_refused, run_here
 from helpers.damaged_models import DAMAGE, DAMAGED_TEXT, right_model, unreadable_paths
+from helpers.diagnosis import simulated_pushes
 from helpers.objects import hammer, random_records
 from helpers.paths import EXAMPLE_BAG
 from push_ident import __version__
@@ -38,6 +39,19 @@ def test_identify_writes_what_the_contract_names_and_predicts_pushes_on_request(
     predicted = run_here("predict", tmp_path / "out" / "model.json", bag, "--json", tmp_path / "p.json")
     assert predicted.returncode == 0, predicted.stderr
     assert json.loads((tmp_path / "p.json").read_text())["cell_error_m"] < 0.004
+
+
+def test_recording_is_diagnosed_against_another_one(tmp_path: Path) -> None:
+    """Of the same object, on the same sloping table."""
+    bags = [tmp_path / name for name in ("now", "before")]
+    for bag, seed in zip(bags, (12, 11), strict=True):
+        write_records(bag, simulated_pushes(5, seed, {"table_tilt": [0.03, 0.0]}))
+    done = run_here("diagnose", bags[0], "--against", bags[1], "--json", tmp_path / "d.json", "--out", tmp_path / "out")
+    content = json.loads((tmp_path / "d.json").read_text())
+    assert done.returncode == 0 and "No change since the reference is found" in done.stdout
+    assert content["verdict"] == "no_gap" and content["shared_with_reference"] == ["table_tilt"] and content["causes"] == []
+    assert content["remainder"]["over_motion"]["error_m"] < 2e-3
+    assert (tmp_path / "out" / "report.html").exists() and not (tmp_path / "out" / "model.json").exists()
 
 
 def test_bag_cut_in_half_is_refused_until_it_is_salvaged_and_what_cannot_be_done_is_said_in_one_line(bag: Path, tmp_path: Path) -> None:
