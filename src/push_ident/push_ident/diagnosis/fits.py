@@ -87,9 +87,8 @@ def fit_with_reference(records: Sequence[PushRecord], reference: Sequence[PushRe
     known = fit_base(reference, settings)
     unknowns = replace(known.unknowns.with_effects(()), shared=effect_values(known.names))
     problem = FitProblem(
-        [*records, *reference], unknowns, noise=settings.noise, settings=settings.numerics, n_reference=len(reference),
-        run_all=map_in_threads,
-    )  # fmt: skip
+        [*records, *reference], unknowns, noise=settings.noise, settings=settings.numerics, run_all=map_in_threads,
+    ).beside_reference(len(reference))  # fmt: skip
     start = np.r_[known.unknowns.layout.moved(known.z, unknowns.layout), np.zeros(problem.size - unknowns.size)]
     start[unknowns.slices["shared_effects"]] = known.effect_unknowns
     problem, start = _roughly_sized(problem, start)

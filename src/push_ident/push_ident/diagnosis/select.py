@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Final
 
 import numpy as np
 
@@ -22,9 +21,6 @@ from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import SolveStatus
-
-_OF_A_RECORDING: Final = ("wear",)
-"""Effects that follow the order of the pushes of a recording, which no reference shares."""
 
 
 def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
@@ -139,7 +135,7 @@ def _shared_instead(selection: Selection, step: Step, policy: SelectionPolicy) -
         return None
     scores = score_effects(effect_information(selection.fit, shared=True), policy)
     least = max(required_log_bayes_factor(selection, policy), step.log_bayes_factor)
-    likely = [score for score in scores if score.name not in _OF_A_RECORDING][:1]
+    likely = [score for score in scores if not EFFECTS[score.name].follows_order][:1]
     for score in likely:
         if score.expected_log_bayes_factor > policy.promise_share * least:
             fit = with_shared(selection.fit, score.name, score.start)

@@ -312,6 +312,8 @@ class Effect:
     """The part of an exported description that carries it; None where no format has one."""
     within: Subsystem | None = None
     """Where its cause is, if not where it acts."""
+    follows_order: bool = False
+    """Whether it follows the order of the pushes of a recording, and says nothing of another one."""
 
     def __post_init__(self) -> None:
         memory = 0 if self.memory is None else self.memory.size

@@ -209,7 +209,8 @@ STUDY = Experiment(
         "to twice their typical size, singly and in pairs; each seed is a draw of pushes and causes. Against half: the other half of the "
         "pushes, as recorded, is the reference of `--against`. Detectable: the model that is given "
         "the true causes predicts held-out pushes better by more than twice the standard error of that gain. Exact twins count as right. "
-        "Left open: true, but only one of several. Wrong: neither true, nor left open to it, nor given to the same pushes as they were recorded."
+        "Left open: true, but only one of several. Wrong: neither true, nor left open to it, nor given to the same pushes as they were "
+        "recorded."
     ),
     objects=(),
     find_objects=lambda folder: tuple(find_sets(folder)),

@@ -100,7 +100,6 @@ class FitProblem:
         meter: counts the simulations and ends a solve when its budget is spent; by default without a limit, so that no clock decides a
             result.
         past: information from other pushes, in the unknowns of the object.
-        n_reference: number of pushes, the last ones, that are those of a reference: without the changes since.
         steps: time steps that another problem of the same pushes chose (`FitProblem.steps`).
         run_all: how the pushes are simulated. In parallel, the meter counts them only roughly.
 
@@ -117,7 +116,6 @@ class FitProblem:
         settings: SimulationSettings | None = None,
         meter: Meter | None = None,
         past: Quadratic | None = None,
-        n_reference: int = 0,
         steps: Sequence[StepChoice | None] | None = None,
         run_all: RunAll = map,
     ) -> None:
@@ -130,7 +128,8 @@ class FitProblem:
         self.records = list(records)
         self.noise = noise
         self.unknowns = unknowns
-        self.n_reference = n_reference
+        self.n_reference = 0
+        """Number of pushes, the last ones, that are those of a reference: without the changes since."""
         self.observations: list[Observation] = [observe_push(record, noise) for record in records]
         is_used = unknowns.prior.force_offset_std > 0
         self.forces: list[ForceObservation | None] = [observe_forces(record, noise) if is_used else None for record in records]
@@ -160,6 +159,12 @@ class FitProblem:
         other.observations = [observe_push(record, noise) for record in self.records]
         other.first_scale = [np.linalg.cholesky(o.first_covariance) for o in other.observations]
         other.steps = [None] * len(self.records)
+        return other
+
+    def beside_reference(self, n_reference: int) -> FitProblem:
+        """The same problem, whose last pushes are those of a reference."""
+        other = copy(self)
+        other.n_reference = n_reference
         return other
 
     def without(self, pushes: Collection[int]) -> FitProblem:

@@ -24,4 +24,5 @@ EFFECT = Effect(
     rivals=(Rival(MAPS, "the first push repeated at the end, or pushes in random order"),),
     check="Repeat the first push last.",
     source="First-order drift; Yu, Bauza, Fazeli & Rodriguez, More than a million ways to be pushed, 2016.",
+    follows_order=True,
 )
