@@ -54,10 +54,12 @@ def with_shared_discrepancy() -> FitProblem:
 
 
 def with_a_reference() -> FitProblem:
-    """The second push has the shared effects only; one of them has changed before the first."""
-    unknowns = UnknownsSpec.of(TRUTH.shape, Prior(max_modes=4), effects=["table_tilt", "camera_rotation"])
-    shared = effect_values(("table_tilt", "pusher_friction"))
-    return FitProblem(RECORDS, replace(unknowns, shared=shared), noise=NoiseModel(discrepancy_modes=1)).beside_reference(1)
+    """The second push, whose forces are measured, too, has the shared effects only; one of them has changed before the first."""
+    records = [with_forces(r, TRUTH) for r in RECORDS]
+    prior = Prior(max_modes=4).with_force_offset(records)
+    unknowns = UnknownsSpec.of(TRUTH.shape, prior, effects=["table_tilt", "camera_rotation", "force_offset"])
+    shared = effect_values(("table_tilt", "pusher_friction", "force_delay"))
+    return FitProblem(records, replace(unknowns, shared=shared), noise=NoiseModel(discrepancy_modes=1)).beside_reference(1)
 
 
 @pytest.mark.parametrize("make", [of_maps, cell_by_cell, with_measured_forces, seen_by_a_camera, with_shared_discrepancy, with_a_reference])

@@ -130,18 +130,16 @@ def _shared_instead(selection: Selection, step: Step, policy: SelectionPolicy) -
 
     None where none does, or there is no reference.
     """
-    shared = selection.fit.unknowns.shared
-    if shared is None or len(shared.names) >= policy.max_effects:
+    if selection.fit.unknowns.shared is None:
         return None
     scores = score_effects(effect_information(selection.fit, shared=True), policy)
+    best = next((score for score in scores if not EFFECTS[score.name].follows_order), None)
     least = max(required_log_bayes_factor(selection, policy), step.log_bayes_factor)
-    likely = [score for score in scores if not EFFECTS[score.name].follows_order][:1]
-    for score in likely:
-        if score.expected_log_bayes_factor > policy.promise_share * least:
-            fit = with_shared(selection.fit, score.name, score.start)
-            if fit.log_evidence - selection.fit.log_evidence > least:
-                return polished(fit_effects(fit, selection.base.names))
-    return None
+    if best is None or best.expected_log_bayes_factor <= policy.promise_share * least:
+        return None
+    fit = with_shared(selection.fit, best.name, best.start)
+    explains_more = fit.log_evidence - selection.fit.log_evidence > least
+    return polished(fit_effects(fit, selection.base.names)) if explains_more else None
 
 
 def _refit(fit: Fit, required: float, score: EffectScore) -> Candidate:

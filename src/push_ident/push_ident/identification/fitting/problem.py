@@ -479,7 +479,8 @@ class FitProblem:
         )  # fmt: skip
         jacobian, by_factor, by_value = observed.derivative(motion, by_unknowns, mechanics.mass_factor, mechanics.all_effects)
         jacobian[:, :, unknowns.slices["total_mass"]] += by_factor[:, :, None] * unknowns.blocks["total_mass"].std
-        jacobian[:, :, : unknowns.size] += by_value @ unknowns.acting_effects(self.object_unknowns(x))[1]
+        of_values = unknowns.acting_effects(self.object_unknowns(x), of_reference=push >= self.n_pushes)[1]
+        jacobian[:, :, : unknowns.size] += by_value @ of_values
         return jacobian.reshape(2 * len(observed.force), -1)
 
     def _whitened_jacobian(self, mechanics: Mechanics, motion: Motion, push: int) -> Float64Array:
