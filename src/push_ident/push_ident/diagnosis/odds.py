@@ -155,8 +155,9 @@ def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[
         return float(min(1.0, sum(share for e, share in zip(explanations, shares, strict=True) if name in e.causes)))
 
     nothing = float(sum(share for e, share in zip(explanations, shares, strict=True) if not e.causes))
-    alone = [(share, e.imitated_by) for e, share in zip(explanations, shares, strict=True) if e.causes == {SOMETHING_ELSE}]
-    outside_alone, unlike = float(sum(share for share, _ in alone)), float(sum(share for share, imitated_by in alone if not imitated_by))
+    outside_only = [(share, e.imitated_by) for e, share in zip(explanations, shares, strict=True) if e.causes == {SOMETHING_ELSE}]
+    outside_alone = float(sum(share for share, _ in outside_only))
+    unlike = float(sum(share for share, imitated_by in outside_only if not imitated_by))
 
     def of_part(part: Subsystem) -> float:
         acts = (any(name != SOMETHING_ELSE and EFFECTS[name].subsystem is part for name in e.causes) for e in explanations)

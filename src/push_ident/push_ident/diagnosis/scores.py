@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fitting.discrepancy import TAILS, WIDTH, FrameErrors, LinearPushes
+from push_ident.identification.fitting.discrepancy import WIDTH, FrameErrors, LinearPushes
 from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.fitting.problem import FitProblem
 from push_ident.physics.effect_values import effect_values
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 from push_ident.types import Float64Array
@@ -101,8 +102,7 @@ class LinearRange:
         of_pushes = at.of_push[:, group >= 0] * factor[group[group >= 0]]
         size2 = float(np.sum(at.unknowns**2) + np.sum(of_pushes**2) + np.sum(((self.pushes.first + logs) / WIDTH) ** 2))
         forces = self.forces + (self.by_forces @ moved).reshape(-1, 2)
-        of_forces = 0.5 * (TAILS + 2.0) * float(np.sum(np.log1p(np.sum(forces**2, axis=1) / TAILS)))
-        cost = self.errors.cost(residual, log) + self.errors.cost_of_first(residual) + of_forces
+        cost = self.errors.cost(residual, log) + self.errors.cost_of_first(residual) + FitProblem.weigh(forces)[0]
         cost += 0.5 * size2 + at.volume + linear.log_size(logs)
         return -cost, at.unknowns
 

@@ -193,7 +193,9 @@ def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequenc
     residuals = np.column_stack([linear.residual, _noise(fit, linear, policy.draws)])
     results = map_in_threads(lambda family: _evaluate(family, linear, residuals), all_families)
     sized = [linear, *_of_smaller_discrepancy(fit, linear)]
-    by_size = np.array([[result[0] for result in results], *([_alone(family, one)[0] for family in all_families] for one in sized[1:])])
+    by_size = np.array(
+        [[result[0] for result in results], *([_evaluate_alone(family, one)[0] for family in all_families] for one in sized[1:])]
+    )
     sizes = np.array([one.log_evidence for one in sized])
     families = logsumexp(by_size + sizes[:, None], axis=0) - logsumexp(sizes)
     best_of = [sized[k] for k in np.argmax(by_size + sizes[:, None], axis=0)]
@@ -202,7 +204,7 @@ def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequenc
 
     def pattern(k: int) -> Pattern:
         family, at = all_families[k], best_of[k]
-        _, (member_number, scale_number) = _alone(family, at)
+        _, (member_number, scale_number) = _evaluate_alone(family, at)
         member, scale = family.members[member_number], family.scales[scale_number]
         return Pattern(family, member, scale, float(families[k]), float(share[k]), _amplitudes(family, member, scale, at))
 
@@ -241,7 +243,7 @@ def _evidence_without(sized: Sequence[_Linear], size: int, families: Sequence[Fa
     """Log Bayes factor of anything of the kind without some pushes, under one of the sizes of the discrepancy [nat]."""
     rows, rests = layout.without(fold), [linear.without(layout, fold) for linear in sized]
     remaining = [replace(family, columns=family.columns[rows]) for family in families]
-    found = float(_log_mean(np.array([_alone(family, rests[size])[0] for family in remaining])))
+    found = float(_log_mean(np.array([_evaluate_alone(family, rests[size])[0] for family in remaining])))
     return found + rests[size].log_evidence - float(logsumexp([rest.log_evidence for rest in rests]))
 
 
@@ -322,8 +324,8 @@ def _evaluate(family: Family, linear: _Linear, residuals: Float64Array) -> tuple
     return float(both[0]), both[1:], (int(member_number), int(scale_number))
 
 
-def _alone(family: Family, linear: _Linear) -> tuple[float, tuple[int, int]]:
-    """Log Bayes factor of a family without draws of noise [nat], and the numbers of its best member and scale."""
+def _evaluate_alone(family: Family, linear: _Linear) -> tuple[float, tuple[int, int]]:
+    """Log Bayes factor of a family for the residuals of the fit alone [nat], and the numbers of its best member and scale."""
     value, _, best = _evaluate(family, linear, linear.residual[:, None])
     return value, best
 

@@ -17,28 +17,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 
+from push_ident.identification.fitting.problem import Evaluation, FitProblem
 from push_ident.identification.observing.observation import NoiseModel
 from push_ident.types import Float64Array
-
-if TYPE_CHECKING:
-    from push_ident.identification.fitting.problem import Evaluation, FitProblem
 
 WIDTH: Final = 1.0
 """Standard deviation of the logarithm of a factor about that of the noise model [-]: a factor of 2.7 either way. Effect-free pushes of the
 simulators here have a third of the default to its double, recordings of others up to ten times as much."""
 _LARGEST: Final = 5.0
 """Of the logarithm of a factor [-]: of 150, where nothing is predicted any more."""
-TAILS: Final = 4.0
-"""Degrees of freedom of the noise of a frame [-]."""
 OF_FRAME: Final = 2.5967
-"""By which a frame counts in the logarithm of the size of all [1]: E[(t + 3) r^2 / (t + r^2)] of normal errors r with t = `TAILS`, so that
-their factor is 1; 3 would be that of errors with those tails."""
+"""By which a frame counts in the logarithm of the size of all [1]: E[(t + 3) r^2 / (t + r^2)] of normal errors r, so that their factor
+is 1; 3 would be that of errors with those tails, t = 4 (`problem.TAILS`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,14 +213,13 @@ class FrameErrors:
 
     def cost(self, residual: Float64Array, log: float = 0.0) -> float:
         """Negative log density of residuals of shape (n_frames, 3) under a factor on that of the fit [nat]."""
-        size2 = np.sum(residual[self.frames] ** 2, axis=1)
-        of_frames = OF_FRAME * self.share * log + 0.5 * (TAILS + 3.0) * np.log1p(size2 * np.exp(-2.0 * log) / TAILS)
-        return float(np.sum(of_frames)) + 0.5 * ((self.first + log) / WIDTH) ** 2
+        of_size = OF_FRAME * self.share * log * len(self.frames)
+        return of_size + FitProblem.weigh(np.exp(-log) * residual[self.frames])[0] + 0.5 * ((self.first + log) / WIDTH) ** 2
 
     def cost_of_first(self, residual: Float64Array) -> float:
         """Of the first frames of the pushes, whose errors are those of the noise [nat]."""
         first = np.setdiff1d(np.arange(len(residual)), self.frames)
-        return float(np.sum(0.5 * (TAILS + 3.0) * np.log1p(np.sum(residual[first] ** 2, axis=1) / TAILS)))
+        return FitProblem.weigh(residual[first])[0]
 
     def best(self, residual: Float64Array) -> float:
         """Logarithm of the factor of least cost."""

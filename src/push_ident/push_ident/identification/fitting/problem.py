@@ -356,7 +356,8 @@ class FitProblem:
         observed = self.observations[push]
         return np.einsum("fij,fj->fi", observed.whitening, motion.pose + self.displacement(x, push) - observed.pose)
 
-    def weigh(self, residual: Float64Array) -> tuple[float, Float64Array]:
+    @staticmethod
+    def weigh(residual: Float64Array) -> tuple[float, Float64Array]:
         """Robust cost of whitened residuals, shape (n, size), and the weight of the square of each row in it, shape (n,)."""
         size2, freedom = np.sum(residual**2, axis=1), TAILS + residual.shape[1]
         return 0.5 * freedom * float(np.sum(np.log1p(size2 / TAILS))), freedom / (TAILS + size2)
