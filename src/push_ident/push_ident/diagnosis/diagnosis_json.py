@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from push_ident.diagnosis.account import Account
+from push_ident.diagnosis.fits import BASE_WITH_FORCES
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.odds import SOMETHING_ELSE
@@ -115,7 +116,7 @@ def _gap(gap: Gap | None) -> Json:
 def _shared(selection: Selection | None) -> list[str] | None:
     """Effects that pushes of a reference have, too; None without a reference."""
     shared = None if selection is None else selection.base.unknowns.shared
-    return None if shared is None else list(shared.names)
+    return None if shared is None else [name for name in shared.names if name not in BASE_WITH_FORCES]
 
 
 def _causes(diagnosis: Diagnosis) -> list[Json]:

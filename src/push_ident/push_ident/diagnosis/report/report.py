@@ -59,9 +59,13 @@ def write_report(path: Path, diagnosis: Diagnosis, *, object_id: str, sources: S
 
 def _title(diagnosis: Diagnosis) -> str:
     """The verdict; where causes are named, these with their size and what they close together."""
-    account, gap = diagnosis.account, diagnosis.gap
+    account, gap, selection = diagnosis.account, diagnosis.gap, diagnosis.selection
+    has_reference = selection is not None and selection.base.unknowns.shared is not None
+    if diagnosis.verdict is Verdict.NO_GAP and has_reference:
+        return "no change since the reference"
     if diagnosis.effects and gap is not None:
-        causes = " and ".join(f"{e.name} {size_of(e)}" for e in diagnosis.effects)
+        since = "changed since the reference, " if has_reference else ""
+        causes = since + " and ".join(f"{e.name} {size_of(e)}" for e in diagnosis.effects)
         before, after, where = gap.before, gap.after, "at the end"
         if gap.motion is not None and np.mean(gap.motion.before - gap.motion.after) > np.mean(before - after):
             before, after, where = gap.motion.before, gap.motion.after, "over the motion"
