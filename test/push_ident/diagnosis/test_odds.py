@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
-from typing import Any, cast
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from helpers.diagnosis import step_of, stub_fit
-from push_ident.diagnosis.odds import OutsideEvidence, Probabilities, explanations_of, is_outside, probabilities_of
+from push_ident.diagnosis.odds import SOMETHING_ELSE, OutsideEvidence, Probabilities, explanations_of, is_outside, probabilities_of
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.scores import EffectScore
 from push_ident.diagnosis.selection import Selection, Step
-from push_ident.diagnosis.something_else.evidence import SomethingElse
+from push_ident.diagnosis.something_else.evidence import Pattern, SomethingElse
+from push_ident.diagnosis.something_else.family import Acts, Family, Member, VariesWith
 
 POLICY = SelectionPolicy()
-NO_TRACE = OutsideEvidence(-math.inf, -math.inf)
+
+
+def something_else(in_place: float, in_addition: float) -> OutsideEvidence:
+    return OutsideEvidence({SOMETHING_ELSE: in_place}, {SOMETHING_ELSE: in_addition})
+
+
+NO_TRACE = something_else(-math.inf, -math.inf)
 
 
 def selection_of(*rounds: dict[str, float], n_found: int) -> Selection:
@@ -33,7 +40,7 @@ def probabilities(selection: Selection, outside: OutsideEvidence = NO_TRACE) -> 
 def test_without_evidence_probabilities_are_the_prior() -> None:
     scores = tuple(EffectScore(name, 0.0, np.zeros(1), np.eye(1), np.inf) for name in probabilities(selection_of(n_found=0)).effects)
     base = stub_fit()
-    found = probabilities(Selection(base, base, (Step(base, None, scores, ()),)), OutsideEvidence(0.0, 0.0))
+    found = probabilities(Selection(base, base, (Step(base, None, scores, ()),)), something_else(0.0, 0.0))
     assert found.nothing == pytest.approx(POLICY.prior_nothing)
     assert found.something_else == pytest.approx(POLICY.prior_something_else)
     assert sum(found.effects.values()) == pytest.approx(POLICY.prior_effects)
@@ -57,17 +64,17 @@ def test_rival_at_the_margin_of_a_tie_is_as_improbable_as_a_wrong_name_is_expens
 
 def test_something_else_in_place_of_effects_or_beside_them() -> None:
     named = selection_of({"wear": 30.0}, n_found=1)
-    instead = probabilities(named, OutsideEvidence(in_place=60.0, in_addition=-2.0))
+    instead = probabilities(named, something_else(in_place=60.0, in_addition=-2.0))
     assert instead.something_else > 0.99 and instead.effects["wear"] < 0.01 and is_outside(instead, POLICY)
-    beside = probabilities(named, OutsideEvidence(in_place=10.0, in_addition=8.0))
+    beside = probabilities(named, something_else(in_place=10.0, in_addition=8.0))
     assert beside.something_else > 0.99 and not is_outside(beside, POLICY), "real pushes hold a remainder: the effect is named beside it"
     # What the effect explains may be part of the same trace.
     assert beside.effects["wear"] == pytest.approx(1.0 - POLICY.imitated_in_part, abs=0.01)
     assert beside.outside_alone == pytest.approx(POLICY.imitated_in_part, abs=0.01)
     # The less so, the more of the gap on held-out pushes it closes.
-    closing = probabilities_of(explanations_of(named, OutsideEvidence(in_place=10.0, in_addition=8.0), POLICY, closed=0.9), ())
+    closing = probabilities_of(explanations_of(named, something_else(in_place=10.0, in_addition=8.0), POLICY, closed=0.9), ())
     assert closing.effects["wear"] > 0.94 and closing.outside_alone < POLICY.max_probability_of_error and closing.something_else > 0.99
-    neither = probabilities(named, OutsideEvidence(in_place=10.0, in_addition=-2.0))
+    neither = probabilities(named, something_else(in_place=10.0, in_addition=-2.0))
     assert neither.something_else < POLICY.max_probability_of_error and neither.effects["wear"] > 0.9
 
 
@@ -79,26 +86,62 @@ def test_effect_that_pushes_do_not_support_counts_with_their_evidence() -> None:
     assert max(rejected.effects.values()) < 0.05 and rejected.nothing > 0.9
 
 
+def test_free_law_of_the_mechanism_of_an_effect_is_another_law_of_it_and_one_of_another_mechanism_a_rival() -> None:
+    named = selection_of({"speed_dependent_friction": 30.0}, n_found=1)
+    nothing = {SOMETHING_ELSE: -2.0}
+    of_speed = {"friction_by_speed": 30.0}
+    same = probabilities(named, OutsideEvidence({"friction_by_speed": 40.0, **nothing}, {**of_speed, **nothing}, of_speed))
+    assert same.mechanisms["friction_by_speed"] > 0.94 and same.effects["speed_dependent_friction"] > 0.94
+    assert same.acts_freely("friction_by_speed") and same.beside < 0.06 and not is_outside(same, POLICY)
+    other = probabilities(named, OutsideEvidence({"friction_by_place": 60.0, **nothing}, {"friction_by_place": -2.0, **nothing}))
+    assert other.alone["friction_by_place"] > 0.99 and other.mechanisms["friction_by_speed"] < 0.01 and is_outside(other, POLICY)
+    beside = probabilities(named, OutsideEvidence({"friction_by_place": 10.0, **nothing}, {"friction_by_place": 10.0, **nothing}))
+    assert beside.beside > 0.99 and beside.something_else < 0.5 and not is_outside(beside, POLICY)
+
+
+def families(*acting: tuple[Acts, VariesWith, float], without: Sequence[Sequence[float]] = ()) -> SomethingElse:
+    """What was found of some families, each with its log Bayes factor, and without each fold."""
+    nothing = np.zeros(1)
+    patterns = tuple(
+        Pattern(Family(acts, varies, np.zeros((1, 1)), (Member(None, None),), (1.0,)), Member(None, None), 1.0, value, 0.0, nothing, 0.0)
+        for acts, varies, value in acting
+    )
+    return SomethingElse(0.0, 0.002, patterns, np.array(without).reshape(-1, len(patterns)))
+
+
+def test_families_of_a_mechanism_are_its_free_laws_and_each_has_the_same_prior() -> None:
+    by_speed, by_push = (Acts.FORCE_ON_MOTION, VariesWith.SPEED, 20.0), (Acts.FORCE, VariesWith.PUSH, 12.0)
+    found = families(by_speed, (Acts.FRICTION, VariesWith.SPEED, 20.0), by_push, (Acts.PUSHER, VariesWith.TIME, -3.0))
+    evidence = OutsideEvidence.of(found, None, [], POLICY)
+    assert evidence.in_place.keys() == {"friction_by_speed", SOMETHING_ELSE}
+    assert evidence.in_place["friction_by_speed"] == pytest.approx(20.0 + math.log(2 / 5))
+    assert evidence.in_place[SOMETHING_ELSE] == pytest.approx(12.0 - math.log(5), abs=1e-3)
+
+
 def test_failed_tests_of_residuals_are_worth_what_their_p_value_allows() -> None:
     failed = OutsideEvidence.of(None, None, [0.001], POLICY)
-    assert OutsideEvidence.of(None, None, [], POLICY) == OutsideEvidence(0.0, 0.0)
-    assert failed.in_place == failed.in_addition == pytest.approx(math.log(1.0 / (math.e * 0.001 * math.log(1000.0))))
+    assert OutsideEvidence.of(None, None, [], POLICY) == something_else(0.0, 0.0)
+    worth = math.log(1.0 / (math.e * 0.001 * math.log(1000.0)))
+    assert failed.in_place[SOMETHING_ELSE] == failed.in_addition[SOMETHING_ELSE] == pytest.approx(worth)
+
+
+EACH_PUSH = (Acts.FORCE, VariesWith.PUSH)
 
 
 def test_structure_that_goes_with_a_fold_is_no_alarm_and_still_leaves_a_name_open() -> None:
-    found = SomethingElse(22.7, 0.002, (cast(Any, None),) * 18, np.array([22.5, 0.3, 24.0]))
+    found, carried = (families((*EACH_PUSH, 22.7), without=[[22.5], [least], [24.0]]) for least in (0.3, 12.0))
     evidence = OutsideEvidence.of(found, found, [], POLICY)
-    assert found.least == 0.3 and evidence.in_place < 1.0 and evidence.in_addition > 20.0
-    carried = SomethingElse(22.7, 0.002, found.patterns, np.array([22.5, 12.0, 24.0]))
-    assert OutsideEvidence.of(carried, carried, [], POLICY).in_place > 10.0
+    assert found.log_bayes_factors(None)[1] == 0.3
+    assert evidence.in_place[SOMETHING_ELSE] < 1.0 and evidence.in_addition[SOMETHING_ELSE] > 20.0
+    assert OutsideEvidence.of(carried, carried, [], POLICY).in_place[SOMETHING_ELSE] > 10.0
 
 
 def test_structure_beside_a_strong_effect_is_worth_less_since_no_law_is_exact() -> None:
-    found = SomethingElse(4.0, 0.001, (cast(Any, None),) * 18, np.array([4.0, 9.0]))
+    found = families((*EACH_PUSH, 4.0))
     weak, strong = (OutsideEvidence.of(found, found, [], POLICY, named=value) for value in (30.0, 700.0))
-    assert weak.in_addition > 3.9 and weak.in_place == strong.in_place == weak.in_addition
+    assert weak.in_addition[SOMETHING_ELSE] > 3.2 and weak.in_place == strong.in_place == weak.in_addition
     selection = selection_of({"outline_error": 700.0}, n_found=1)
     beside_weak, beside_strong = (probabilities(selection, evidence).something_else for evidence in (weak, strong))
     assert beside_weak > beside_strong > POLICY.max_probability_of_error
-    nothing = OutsideEvidence.of(None, SomethingElse(-2.0, 0.5, found.patterns, np.array([])), [], POLICY, named=700.0)
+    nothing = OutsideEvidence.of(None, families((*EACH_PUSH, -2.0)), [], POLICY, named=700.0)
     assert probabilities(selection, nothing).something_else < POLICY.imitated_wholly + 0.05

@@ -21,7 +21,7 @@ from push_ident.diagnosis.selection import RivalFit, Selection, Step
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
 from push_ident.diagnosis.validate import failed_tests, supported_selection, validate
-from push_ident.diagnosis.verdict import FoundEffect, Gate, Verdict
+from push_ident.diagnosis.verdict import Gate, Verdict
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
@@ -192,7 +192,7 @@ def test_outcome_names_pushes_that_were_set_aside_and_that_alone_support_an_effe
     residuals = frame_residuals(1.5 * np.random.default_rng(0).normal(size=(4, 25, 3)))
     gap = Gap(np.full(4, 4e-3), np.full(4, 4e-3), np.full(4, 1e-3), np.zeros(4), np.zeros((4, 0)))
     account, probabilities = account_of_parts(gap, 1e-3, 2e-4, 1e-4), Probabilities(0.1, 0.8, {"wear": 0.1})
-    validation = Validation(Selection(stub_fit(), stub_fit()), gap, account, residuals, residuals, probabilities, cause_is_unknown=True)
+    validation = Validation(Selection(stub_fit(), stub_fit()), gap, account, residuals, residuals, probabilities, names_no_effect=True)
     validation = replace(validation, unsupported=UnsupportedEffect("wear", (2,)))
     decided = decide(replace(state, validation=validation, outliers=("push 7",)))
     assert state.decision is None, "a stage leaves its state as it is"
@@ -256,4 +256,9 @@ def test_exact_twins_are_confused_and_the_verdict_counts_effects_and_rivals(
 ) -> None:
     selection = Selection(stub_fit(), stub_fit(*found), tuple(step_of(**{name: 50.0}) for name in found))
     assert confusion_sets(selection, POLICY) == sets
-    assert verdict_of([FoundEffect(name, {}, {}, 30.0) for name in found], sets) is verdict
+    assert verdict_of(found, sets) is verdict
+
+
+def test_laws_of_one_mechanism_are_one_cause() -> None:
+    assert verdict_of(["speed_dependent_friction"], {"speed_dependent_friction": ("stribeck_friction",)}) is Verdict.NAMED
+    assert verdict_of(["speed_dependent_friction"], {"speed_dependent_friction": ("friction_by_place",)}) is Verdict.ONE_OF

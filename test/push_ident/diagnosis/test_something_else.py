@@ -62,7 +62,7 @@ def test_force_that_begins_with_a_push_is_found_with_that_push_and_predicts_the_
     assert 0.5 * expected < pull[0] < 1.2 * expected and abs(pull[1]) < 0.3 * pull[0]
     words = words_of(found)
     assert words.where == f"from push {FIRST} on" and "changed before that push" in words.look_for
-    change = error_with_patterns(fit, found, [[push] for push in range(N_PUSHES)])
+    change = error_with_patterns(fit, found.patterns, [[push] for push in range(N_PUSHES)])
     assert float(np.median(change)) < -1e-4
 
 

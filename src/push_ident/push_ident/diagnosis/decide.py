@@ -9,11 +9,12 @@ import numpy as np
 
 from push_ident.diagnosis.fits import BASE_WITH_FORCES
 from push_ident.diagnosis.held_out import Gap
-from push_ident.diagnosis.odds import SOMETHING_ELSE
+from push_ident.diagnosis.odds import SOMETHING_ELSE, Probabilities, mechanism_of
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.selection import Selection
-from push_ident.diagnosis.state import Decision, DiagnosisState
-from push_ident.diagnosis.verdict import FoundEffect, Verdict
+from push_ident.diagnosis.something_else.family import Acts
+from push_ident.diagnosis.state import Decision, DiagnosisState, Validation
+from push_ident.diagnosis.verdict import FoundEffect, FreeLaw, Verdict
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array
@@ -24,17 +25,43 @@ def decide(state: DiagnosisState) -> DiagnosisState:
     if state.validation is None:
         return state
     validation, settings = state.validation, state.settings
-    selection, is_unknown = validation.selection, validation.cause_is_unknown
-    effects = found_effects(selection, validation.gap)
+    selection, probabilities = validation.selection, validation.probabilities
+    effects = [_with_law(effect, probabilities) for effect in found_effects(selection, validation.gap)]
+    free_law = _free_law(validation)
     sets = confusion_sets(selection, settings.policy.selection)
-    if effects and validation.probabilities.outside_alone > settings.policy.selection.max_probability_of_error:
-        last = effects[-1].name
-        sets = {**sets, last: (*sets.get(last, ()), SOMETHING_ELSE)}
-    verdict = Verdict.UNKNOWN if is_unknown else verdict_of(effects, sets)
+    first = free_law.mechanism.value if free_law else effects[-1].name if effects else ""
+    doubts = _in_place_of(first, probabilities, settings.policy.selection) if first else ()
+    if doubts:
+        sets = {**sets, first: (*sets.get(first, ()), *doubts)}
+    is_unknown = validation.names_no_effect and free_law is None
+    verdict = Verdict.UNKNOWN if is_unknown else verdict_of([e.name for e in effects] or ([first] if first else []), sets)
     # Those that joined the base model because they are below the accuracy of a cell; their evidence is not reported.
-    names = [] if is_unknown else [n for n in selection.base.names if n not in (*settings.base_effects, *BASE_WITH_FORCES)]
+    hidden = selection.base.names if validation.names_no_effect else (*settings.base_effects, *BASE_WITH_FORCES)
+    names = [name for name in selection.base.names if name not in hidden]
     negligible = tuple(_sized(selection.fit, selection.fit.posterior.effects_std, name, np.nan) for name in names)
-    return replace(state, decision=Decision(verdict, effects, negligible, sets))
+    return replace(state, decision=Decision(verdict, tuple(effects), negligible, sets, free_law))
+
+
+def _with_law(effect: FoundEffect, probabilities: Probabilities) -> FoundEffect:
+    """The effect, with whether its mechanism rather acts by another law than its own."""
+    return replace(effect, is_free=probabilities.acts_freely(EFFECTS[effect.name].mechanism))
+
+
+def _free_law(validation: Validation) -> FreeLaw | None:
+    pattern = validation.free_law
+    if pattern is None or pattern.family.mechanism is None:
+        return None
+    is_length = pattern.family.acts_on is Acts.PUSHER
+    factor = 1e-3 if is_length else 1.0
+    largest = float(pattern.amplitude[np.argmax(np.abs(pattern.amplitude))])
+    unit = "m" if is_length else ""
+    return FreeLaw(pattern.family.mechanism, factor * largest, factor * pattern.std, pattern.log_bayes_factor, unit)
+
+
+def _in_place_of(name: str, probabilities: Probabilities, policy: SelectionPolicy) -> tuple[str, ...]:
+    """What may act in place of a cause that is named, an effect or a mechanism with a free law, without any effect."""
+    alone = {**probabilities.alone, SOMETHING_ELSE: probabilities.outside_alone}
+    return tuple(other for other, value in alone.items() if other != name and value > policy.max_probability_of_error)
 
 
 def found_effects(selection: Selection, gap: Gap) -> tuple[FoundEffect, ...]:
@@ -57,13 +84,14 @@ def confusion_sets(selection: Selection, policy: SelectionPolicy) -> dict[str, t
     return sets
 
 
-def verdict_of(effects: Sequence[FoundEffect], sets: Mapping[str, Sequence[str]]) -> Verdict:
-    """The verdict where the cause is not unknown."""
-    if not effects:
+def verdict_of(names: Sequence[str], sets: Mapping[str, Sequence[str]]) -> Verdict:
+    """The verdict where the cause is not unknown. Laws of one mechanism are one cause: which of them acts may be open."""
+    if not names:
         return Verdict.NO_GAP
-    if len(effects) > 1:
+    if len(names) > 1:
         return Verdict.SEVERAL
-    return Verdict.ONE_OF if sets else Verdict.NAMED
+    others = {mechanism_of(rival) for rivals in sets.values() for rival in rivals} - {mechanism_of(name) for name in names}
+    return Verdict.ONE_OF if others else Verdict.NAMED
 
 
 def _sized(fit: Fit, std: Float64Array, name: str, log_bayes_factor: float) -> FoundEffect:

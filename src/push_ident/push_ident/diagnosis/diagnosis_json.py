@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.shares import Closed, closed_by_cause
 from push_ident.diagnosis.something_else.evidence import SomethingElse
+from push_ident.diagnosis.verdict import FoundEffect, FreeLaw
 from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 
@@ -32,7 +34,7 @@ def to_json(diagnosis: Diagnosis) -> Json:
     return {
         "verdict": diagnosis.verdict.value,
         "sentence": diagnosis.sentence,
-        "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.log_bayes_factor} for e in diagnosis.effects],
+        "effects": [*map(_effect, diagnosis.effects), *([_free_law(diagnosis.free_law)] if diagnosis.free_law else [])],
         "confusable": list(diagnosis.confusion_set),
         "gap": _gap(diagnosis.gap),
         "causes": _causes(diagnosis),
@@ -45,10 +47,28 @@ def to_json(diagnosis: Diagnosis) -> Json:
         "check": diagnosis.check,
         "unknown": _unknown(diagnosis.something_else),
         "probabilities": p and {**p.effects, SOMETHING_ELSE: p.something_else, "nothing": p.nothing},
+        "mechanisms": p and dict(p.mechanisms),
         "subsystems": p and {part.value: value for part, value in p.subsystems.items()},
         "something_else": _something_else(diagnosis),
         "gates": [{"passed": g.passed, "found": g.finding, "remedy": g.remedy} for g in diagnosis.gates],
     }
+
+
+def _effect(e: FoundEffect) -> Json:
+    law = "free" if e.is_free else e.name
+    return {
+        "name": e.name, "mechanism": EFFECTS[e.name].mechanism, "law": law, "parameters": e.parameters, "std": e.std,
+        "evidence": e.log_bayes_factor,
+    }  # fmt: skip
+
+
+def _free_law(law: FreeLaw) -> Json:
+    """As an effect whose name is that of its mechanism."""
+    name = law.mechanism.value
+    return {
+        "name": name, "mechanism": name, "law": "free", "parameters": {"largest": law.largest}, "std": {"largest": law.std},
+        "evidence": law.log_bayes_factor,
+    }  # fmt: skip
 
 
 def _unknown(something_else: SomethingElse | None) -> Json | None:
@@ -121,7 +141,7 @@ def _shared(selection: Selection | None) -> list[str] | None:
 
 def _causes(diagnosis: Diagnosis) -> list[Json]:
     """What each named cause closes of the error on held-out pushes."""
-    if diagnosis.gap is None or not diagnosis.effects:
+    if diagnosis.gap is None or not (diagnosis.effects or diagnosis.free_law):
         return []
     return [
         {
@@ -129,7 +149,8 @@ def _causes(diagnosis: Diagnosis) -> list[Json]:
             "at_end": _closed(cause.at_end),
             "over_motion": None if cause.over_motion is None else _closed(cause.over_motion),
         }
-        for cause in closed_by_cause(diagnosis.gap)
+        # What a free law changes is known at the ends of the pushes.
+        for cause in closed_by_cause(replace(diagnosis.gap, motion=None) if diagnosis.free_law else diagnosis.gap)
     ]
 
 

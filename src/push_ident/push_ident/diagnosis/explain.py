@@ -40,13 +40,15 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         next_push = separating_push(explanations, pose, limits, policy.next_push)
     something_else = validation.something_else
     sources = [state.source_of(push) for push in range(len(state.records) + len(state.reference))]
-    words = None if something_else is None else describe_pattern(something_else.best, sources)
+    pattern = validation.free_law or (None if something_else is None else something_else.best)
+    words = None if pattern is None else describe_pattern(pattern, sources)
     return Diagnosis(
         verdict=decision.verdict,
         sentence=_sentence(state, validation, decision, first_push, words),
         gates=state.gates,
         policy=policy,
         effects=decision.effects,
+        free_law=decision.free_law,
         confusion_sets=decision.confusion_sets,
         gap=validation.gap,
         account=validation.account,
@@ -73,7 +75,7 @@ def _abstention(state: DiagnosisState) -> Diagnosis:
 
 def _check(validation: Validation, decision: Decision, words: PatternWords | None) -> str:
     """What a person at the cell can do instead of a push, for the first of the effects that has a check; empty where none has."""
-    if validation.cause_is_unknown:
+    if decision.verdict is Verdict.UNKNOWN or decision.free_law:
         return "" if words is None else f"Look for {words.look_for}."
     names = [*decision.confusion_sets, decision.effects[-1].name] if decision.effects else []
     return next((EFFECTS[name].check for name in names if name in EFFECTS and EFFECTS[name].check), "")
@@ -83,16 +85,18 @@ def _sentence(
     state: DiagnosisState, validation: Validation, decision: Decision, first_push: PlannedPush | None, words: PatternWords | None
 ) -> str:
     account = validation.account
-    if validation.cause_is_unknown:
+    if decision.free_law and words is not None:
+        sentence = wording.sentence_of_free_law(decision.free_law, words, decision.confusion_sets, account)
+    elif decision.verdict is Verdict.UNKNOWN:
         groups = group_residuals(validation.base_residuals, state.settings.policy.residuals)
-        sentence = wording.sentence_of_unknown(account, words, validation.probabilities.something_else, validation.residuals, groups)
+        sentence = wording.sentence_of_unknown(account, words, validation.probabilities.beside, validation.residuals, groups)
     elif decision.effects:
         sentence = wording.sentence_of_effects(decision.effects, decision.confusion_sets, account, is_change=bool(state.reference))
         if any(SOMETHING_ELSE in names for names in decision.confusion_sets.values()) and words is not None:
             sentence += wording.sentence_of_doubt(words, validation.probabilities.outside_alone)
-        elif words is not None and validation.probabilities.something_else > state.settings.policy.selection.max_probability_of_error:
+        elif words is not None and validation.probabilities.beside > state.settings.policy.selection.max_probability_of_error:
             remainder = account.after - float(np.mean(account.gap.noise))
-            sentence += wording.sentence_of_remainder(words, validation.probabilities.something_else, remainder)
+            sentence += wording.sentence_of_remainder(words, validation.probabilities.beside, remainder)
     elif state.reference:
         sentence = wording.sentence_of_no_change(account)
     else:

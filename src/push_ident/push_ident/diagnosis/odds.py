@@ -1,6 +1,6 @@
 """From evidence to probabilities: what is there, if everything that was considered is one of the explanations.
 
-An explanation is a set of effects of the catalogue, with or without something else. Its weight is
+An explanation is a set of effects of the catalogue, with or without a free law of a mechanism or something else. Its weight is
 
     w = prior * exp(sum of B_k / tau_k)
 
@@ -13,8 +13,10 @@ likelihood in a general Bayesian model, Biometrika 2017).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import logsumexp
@@ -22,8 +24,10 @@ from scipy.special import logsumexp
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.selection import RivalFit, Selection
 from push_ident.diagnosis.something_else.evidence import SomethingElse
-from push_ident.physics.effect import Law, Subsystem
+from push_ident.physics.effect import Law, Mechanism, Subsystem
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
+
+_T = TypeVar("_T")
 
 SOMETHING_ELSE = "something_else"
 """Name of a cause outside the catalogue among those of effects."""
@@ -37,16 +41,20 @@ class Explanation:
     log_weight: float
     imitated_by: frozenset[str] = frozenset()
     """Effects whose evidence something else made, in this explanation."""
+    free: str = ""
+    """The mechanism of one of its causes that acts by a free law."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutsideEvidence:
-    """Evidence of something else, after its discrepancy [nat]."""
+    """Evidence of free laws by their mechanism, and of something else, after its discrepancy [nat]."""
 
-    in_place: float
-    """Of something else in place of all selected effects."""
-    in_addition: float
-    """Of something else in addition to them."""
+    in_place: Mapping[str, float]
+    """In place of all selected effects."""
+    in_addition: Mapping[str, float]
+    """In addition to them."""
+    as_law: Mapping[str, float] = field(default_factory=dict)
+    """Of free laws in addition to an effect of their mechanism, which then acts by another law; among those of the mechanism."""
 
     @classmethod
     def of(
@@ -71,31 +79,41 @@ class OutsideEvidence:
                 grows with them.
         """
         bound = max((-math.log(-math.e * p * math.log(p)) for p in residuals if p < 1.0 / math.e), default=0.0)
-
-        def both(something_else: SomethingElse | None, log_bayes_factor: float, discrepancy: float) -> float:
-            if something_else is None:
-                return bound
-            n = len(something_else.patterns)
-            # Errors of laws and of noise bring evidence for a structure, and take none away.
-            log_bayes_factor = log_bayes_factor / discrepancy if log_bayes_factor > 0.0 else log_bayes_factor
-            return float(np.logaddexp(log_bayes_factor + math.log(n), bound) - math.log(n + 1))
-
         discrepancy = policy.discrepancy_something_else
         discrepancy_in_addition = max(discrepancy, policy.discrepancy_something_else_share * named)
+        kept = int(in_place is not None and not _is_carried(in_place, policy))
         return cls(
-            both(in_place, 0.0 if in_place is None else _evidence_in_place(in_place, policy), discrepancy),
-            both(in_addition, 0.0 if in_addition is None else in_addition.log_bayes_factor, discrepancy_in_addition),
+            _evidence(in_place, bound, lambda found, mechanism: found.log_bayes_factors(mechanism)[kept], discrepancy),
+            _evidence(in_addition, bound, lambda found, mechanism: found.log_bayes_factors(mechanism)[0], discrepancy_in_addition),
+            {} if in_addition is None else {m.value: in_addition.log_bayes_factor_as_law(m) for m in in_addition.mechanisms},
         )
 
 
-def _evidence_in_place(something_else: SomethingElse, policy: SelectionPolicy) -> float:
-    """Log Bayes factor of something else against nothing [nat]: the one without a fold where nothing is more probable without it.
+def _evidence(
+    found: SomethingElse | None, bound: float, of: Callable[[SomethingElse, Mechanism | None], float], discrepancy: float
+) -> dict[str, float]:
+    """Of every mechanism that has a free law, and of something else [nat]; `bound`: of the latter, from the size of the residuals."""
+    if found is None:
+        return {SOMETHING_ELSE: bound}
+    n = len(found.patterns)
 
-    The pushes of that fold then made the evidence: something happened to them, or they lie at the edge between sticking and sliding, where
-    small causes decide where the object goes. Beside effects that were found something acts in any case.
+    def among_all(mechanism: Mechanism | None) -> float:
+        # Errors of laws and of noise bring evidence for a structure, and take none away.
+        value = of(found, mechanism)
+        return (value / discrepancy if value > 0.0 else value) + math.log(n / (n + 1))
+
+    laws = {mechanism.value: among_all(mechanism) for mechanism in found.mechanisms}
+    return {**laws, SOMETHING_ELSE: float(np.logaddexp(among_all(None), bound - math.log(n + 1)))}
+
+
+def _is_carried(found: SomethingElse, policy: SelectionPolicy) -> bool:
+    """Whether something is more probable than nothing without any one fold of the pushes.
+
+    Where it is not, the pushes of that fold made the evidence: something happened to them, or they lie at the edge between sticking and
+    sliding, where small causes decide where the object goes. Only what is left without them counts then, in place of effects. Beside
+    effects that were found something acts in any case.
     """
-    is_carried = policy.log_prior_something_else + something_else.least / policy.discrepancy_something_else > 0.0
-    return something_else.log_bayes_factor if is_carried else something_else.least
+    return policy.log_prior_something_else + found.least / policy.discrepancy_something_else > 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,10 +127,20 @@ class Probabilities:
     """That an effect acts, alone or beside others; of all effects of the catalogue that the base model does not have."""
     subsystems: Mapping[Subsystem, float] = field(default_factory=dict)
     """That some effect of a part of the cell acts."""
+    mechanisms: Mapping[str, float] = field(default_factory=dict)
+    """That a mechanism acts, by whatever law."""
+    free: Mapping[str, float] = field(default_factory=dict)
+    """That it acts by a free law."""
+    alone: Mapping[str, float] = field(default_factory=dict)
+    """That only a free law of a mechanism of no effect that was found acts, or only something else, and no effect is an imitation of it."""
     outside_alone: float = 0.0
-    """That only a cause outside the catalogue acts."""
-    outside_alone_unlike_effects: float = 0.0
-    """The same, and no effect that was found is an imitation of it."""
+    """That only a cause outside the catalogue acts, imitated by effects or not."""
+    beside: float = 0.0
+    """That something else acts, or a mechanism of no effect that was found."""
+
+    def acts_freely(self, mechanism: str) -> bool:
+        """Whether a mechanism, if it acts, rather does so by a free law."""
+        return self.free.get(mechanism, 0.0) > 0.5 * self.mechanisms.get(mechanism, 1.0)
 
 
 def explanations_of(
@@ -139,11 +167,30 @@ def explanations_of(
         causes = frozenset(name for name in names if name != rival.replaces) | {rival.name}
         named.append(Explanation(causes, weight - rival.deficit / _rivalry(rival, selection, policy)))
     named += _twins(names, weight, named)
+    law_of = {mechanism: frozenset(n for n in names if EFFECTS[n].mechanism == mechanism) for mechanism in outside.in_place}
+    in_place = [
+        # Where the law of an effect that was found is free, the effect still acts.
+        Explanation(law_of[cause] or frozenset({cause}), policy.log_prior_something_else + value, free=_free(cause))
+        for cause, value in outside.in_place.items()
+    ]
     if names:
-        named.append(Explanation(frozenset([*names, SOMETHING_ELSE]), weight + policy.log_prior_something_else + outside.in_addition))
-    nothing = Explanation(frozenset(), 0.0)
-    other = Explanation(frozenset({SOMETHING_ELSE}), policy.log_prior_something_else + outside.in_place)
-    return (nothing, other, *_with_imitations(named, closed, policy), *_not_added(selection, weight, policy, rejected or {}))
+        named += [
+            # Beforehand as probable as the law of the effect.
+            Explanation(frozenset(names), weight + outside.as_law[cause], free=cause)
+            if law_of.get(cause)
+            else Explanation(frozenset([*names, cause]), weight + policy.log_prior_something_else + value, free=_free(cause))
+            for cause, value in outside.in_addition.items()
+        ]
+    return (
+        Explanation(frozenset(), 0.0),
+        *in_place,
+        *_with_imitations(named, closed, policy),
+        *_not_added(selection, weight, policy, rejected or {}),
+    )
+
+
+def _free(cause: str) -> str:
+    return "" if cause == SOMETHING_ELSE else cause
 
 
 def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[str, ...]) -> Probabilities:
@@ -151,31 +198,47 @@ def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[
     weights = np.array([e.log_weight for e in explanations])
     shares = np.exp(weights - logsumexp(weights))
 
-    def of(name: str) -> float:
-        return float(min(1.0, sum(share for e, share in zip(explanations, shares, strict=True) if name in e.causes)))
+    def where(holds: Callable[[Explanation], bool]) -> float:
+        return float(min(1.0, sum(share for e, share in zip(explanations, shares, strict=True) if holds(e))))
 
-    nothing = float(sum(share for e, share in zip(explanations, shares, strict=True) if not e.causes))
-    outside_only = [(share, e.imitated_by) for e, share in zip(explanations, shares, strict=True) if e.causes == {SOMETHING_ELSE}]
-    outside_alone = float(sum(share for share, _ in outside_only))
-    unlike = float(sum(share for share, imitated_by in outside_only if not imitated_by))
+    def by_name(names: Iterable[_T], holds: Callable[[Explanation, _T], bool]) -> dict[_T, float]:
+        return {name: where(partial(lambda name, e: holds(e, name), name)) for name in names}
 
-    def of_part(part: Subsystem) -> float:
-        acts = (any(name != SOMETHING_ELSE and EFFECTS[name].subsystem is part for name in e.causes) for e in explanations)
-        return float(min(1.0, sum(share for share, here in zip(shares, acts, strict=True) if here)))
-
-    subsystems = {part: of_part(part) for part in Subsystem}
     considered = {name for explanation in explanations for name in explanation.causes}
     names = (*CAUSES, *(name for name in FORCE_CAUSES if name in considered))
-    effects = {name: of(name) for name in names if name not in base_effects}
-    return Probabilities(nothing, of(SOMETHING_ELSE), effects, subsystems, outside_alone, unlike)
+    mechanisms = sorted({mechanism_of(name) for name in (*names, *considered)} - {SOMETHING_ELSE})
+    not_effects = considered - EFFECTS.keys()
+    return Probabilities(
+        nothing=where(lambda e: not e.causes),
+        something_else=where(lambda e: SOMETHING_ELSE in e.causes),
+        effects=by_name((name for name in names if name not in base_effects), lambda e, name: name in e.causes),
+        subsystems=by_name(Subsystem, lambda e, part: part in map(_part_of, e.causes)),
+        mechanisms=by_name(mechanisms, lambda e, name: name in map(mechanism_of, e.causes)),
+        free=by_name(mechanisms, lambda e, name: e.free == name),
+        alone=by_name(sorted(not_effects), lambda e, name: e.causes == {name} and not e.imitated_by),
+        outside_alone=where(lambda e: e.causes == {SOMETHING_ELSE}),
+        beside=where(lambda e: bool(e.causes & not_effects)),
+    )
+
+
+def mechanism_of(cause: str) -> str:
+    """Of an effect, of a free law, whose name it is, or of something else."""
+    return EFFECTS[cause].mechanism if cause in EFFECTS else cause
+
+
+def _part_of(cause: str) -> Subsystem | None:
+    """Where a cause acts; None for something else."""
+    if cause in EFFECTS:
+        return EFFECTS[cause].subsystem
+    return None if cause == SOMETHING_ELSE else Mechanism(cause).subsystem
 
 
 def is_outside(probabilities: Probabilities, policy: SelectionPolicy) -> bool:
-    """Whether only a cause outside the catalogue is reported: probably it acts in place of all effects, and something does.
+    """Whether no effect is reported: probably a free law or something else acts in place of all of them, and something does.
 
     Beside effects that explain more it is the remainder that real pushes always hold: the effects are named, and it stays possible.
     """
-    return probabilities.outside_alone_unlike_effects > 0.5 and probabilities.nothing < policy.max_probability_of_nothing
+    return sum(probabilities.alone.values()) > 0.5 and probabilities.nothing < policy.max_probability_of_nothing
 
 
 def _twins(names: Sequence[str], weight: float, others: Sequence[Explanation]) -> list[Explanation]:
@@ -193,8 +256,9 @@ def _with_imitations(explanations: Sequence[Explanation], closed: float, policy:
     in_part = max(policy.imitated_wholly, policy.imitated_in_part * (1.0 - closed))
     split: list[Explanation] = []
     for one in explanations:
-        imitated = in_part if SOMETHING_ELSE in one.causes else policy.imitated_wholly
-        other = Explanation(frozenset({SOMETHING_ELSE}), one.log_weight + math.log(imitated), one.causes - {SOMETHING_ELSE})
+        effects = frozenset(cause for cause in one.causes if cause in EFFECTS)
+        imitated = policy.imitated_wholly if effects == one.causes else in_part
+        other = Explanation(frozenset({SOMETHING_ELSE}), one.log_weight + math.log(imitated), effects)
         split += [replace(one, log_weight=one.log_weight + math.log1p(-imitated)), other]
     return split
 

@@ -15,8 +15,8 @@ from push_ident.diagnosis.residuals import FrameResiduals, ResidualGroup
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.something_else.evidence import SomethingElse
 from push_ident.diagnosis.something_else.words import PatternWords
-from push_ident.diagnosis.verdict import FoundEffect, Gate, Verdict
-from push_ident.diagnosis.wording import size_of
+from push_ident.diagnosis.verdict import FoundEffect, FreeLaw, Gate, Verdict
+from push_ident.diagnosis.wording import amplitude_of, size_of
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.pages.tables import html_table
@@ -27,12 +27,14 @@ class Diagnosis:
     """The outcome."""
 
     def __repr__(self) -> str:
-        named = ", ".join(effect.name for effect in self.effects)
+        named = ", ".join([*(effect.name for effect in self.effects), *([self.free_law.mechanism.value] if self.free_law else [])])
         return f"Diagnosis({self.verdict.value}{': ' if named else ''}{named}; {self.sentence})"
 
     def _repr_html_(self) -> str:
         """For notebooks: the verdict in words, the effects that were found, and what would resolve what is open."""
         rows = [(e.name, size_of(e), f"{e.log_bayes_factor:.1f}") for e in self.effects]
+        if self.free_law:
+            rows.append((self.free_law.mechanism.value, amplitude_of(self.free_law), f"{self.free_law.log_bayes_factor:.1f}"))
         failed = " ".join(f"{gate.finding}: {gate.remedy}" for gate in self.gates if not gate.passed)
         note = " ".join(text for text in (failed, f"Without a push: {self.check}" if self.check else "") if text)
         columns = ("effect", "size", "log Bayes factor (5: odds of 150 to 1)")
@@ -45,8 +47,10 @@ class Diagnosis:
     policy: DecisionPolicy = field(default_factory=DecisionPolicy)
     """Under which it was made."""
     effects: tuple[FoundEffect, ...] = ()
+    free_law: FreeLaw | None = None
+    """A mechanism that acts by no law of the catalogue, but by a smooth one; then no effect is named."""
     confusion_sets: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    """Of effects that were found: those that may be there in their place."""
+    """Of effects that were found, or of a mechanism with a free law: what may be there in their place."""
     gap: Gap | None = None
     """On held-out pushes; None where the diagnosis abstains, as the following."""
     account: Account | None = None

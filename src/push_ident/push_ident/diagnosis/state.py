@@ -11,8 +11,8 @@ from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.residuals import FrameResiduals
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.something_else.evidence import SomethingElse
-from push_ident.diagnosis.verdict import FoundEffect, Gate, Verdict
+from push_ident.diagnosis.something_else.evidence import Pattern, SomethingElse
+from push_ident.diagnosis.verdict import FoundEffect, FreeLaw, Gate, Verdict
 from push_ident.identification.fitting.fit import Fit
 from push_ident.types import PushRecord
 
@@ -32,17 +32,20 @@ class Validation:
     """What held-out pushes confirm."""
 
     selection: Selection
-    """Effects that held-out pushes support; none where the cause is unknown."""
+    """Effects that held-out pushes support; none where something without a law of the catalogue acts in their place."""
     gap: Gap
-    """With those effects, or with the pattern of something else."""
+    """With those effects, or with the patterns in their place."""
     account: Account
     """Of that gap."""
     base_residuals: FrameResiduals
     """Of the base model."""
     residuals: FrameResiduals
-    """Beside all effects that were named before the cause counted as unknown."""
+    """Beside all effects that were found."""
     probabilities: Probabilities
-    cause_is_unknown: bool = False
+    names_no_effect: bool = False
+    """Whether a free law or something else acts in place of all effects that were found."""
+    free_law: Pattern | None = None
+    """The free law that acts in their place; None where the cause is unknown then."""
     something_else: SomethingElse | None = None
     """Structure in the residuals; None where it could not be looked for."""
     unsupported: UnsupportedEffect | None = None
@@ -58,7 +61,8 @@ class Decision:
     negligible: tuple[FoundEffect, ...]
     """Detected, but below the accuracy of a cell: part of the base model."""
     confusion_sets: dict[str, tuple[str, ...]]
-    """Of effects that were found: those that may be there in their place."""
+    """Of effects that were found, or of a mechanism with a free law: what may be there in their place."""
+    free_law: FreeLaw | None = None
 
 
 @dataclass(frozen=True, slots=True)

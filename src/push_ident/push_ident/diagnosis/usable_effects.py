@@ -19,7 +19,7 @@ from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.errors import InputError
 from push_ident.identification.results.known_effects import KnownEffect
 from push_ident.limits import LIMITS, plain_text
-from push_ident.physics.effect import OnPusherFriction
+from push_ident.physics.effect import Mechanism, OnPusherFriction
 from push_ident.physics.effects import EFFECTS
 
 _NAMING: Final = ("named", "one_of", "several")
@@ -104,6 +104,8 @@ def _usable(content: _Content) -> UsableEffects:
 
 
 def _known(effect: _Effect) -> KnownEffect:
+    if effect.name in {mechanism.value for mechanism in Mechanism}:
+        raise InputError(f"The diagnosis names `{effect.name}` by a free law, which no model holds: the model stays as it is.")
     if effect.name not in EFFECTS:
         raise InputError(f"The diagnosis names `{plain_text(effect.name)}`, which is no effect of this version: {', '.join(EFFECTS)}.")
     names = [parameter.name for parameter in EFFECTS[effect.name].parameters]

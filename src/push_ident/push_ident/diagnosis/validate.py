@@ -14,10 +14,12 @@ from push_ident.diagnosis.policy import UnknownPolicy, ValidationPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, standardized_residuals
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import Progress
-from push_ident.diagnosis.something_else.evidence import SomethingElse, error_with_patterns, find_something_else
+from push_ident.diagnosis.something_else.evidence import Pattern, SomethingElse, error_with_patterns, find_something_else
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.fit import Fit
+from push_ident.physics.effect import Mechanism
+from push_ident.physics.effects import EFFECTS
 
 _Structure = tuple[FrameResiduals, SomethingElse | None]
 """Residuals of a fit, and structure in them."""
@@ -48,12 +50,14 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
             gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
         closed = gap.closed_share if selection.selected else 0.0
         reported, probabilities = _weigh_outside(state, selection, base, remaining, rejected, closed)
-        closes_nothing = bool(selection.selected) and not gap.is_closed_in_part and probabilities.something_else > 0.5
-    is_unknown = closes_nothing or is_outside(probabilities, policy.selection)
-    if is_unknown:
-        selection = selection.without_effects()
-        gap = measure_gap(selection.base, selection.base, policy.validation, on_progress, held_out=held_out)
-        gap = _with_patterns(gap, selection, base[1])
+        closes_nothing = bool(selection.selected) and not gap.is_closed_in_part and probabilities.beside > 0.5
+    names_no_effect, free_law = closes_nothing or is_outside(probabilities, policy.selection), None
+    instead = _mechanism_instead(selection, probabilities, names_no_effect=names_no_effect)
+    if instead:
+        bare = measure_gap(selection.base, selection.base, policy.validation, on_progress, held_out=held_out)
+        bare, law = _with_patterns(bare, selection, base[1], instead)
+        if names_no_effect or (law is not None and np.mean(bare.after) < np.mean(gap.after)):
+            names_no_effect, free_law, gap, selection = True, law, bare, selection.without_effects()
     validation = Validation(
         selection=selection,
         gap=gap,
@@ -61,7 +65,8 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
         base_residuals=base[0],
         residuals=remaining[0],
         probabilities=probabilities,
-        cause_is_unknown=is_unknown,
+        names_no_effect=names_no_effect,
+        free_law=free_law,
         something_else=reported,
         unsupported=unsupported,
         held_out=held_out,
@@ -132,17 +137,29 @@ def _weigh_outside(
     named = sum(candidate.log_bayes_factor for _, candidate in selection.added.values())
     evidence = OutsideEvidence.of(in_place, in_addition, failed, policy.selection, named=named)
     explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected, closed=closed)
-    outside = [explanation for explanation in explanations if SOMETHING_ELSE in explanation.causes]
+    outside = [explanation for explanation in explanations if explanation.free or SOMETHING_ELSE in explanation.causes]
     most = max(outside, key=lambda explanation: explanation.log_weight)
-    reported = in_addition if (most.causes | most.imitated_by) - {SOMETHING_ELSE} else in_place
+    reported = in_addition if (most.causes | most.imitated_by) & EFFECTS.keys() else in_place
     return reported, probabilities_of(explanations, selection.base.names)
 
 
-def _with_patterns(gap: Gap, selection: Selection, something_else: SomethingElse | None) -> Gap:
-    """The gap with the patterns that were found, where held-out pushes end nearer to their prediction with it."""
+def _mechanism_instead(selection: Selection, probabilities: Probabilities, *, names_no_effect: bool) -> str:
+    """What may act without any effect of the selection: the most probable cause if no effect is named; the mechanism of the only effect,
+    where that acts by a free law; else ""."""
+    if names_no_effect:
+        return max(probabilities.alone, key=lambda name: probabilities.alone[name])
+    mechanisms = {EFFECTS[name].mechanism for name in selection.selected}
+    return next((name for name in mechanisms if len(mechanisms) == 1 and probabilities.acts_freely(name)), "")
+
+
+def _with_patterns(gap: Gap, selection: Selection, something_else: SomethingElse | None, cause: str) -> tuple[Gap, Pattern | None]:
+    """The gap with the patterns of a cause, where held-out pushes end nearer to their prediction with it; and the best of them where it is
+    the free law of a mechanism that certainly closes a part."""
     if something_else is None:
-        return gap
-    change = error_with_patterns(selection.base, something_else, gap.folds)
+        return gap, None
+    patterns = something_else.of(None if cause == SOMETHING_ELSE else Mechanism(cause))
+    change = error_with_patterns(selection.base, patterns, gap.folds)
     if not float(np.mean(change)) < 0.0:
-        return gap
-    return replace(gap, after=np.maximum(gap.before + change, 0.0), names=(SOMETHING_ELSE,))
+        return gap, None
+    is_named = cause != SOMETHING_ELSE and gap.mean_interval(-change)[0] > 0.0
+    return replace(gap, after=np.maximum(gap.before + change, 0.0), names=(cause,)), patterns[0] if is_named else None

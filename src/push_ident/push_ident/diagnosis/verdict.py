@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from push_ident.physics.effect import Mechanism
+
 
 class Verdict(Enum):
     """The conclusion; the values are those of the JSON contract."""
@@ -37,3 +39,19 @@ class FoundEffect:
     std: dict[str, float]
     log_bayes_factor: float
     """In the step in which it was added, beside the effects found before it [nat]; NaN for a negligible one."""
+    is_free: bool = False
+    """Whether the mechanism acts by another law than that of the effect, whose parameters are then the nearest ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class FreeLaw:
+    """A mechanism that the pushes support by no law of the catalogue, but by a smooth one."""
+
+    mechanism: Mechanism
+    largest: float
+    """Amplitude of the law where it is largest: a displacement [m], or a share of the friction of the object or of a cell [1]."""
+    std: float
+    log_bayes_factor: float
+    """Over the base model [nat]."""
+    unit: str
+    """Of the amplitude; "" for a share."""

@@ -10,10 +10,23 @@ from push_ident.diagnosis.account import Account, AccountPart
 from push_ident.diagnosis.odds import SOMETHING_ELSE, Probabilities
 from push_ident.diagnosis.residuals import FrameResiduals, ResidualGroup
 from push_ident.diagnosis.something_else.words import PatternWords
-from push_ident.diagnosis.verdict import FoundEffect
+from push_ident.diagnosis.verdict import FoundEffect, FreeLaw
 from push_ident.identification.predicting.next_push import PlannedPush
+from push_ident.physics.effect import Mechanism
 from push_ident.physics.effects import EFFECTS
 
+_MECHANISM_IN_WORDS = {
+    Mechanism.FRICTION_BY_SPEED: "that friction depends on the speed",
+    Mechanism.FRICTION_BY_PLACE: "that friction depends on the place on the table",
+    Mechanism.FRICTION_BY_HEADING: "that friction depends on the direction of motion in the table",
+    Mechanism.FRICTION_BY_HEADING_IN_OBJECT: "that friction depends on the direction of motion in the object",
+    Mechanism.FRICTION_SINCE_CONTACT: "that friction changes after contact, with time or the way slid",
+    Mechanism.FRICTION_BY_ORDER: "that friction changed in the course of the pushes",
+    Mechanism.FORCE_ON_OBJECT: "a force on the object",
+    Mechanism.OUTLINE: "that the surface which the pusher touches is not where the outline says",
+    Mechanism.TOOL_MOVED: "that the tool was displaced in the course of the pushes",
+}
+"""To continue "leaves out"."""
 _SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°"), "s": (1e3, "ms")}
 """Everyday units of an effect's size, with their factor."""
 
@@ -51,11 +64,21 @@ def sentence_of_effects(
     effects: Sequence[FoundEffect], confusion_sets: Mapping[str, Sequence[str]], account: Account, *, is_change: bool = False
 ) -> str:
     """Of a diagnosis that names causes; `is_change`: since a reference."""
-    causes = "; and ".join(f"{_plain(e.name)} ({e.name}: {size_of(e)})" for e in effects)
+    causes = "; and ".join(f"{_plain(e.name)} ({e.name}: {size_of(e)}{', by another law' if e.is_free else ''})" for e in effects)
     open_to = {name: [rival for rival in names if rival != SOMETHING_ELSE] for name, names in confusion_sets.items()}
     ties = "".join(f" These pushes cannot distinguish {name} from {' or '.join(names)}." for name, names in open_to.items() if names)
     begin = "Since the reference it has changed that" if is_change else "The simulation leaves out that"
     return f"{begin} {causes}{_share_of_effects(account)}.{ties} {_rest(account)}"
+
+
+def sentence_of_free_law(law: FreeLaw, words: PatternWords, confusion_sets: Mapping[str, Sequence[str]], account: Account) -> str:
+    """Of a diagnosis that names a mechanism by a free law."""
+    open_to = [name for names in confusion_sets.values() for name in names]
+    tie = f" These pushes cannot distinguish it from {' or '.join(name.replace('_', ' ') for name in open_to)}." if open_to else ""
+    return (
+        f"The simulation leaves out {_MECHANISM_IN_WORDS[law.mechanism]} ({law.mechanism.value}, by no formula of the catalogue): "
+        f"{words.what}, {words.where}{_share_of_effects(account)}. Look for {words.look_for}.{tie} {_rest(account)}"
+    )
 
 
 def sentence_of_unknown(
@@ -70,7 +93,7 @@ def sentence_of_unknown(
     `words`: the most probable pattern, None where patterns could not be looked for; `residuals`: beside all effects that could be named;
     `where`: residuals of the base model in groups.
     """
-    begin = f"The simulation leaves out something outside the catalogue of effects (probability {probability:.2f})"
+    begin = f"The simulation leaves out something that no effect of the catalogue explains (probability {probability:.2f})"
     if words is not None:
         share = _share_of_effects(account) if account.effects else ""
         text = f"{begin}, most probably {words.what}, {words.where}{share}. Look for {words.look_for}."
@@ -97,7 +120,7 @@ def sentence_of_remainder(words: PatternWords, probability: float, remainder: fl
     neither they nor what is expected explain [m]."""
     explained = f", {in_mm(remainder)} of error" if remainder > 0.0 else ""
     return (
-        f" Beside that, something outside the catalogue remains (probability {probability:.2f}{explained}), most probably {words.what}, "
+        f" Beside that, something remains that no effect explains (probability {probability:.2f}{explained}), most probably {words.what}, "
         f"{words.where}; look for {words.look_for}."
     )
 
@@ -137,6 +160,12 @@ def size_of(effect: FoundEffect) -> str:
             value, std = factor * effect.parameters[parameter.name], factor * effect.std[parameter.name]
             parts.append(_with_unit(f"{parameter.name} {value:.3g} ± {std:.2g}", unit))
     return ", ".join(parts)
+
+
+def amplitude_of(law: FreeLaw) -> str:
+    """The largest amplitude of a free law, in everyday units."""
+    factor, unit = _SHOWN_IN.get(law.unit, (100.0, "%"))
+    return f"up to {factor * law.largest:+.3g} ± {factor * law.std:.2g} {unit}"
 
 
 def _with_unit(number: str, unit: str) -> str:

@@ -148,6 +148,34 @@ class Law(Enum):
     """The equation approximates the physical law: friction, loads, forces. Its error grows with the size of the effect."""
 
 
+class Mechanism(Enum):
+    """What an effect does, whatever its law: several laws, and a free one, may stand for it. Values as in JSON."""
+
+    FRICTION_BY_SPEED = "friction_by_speed"
+    FRICTION_BY_PLACE = "friction_by_place"
+    FRICTION_BY_HEADING = "friction_by_heading"
+    """Direction of motion in the table."""
+    FRICTION_BY_HEADING_IN_OBJECT = "friction_by_heading_in_object"
+    FRICTION_SINCE_CONTACT = "friction_since_contact"
+    """Time or way slid since the pusher touched."""
+    FRICTION_BY_ORDER = "friction_by_order"
+    """Of the pushes."""
+    FORCE_ON_OBJECT = "force_on_object"
+    """Constant, by the place, or tied to a point."""
+    OUTLINE = "outline"
+    TOOL_MOVED = "tool_moved"
+    """From one push on."""
+
+    @property
+    def subsystem(self) -> Subsystem:
+        """Where its cause is."""
+        parts = {
+            Mechanism.FRICTION_BY_HEADING_IN_OBJECT: Subsystem.OBJECT, Mechanism.OUTLINE: Subsystem.CONTACT,
+            Mechanism.TOOL_MOVED: Subsystem.ARM,
+        }  # fmt: skip
+        return parts.get(self, Subsystem.TABLE)
+
+
 class ExportAs(Enum):
     """The part of an exported description of an object that carries an effect."""
 
@@ -312,6 +340,8 @@ class Effect:
     """The part of an exported description that carries it; None where no format has one."""
     within: Subsystem | None = None
     """Where its cause is, if not where it acts."""
+    law_of: Mechanism | None = None
+    """The mechanism of which it is a law; None where it is the only one."""
     follows_order: bool = False
     """Whether it follows the order of the pushes of a recording, and says nothing of another one."""
 
@@ -336,6 +366,11 @@ class Effect:
     def nominal(self) -> NDArray[np.float64]:
         """Values at which it is absent, shape (n_parameters,)."""
         return np.array([parameter.nominal for parameter in self.parameters])
+
+    @property
+    def mechanism(self) -> str:
+        """Name of what it does, whatever its law: its own where no other law stands for that."""
+        return self.name if self.law_of is None else self.law_of.value
 
     @property
     def subsystem(self) -> Subsystem:

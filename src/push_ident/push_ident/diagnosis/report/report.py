@@ -24,7 +24,7 @@ from push_ident.diagnosis.report.figures import (
 )  # fmt: skip
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.verdict import Verdict
-from push_ident.diagnosis.wording import in_mm, sentence_of_more_pushes, size_of
+from push_ident.diagnosis.wording import amplitude_of, in_mm, sentence_of_more_pushes, size_of
 from push_ident.pages.page import write_page
 from push_ident.physics.effects import EFFECTS
 
@@ -63,9 +63,11 @@ def _title(diagnosis: Diagnosis) -> str:
     has_reference = selection is not None and selection.base.unknowns.shared is not None
     if diagnosis.verdict is Verdict.NO_GAP and has_reference:
         return "no change since the reference"
-    if diagnosis.effects and gap is not None:
+    law = diagnosis.free_law
+    if (diagnosis.effects or law) and gap is not None:
         since = "changed since the reference, " if has_reference else ""
         causes = since + " and ".join(f"{e.name} {size_of(e)}" for e in diagnosis.effects)
+        causes += f"{law.mechanism.value} {amplitude_of(law)}" if law else ""
         before, after, where = gap.before, gap.after, "at the end"
         if gap.motion is not None and np.mean(gap.motion.before - gap.motion.after) > np.mean(before - after):
             before, after, where = gap.motion.before, gap.motion.after, "over the motion"
@@ -85,7 +87,7 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
     if selection is None or gap is None or frames is None or account is None:
         return {}
     policy = diagnosis.policy.selection
-    added = ("something else",) if SOMETHING_ELSE in gap.names else selection.selected
+    added = selection.selected or tuple(name.replace("_", " ") for name in gap.names)
     no_rival = "No other effect of the catalogue explains these pushes nearly as well."
     return {
         "account": account_bar(account),
@@ -98,13 +100,14 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
         "ranking": ranking_bars(selection, policy.min_log_bayes_factor),
         "shrink": shrink_bars(gap, added),
         "shrink_text": _shrink_text(gap, added),
-        "motion_text": _motion_text(gap, added),
+        "motion_text": _motion_text(gap, selection.selected),
         "effects": [
             {"name": e.name, "what": EFFECTS[e.name].what, "size": size_of(e), "log_bayes_factor": e.log_bayes_factor}
             for e in diagnosis.effects
-        ],
+        ]
+        + _free_law(diagnosis),
         "confusion_sets": diagnosis.confusion_sets,
-        "what": {name: EFFECTS[name].what if name in EFFECTS else "A cause outside the catalogue." for name in diagnosis.confusion_set},
+        "what": {name: EFFECTS[name].what if name in EFFECTS else _what(name) for name in diagnosis.confusion_set},
         "probabilities": _probable(diagnosis),
         "pattern": diagnosis.pattern,
         "patterns": _patterns(diagnosis),
@@ -112,6 +115,15 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
         "no_rival_text": no_rival if diagnosis.effects else "No effect was found, so that there is nothing to distinguish it from.",
         "next_push": _proposal(diagnosis),
     }
+
+
+def _free_law(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    law, words = diagnosis.free_law, diagnosis.pattern
+    if law is None or words is None:
+        return []
+    what = f"{words.what}, {words.where}"
+    size = {"size": amplitude_of(law), "log_bayes_factor": law.log_bayes_factor}
+    return [{"name": law.mechanism.value, "what": f"{what[0].upper()}{what[1:]}.", **size}]
 
 
 def _likely_parts(diagnosis: Diagnosis) -> str:
@@ -123,6 +135,11 @@ def _likely_parts(diagnosis: Diagnosis) -> str:
     return ", ".join(f"{part.value} {value:.2f}" for part, value in parts if value >= 0.005)
 
 
+def _what(cause: str) -> str:
+    """Of a cause that is no effect."""
+    return "A cause outside the catalogue." if cause == SOMETHING_ELSE else "By no formula of the catalogue, but by a smooth law."
+
+
 def _probable(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Causes with their probability, the largest first."""
     probabilities = diagnosis.probabilities
@@ -130,7 +147,9 @@ def _probable(diagnosis: Diagnosis) -> list[dict[str, Any]]:
         return []
     named = {"nothing": ("nothing beyond the base model", ""), SOMETHING_ELSE: ("something else", "A cause outside the catalogue.")}
     named |= {name: (name, effect.what) for name, effect in EFFECTS.items()}
-    values = {"nothing": probabilities.nothing, SOMETHING_ELSE: probabilities.something_else, **probabilities.effects}
+    laws = {name: value for name, value in probabilities.free.items() if name not in EFFECTS}
+    named |= {name: (f"{name}, free law", _what(name)) for name in laws}
+    values = {"nothing": probabilities.nothing, SOMETHING_ELSE: probabilities.something_else, **probabilities.effects, **laws}
     return [
         {"name": named[name][0], "what": named[name][1], "value": value}
         for name, value in sorted(values.items(), key=lambda item: -item[1])
@@ -166,7 +185,7 @@ def _shrink_text(gap: Gap, selected: tuple[str, ...]) -> str:
 def _motion_text(gap: Gap, selected: tuple[str, ...]) -> str:
     """The gap over the whole motion."""
     motion = gap.motion
-    if motion is None or SOMETHING_ELSE in gap.names:
+    if motion is None or (gap.names and not selected):  # patterns are known at the ends only
         return ""
     before, after, noise = (in_mm(float(np.mean(values))) for values in (motion.before, motion.after, motion.noise))
     with_them = f" and {after} with {', '.join(selected)}" if selected else ""

@@ -36,6 +36,7 @@ from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_displacement
 from push_ident.identification.fitting.discrepancy import groups_of, log_prior_of_size
 from push_ident.identification.fitting.fit import Fit
+from push_ident.physics.effect import Mechanism
 from push_ident.types import BoolArray, Float64Array
 
 
@@ -53,6 +54,8 @@ class Pattern:
     """Probability of the family, if there is something else."""
     amplitude: Float64Array
     """Of each column of the family, shape (n_columns,)."""
+    std: float
+    """Of the largest amplitude."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,18 +68,42 @@ class SomethingElse:
     """Probability of as large a log Bayes factor under noise alone."""
     patterns: tuple[Pattern, ...]
     """Of each family, the most probable first."""
-    log_bayes_factor_without: Float64Array
-    """The same without each fold of the pushes [nat], shape (n_folds,); of no folds where none were asked for, or nothing was found."""
+    without: Float64Array
+    """Log Bayes factors of the patterns without each fold of the pushes [nat], shape (n_folds, n_patterns); of no folds where none were
+    asked for, or nothing was found."""
 
     @property
     def least(self) -> float:
-        """Log Bayes factor that is left without any one fold [nat]."""
-        return float(np.min(self.log_bayes_factor_without, initial=self.log_bayes_factor))
+        """Log Bayes factor of anything of the kind that is left without any one fold [nat]."""
+        of_folds = logsumexp(self.without, axis=1) - np.log(len(self.patterns))
+        return float(np.min(of_folds, initial=self.log_bayes_factor))
 
     @property
     def best(self) -> Pattern:
         """Of the most probable family."""
         return self.patterns[0]
+
+    @property
+    def mechanisms(self) -> tuple[Mechanism, ...]:
+        """Those of which some family is a free law, the most probable first."""
+        return tuple(dict.fromkeys(p.family.mechanism for p in self.patterns if p.family.mechanism is not None))
+
+    def of(self, mechanism: Mechanism | None) -> tuple[Pattern, ...]:
+        """Free laws of a mechanism, the most probable first; of None those that are no law of any mechanism."""
+        return tuple(pattern for pattern in self.patterns if pattern.family.mechanism is mechanism)
+
+    def log_bayes_factors(self, mechanism: Mechanism | None) -> tuple[float, float]:
+        """Of the families of a mechanism, each with the prior probability of one of all [nat]: with all pushes, and the least that is left
+        without any one fold."""
+        here = np.array([pattern.family.mechanism is mechanism for pattern in self.patterns])
+        values = np.array([pattern.log_bayes_factor for pattern in self.patterns])
+        of_all = float(logsumexp(values[here]) - np.log(len(here)))
+        return of_all, float(np.min(logsumexp(self.without[:, here], axis=1) - np.log(len(here)), initial=of_all))
+
+    def log_bayes_factor_as_law(self, mechanism: Mechanism) -> float:
+        """Of the free laws of a mechanism among each other [nat]."""
+        laws = self.of(mechanism)
+        return float(logsumexp([law.log_bayes_factor for law in laws]) - np.log(len(laws)))
 
 
 _SIZES: Final = (1.0, 0.3, 0.1)
@@ -206,17 +233,19 @@ def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequenc
         family, at = all_families[k], best_of[k]
         _, (member_number, scale_number) = _evaluate_alone(family, at)
         member, scale = family.members[member_number], family.scales[scale_number]
-        return Pattern(family, member, scale, float(families[k]), float(share[k]), _amplitudes(family, member, scale, at))
+        amplitude, std = _amplitudes(family, member, scale, at)
+        return Pattern(family, member, scale, float(families[k]), float(share[k]), amplitude, std)
 
     order = np.argsort(-families)
     patterns = map_in_threads(pattern, order)
     at_fit = float(_log_mean(by_size[0]))
     p_value = float((1 + np.count_nonzero(under_noise >= at_fit)) / (1 + len(under_noise)))
-    without: list[float] = []
+    without: list[Float64Array] = []
     if total > 0.0:
         size = next(k for k, one in enumerate(sized) if one is best_of[order[0]])
-        without = map_in_threads(partial(_evidence_without, sized, size, all_families, _Layout.of(fit)), folds)
-    return SomethingElse(total, p_value, tuple(patterns), np.array(without))
+        in_order = [all_families[k] for k in order]
+        without = map_in_threads(partial(_evidence_without, sized, size, in_order, _Layout.of(fit)), folds)
+    return SomethingElse(total, p_value, tuple(patterns), np.array(without).reshape(-1, len(patterns)))
 
 
 def _of_smaller_discrepancy(fit: Fit, linear: _Linear) -> list[_Linear]:
@@ -239,23 +268,26 @@ def _of_smaller_discrepancy(fit: Fit, linear: _Linear) -> list[_Linear]:
     return [of_size(size) for size in _SIZES[1:]]
 
 
-def _evidence_without(sized: Sequence[_Linear], size: int, families: Sequence[Family], layout: _Layout, fold: Sequence[int]) -> float:
-    """Log Bayes factor of anything of the kind without some pushes, under one of the sizes of the discrepancy [nat]."""
+def _evidence_without(
+    sized: Sequence[_Linear], size: int, families: Sequence[Family], layout: _Layout, fold: Sequence[int]
+) -> Float64Array:
+    """Log Bayes factor of each family without some pushes, under one of the sizes of the discrepancy [nat], shape (n_families,)."""
     rows, rests = layout.without(fold), [linear.without(layout, fold) for linear in sized]
     remaining = [replace(family, columns=family.columns[rows]) for family in families]
-    found = float(_log_mean(np.array([_evaluate_alone(family, rests[size])[0] for family in remaining])))
-    return found + rests[size].log_evidence - float(logsumexp([rest.log_evidence for rest in rests]))
+    found = np.array([_evaluate_alone(family, rests[size])[0] for family in remaining])
+    return np.asarray(found + rests[size].log_evidence - logsumexp([rest.log_evidence for rest in rests]))
 
 
-def error_with_patterns(fit: Fit, something_else: SomethingElse, folds: Sequence[Sequence[int]]) -> Float64Array:
-    """Cell error of held-out pushes with the patterns that were found less that without [m], shape (n_pushes,): below 0 where they help.
+def error_with_patterns(fit: Fit, patterns: Sequence[Pattern], folds: Sequence[Sequence[int]]) -> Float64Array:
+    """Cell error of held-out pushes with patterns that were found less that without [m], shape (n_pushes,): below 0 where they help.
 
     Both are predicted in the linear range of the fit, from all pushes outside a fold and the first poses of those within; with the patterns
-    as a mean over those that are probable, by their shares. `folds`: numbers of the pushes that are held out together.
+    as a mean over those that are probable, by their shares. `patterns`: the most probable first; `folds`: numbers of the pushes that are
+    held out together.
     """
     linear = _linear(fit)
     assert linear is not None, "patterns were found in the residuals of this fit"
-    probable = [pattern for pattern in something_else.patterns if pattern.share >= 0.1 * something_else.best.share]
+    probable = [pattern for pattern in patterns if pattern.share >= 0.1 * patterns[0].share]
     weights = np.array([pattern.share for pattern in probable])
     ends = np.empty((1 + len(probable), fit.problem.n_pushes, 3))
     for fold, residuals_of_fold in zip(folds, map_in_threads(partial(_end_residuals, fit, linear, probable), folds), strict=True):
@@ -272,7 +304,7 @@ def _end_residuals(fit: Fit, linear: _Linear, patterns: Sequence[Pattern], fold:
     predicted = [linear.jacobian @ rest.step(rest.observed)]
     for pattern in patterns:
         family = replace(pattern.family, columns=pattern.family.columns[rows])
-        amplitude = _amplitudes(family, pattern.member, pattern.scale, rest)
+        amplitude, _ = _amplitudes(family, pattern.member, pattern.scale, rest)
         change = pattern.family.columns @ amplitude
         predicted.append(change + linear.jacobian @ rest.step(rest.observed - change[rows]))
     residuals = np.empty((len(predicted), len(fold), 3))
@@ -358,8 +390,10 @@ def _log_mean(values: Float64Array) -> Float64Array:
     return np.asarray(logsumexp(values, axis=0) - np.log(len(values)))
 
 
-def _amplitudes(family: Family, member: Member, scale: float, linear: _Linear) -> Float64Array:
-    """Of each column of a family, where one of its members acts, shape (n_columns,)."""
+def _amplitudes(family: Family, member: Member, scale: float, linear: _Linear) -> tuple[Float64Array, float]:
+    """Of each column of a family, where one of its members acts, shape (n_columns,), and the standard deviation of the largest."""
     (precision,) = _precisions(replace(family, members=(member,)), linear)
     slope = member.gathered(_slope(family, linear, linear.residual[:, None]))[:, 0]
-    return member.spread(precision.amplitudes(slope, scale))
+    amplitudes = member.spread(precision.amplitudes(slope, scale))
+    largest = member.gathered(np.eye(len(amplitudes))[:, [np.argmax(np.abs(amplitudes))]])[:, 0]
+    return amplitudes, float(np.sqrt(largest @ precision.amplitudes(largest, scale)))

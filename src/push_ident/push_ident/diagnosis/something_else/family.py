@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from scipy.linalg import block_diag
 
+from push_ident.physics.effect import Mechanism
 from push_ident.types import Float64Array
 
 Rows = tuple[Float64Array, Float64Array]
@@ -48,6 +50,26 @@ class VariesWith(Enum):
     """Within each push on its own."""
 
 
+_MECHANISMS: Final = {
+    (Acts.FORCE, VariesWith.POINT): Mechanism.FORCE_ON_OBJECT,
+    (Acts.FORCE, VariesWith.POSITION): Mechanism.FORCE_ON_OBJECT,
+    (Acts.PUSHER, VariesWith.FROM_PUSH): Mechanism.TOOL_MOVED,
+    (Acts.PUSHER, VariesWith.SIDE): Mechanism.OUTLINE,
+}
+"""Of which families are free laws, by what acts and what it follows."""
+_MECHANISMS_OF_FRICTION: Final = {
+    VariesWith.POINT: Mechanism.FRICTION_BY_PLACE,
+    VariesWith.POSITION: Mechanism.FRICTION_BY_PLACE,
+    VariesWith.FROM_PUSH: Mechanism.FRICTION_BY_ORDER,
+    VariesWith.SINCE_CONTACT: Mechanism.FRICTION_SINCE_CONTACT,
+    VariesWith.TRAVEL: Mechanism.FRICTION_SINCE_CONTACT,
+    VariesWith.SPEED: Mechanism.FRICTION_BY_SPEED,
+    VariesWith.HEADING: Mechanism.FRICTION_BY_HEADING,
+    VariesWith.HEADING_IN_OBJECT: Mechanism.FRICTION_BY_HEADING_IN_OBJECT,
+}
+"""The same of friction and of forces along and across the motion."""
+
+
 @dataclass(frozen=True, slots=True)
 class Member:
     """One hypothesis of a family."""
@@ -83,6 +105,13 @@ class Family:
     (n_columns, n); columns of several components of a force repeat it."""
     columns_of_push: tuple[slice, ...] = ()
     """Columns of each push, zero in the rows of all others; none where the pushes share their columns."""
+
+    @property
+    def mechanism(self) -> Mechanism | None:
+        """Of which it is a free law; None where what it does is no mechanism of the catalogue."""
+        if self.acts_on in (Acts.FRICTION, Acts.FORCE_ON_MOTION):
+            return _MECHANISMS_OF_FRICTION.get(self.varies_with)
+        return _MECHANISMS.get((self.acts_on, self.varies_with))
 
 
 def shared(responses: Sequence[dict[str, Rows]], name: str) -> Float64Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import MAPS, Body, Effect, EffectParameter, ExportAs, Law, OnTable, Rival, Subsystem, equation
+from push_ident.physics.effect import MAPS, Body, Effect, EffectParameter, ExportAs, Law, Mechanism, OnTable, Rival, Subsystem, equation
 
 
 @equation
@@ -29,4 +29,5 @@ EFFECT = Effect(
     source="Linear part of orthotropic friction; Goyal, Ruina & Papadopoulos, Planar sliding with dry friction, Wear 143, 1991.",
     export=ExportAs.CELL_ANISOTROPY,
     within=Subsystem.OBJECT,
+    law_of=Mechanism.FRICTION_BY_HEADING_IN_OBJECT,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from push_ident.physics.effect import Effect, EffectParameter, Law, OnContact, Rival
+from push_ident.physics.effect import Effect, EffectParameter, Law, Mechanism, OnContact, Rival
 
 EFFECT = Effect(
     name="outline_error",
@@ -24,4 +24,5 @@ EFFECT = Effect(
     ),
     check="Measure both with a calliper: the object, and the diameter of the pusher; pushes cannot tell one error from the other.",
     source="Offset curve of the outline; equivalent to an error of the pusher's radius.",
+    law_of=Mechanism.OUTLINE,
 )

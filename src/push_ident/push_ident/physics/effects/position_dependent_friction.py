@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, Law, OnTable, Rival, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, Law, Mechanism, OnTable, Rival, equation
 
 
 @equation
@@ -30,4 +30,5 @@ EFFECT = Effect(
     check="Clean the table and repeat two pushes at distant places.",
     source="Linear part of the variation over a table; Yu, Bauza, Fazeli & Rodriguez, More than a million ways to be pushed, 2016.",
     refit_with=("push_height", "moving_contents"),
+    law_of=Mechanism.FRICTION_BY_PLACE,
 )

@@ -4,7 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import MAPS, Body, Cell, Effect, EffectParameter, Law, OnTable, Rival, analytic_log, analytic_sqrt, equation
+from push_ident.physics.effect import (
+    MAPS,
+    Body,
+    Cell,
+    Effect,
+    EffectParameter,
+    Law,
+    Mechanism,
+    OnTable,
+    Rival,
+    analytic_log,
+    analytic_sqrt,
+    equation,
+)
 
 
 @equation
@@ -27,4 +40,5 @@ EFFECT = Effect(
     rivals=(Rival(MAPS, "the same push at 0.04, 0.12 and 0.3 m/s"), Rival("push_height", "the same push at 0.04, 0.12 and 0.3 m/s")),
     check="Verify that there is no film of oil; repeat a push at a quarter of its speed.",
     source="Logarithmic law of rate-dependent friction; Ruina, Slip instability and state variable friction laws, 1983, without state.",
+    law_of=Mechanism.FRICTION_BY_SPEED,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Cell, Effect, EffectParameter, Law, OnTable, Rival, analytic_exp, equation
+from push_ident.physics.effect import Body, Cell, Effect, EffectParameter, Law, Mechanism, OnTable, Rival, analytic_exp, equation
 
 
 @equation
@@ -26,4 +26,5 @@ EFFECT = Effect(
     rivals=(Rival("speed_dependent_friction", "pushes below 30 mm/s"),),
     check="Repeat a push at 10 mm/s.",
     source="Bo & Pavelescu, The friction-speed relation and its influence on the critical velocity of stick-slip motion, Wear 82, 1982.",
+    law_of=Mechanism.FRICTION_BY_SPEED,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, Law, OnTable, Rival, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, Law, Mechanism, OnTable, Rival, equation
 
 
 @equation
@@ -31,4 +31,5 @@ EFFECT = Effect(
     ),
     check="Turn the object by 90 degrees and repeat a push; or lay a sheet of glass on the table.",
     source="Linear part of orthotropic friction; Goyal, Ruina & Papadopoulos, Planar sliding with dry friction, Wear 143, 1991.",
+    law_of=Mechanism.FRICTION_BY_HEADING,
 )

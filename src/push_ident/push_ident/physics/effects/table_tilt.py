@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, ExportAs, Law, OnTable, Rival, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, ExportAs, Law, Mechanism, OnTable, Rival, equation
 from push_ident.physics.support import GRAVITY
 
 
@@ -35,4 +35,5 @@ EFFECT = Effect(
     special_case_of=("tether",),
     refit_with=("tether",),
     export=ExportAs.GRAVITY,
+    law_of=Mechanism.FORCE_ON_OBJECT,
 )

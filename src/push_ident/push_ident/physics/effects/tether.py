@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import Body, Effect, EffectParameter, Law, OnTable, Rival, equation
+from push_ident.physics.effect import Body, Effect, EffectParameter, Law, Mechanism, OnTable, Rival, equation
 
 
 @equation
@@ -31,4 +31,5 @@ EFFECT = Effect(
     check="Disconnect every cable and hose of the object and push again.",
     source="Linear spring without slack. With the products k x0 it is linear in its parameters, and absent at zero.",
     refit_with=("table_tilt",),
+    law_of=Mechanism.FORCE_ON_OBJECT,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from push_ident.physics.effect import MAPS, Body, Effect, EffectParameter, Law, OnTable, Rival, equation
+from push_ident.physics.effect import MAPS, Body, Effect, EffectParameter, Law, Mechanism, OnTable, Rival, equation
 
 
 @equation
@@ -25,4 +25,5 @@ EFFECT = Effect(
     check="Repeat the first push last.",
     source="First-order drift; Yu, Bauza, Fazeli & Rodriguez, More than a million ways to be pushed, 2016.",
     follows_order=True,
+    law_of=Mechanism.FRICTION_BY_ORDER,
 )

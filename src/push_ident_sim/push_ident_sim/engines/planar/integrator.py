@@ -312,6 +312,9 @@ def _table_friction(laws: Laws, body: Body, frame: _Frame, state: State, change:
         if laws.heating != 0.0:
             travel[i] += dt * speed
             factor *= 1.0 - laws.heating * (1.0 - np.exp(-travel[i] / CONSTANTS.cold_travel))
+        factor *= 1.0 + laws.linear_speed * speed / 0.1
+        if x > 0.0:
+            factor *= 1.0 + laws.step
         limit = load[i] * friction[i] * max(CONSTANTS.min_factor, factor) * change.factor[i]
         shrink = 1.0 / (1.0 + dt * speed / laws.travel)
         bend[i, 0] = (bend[i, 0] + dt * vx) * shrink

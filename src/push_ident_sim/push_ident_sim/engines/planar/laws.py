@@ -68,6 +68,8 @@ OUTSIDE: dict[str, InjectedEffect] = {
         _outside(
             "heating_friction", "1", 0.4, 0.9, "Friction of a cell falls by this share within 20 mm of sliding; each push starts cold."
         ),
+        _outside("friction_linear_in_speed", "1", 0.3, 2.0, "Friction grows by this share with every 0.1 m/s."),
+        _outside("friction_step", "1", 0.3, 2.0, "Friction is higher by this share on one half of the table, where x > 0."),
         _outside("gust", "N", 0.4, 4.0, "A pull along y that oscillates at 1.5 Hz, with another phase in each push."),
     )
 }
@@ -116,6 +118,9 @@ class Laws(NamedTuple):
     """Damping of a cell [N s/m]."""
     greasy: float
     heating: float
+    linear_speed: float
+    """By 0.1 m/s."""
+    step: float
     # Loads and pulls
     height: float
     """Of the centre of mass, and of the pusher, above the table; 0 where loads do not shift."""
@@ -171,6 +176,8 @@ def laws_of(
         film=effects["viscous_film"][0] / len(sim_object),
         greasy=outside.get("greasy_spot", 0.0),
         heating=outside.get("heating_friction", 0.0),
+        linear_speed=outside.get("friction_linear_in_speed", 0.0),
+        step=outside.get("friction_step", 0.0),
         height=push_height(effects, sim_object),
         contents=contents,
         contents_time=contents_time,
