@@ -143,5 +143,5 @@ def test_structure_beside_a_strong_effect_is_worth_less_since_no_law_is_exact() 
     selection = selection_of({"outline_error": 700.0}, n_found=1)
     beside_weak, beside_strong = (probabilities(selection, evidence).something_else for evidence in (weak, strong))
     assert beside_weak > beside_strong > POLICY.max_probability_of_error
-    nothing = OutsideEvidence.of(None, families((*EACH_PUSH, -2.0)), [], POLICY, named=700.0)
+    nothing = OutsideEvidence.of(None, families(*[(*EACH_PUSH, -2.0)] * 18), [], POLICY, named=700.0)
     assert probabilities(selection, nothing).something_else < POLICY.imitated_wholly + 0.05

@@ -18,7 +18,18 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.physics.effect import Effect, OnContact, OnForces, OnForceTimes, OnPoses, OnPusherFriction, OnPusherPath, OnTable, OnTimes
+from push_ident.physics.effect import (
+    Effect,
+    Mechanism,
+    OnContact,
+    OnForces,
+    OnForceTimes,
+    OnPoses,
+    OnPusherFriction,
+    OnPusherPath,
+    OnTable,
+    OnTimes,
+)
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
 
 Part = Literal["table", "object", "pusher", "camera", "poses", "forces"]
@@ -68,6 +79,8 @@ class InjectedEffect:
     what: str
     how: str
     """How the simulation brings it about."""
+    mechanism: str = ""
+    """The mechanism of the core's catalogue of which it is a law that the catalogue does not hold; "" where it is none."""
     has_own_law: bool = True
     """Whether the engines have a law of their own for it; else they evaluate the equation of the core's catalogue."""
 
@@ -244,6 +257,7 @@ _ENTRIES = (
         (InjectedParameter("damping", "N s/m", 3.0, 0.0, 30.0, "of the whole object, spread over its cells"),),
         "A film of oil: a force against the velocity, beside dry friction.",
         "a force on each cell",
+        Mechanism.FRICTION_BY_SPEED.value,
     ),
     InjectedEffect(
         "rolling_finger",
@@ -251,6 +265,7 @@ _ENTRIES = (
         (InjectedParameter("ease", "1", 1.0, 0.0, 1.0, "1: free; below that a bearing holds with (1 - ease) 0.02 N m", smallest=0.5),),
         "The finger turns about its own axis.",
         "the pusher hangs on a turning joint with that friction",
+        "pusher_friction",
     ),
     InjectedEffect(
         "pusher_wobble",

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.errors import InputError
+from push_ident.physics.effect import Mechanism
 from push_ident_sim.injected import InjectedEffect, InjectedEffects, InjectedParameter
 from push_ident_sim.injected.shared import bearing_torque, friction_of_pusher, outline_growth, push_height, restitution, tether_anchor
 from push_ident_sim.objects import SimObject
@@ -49,9 +50,11 @@ class _Constants(NamedTuple):
 CONSTANTS = _Constants()
 
 
-def _outside(name: str, unit: str, typical: float, highest: float, what: str) -> InjectedEffect:
+def _outside(name: str, size: tuple[str, float, float], what: str, mechanism: Mechanism | None = None) -> InjectedEffect:
+    """`size`: its unit, typical and highest value."""
+    unit, typical, highest = size
     parameter = InjectedParameter("size", unit, typical, 0.0, highest)
-    return InjectedEffect(name, "table", (parameter,), what, "a law of the planar engine")
+    return InjectedEffect(name, "table", (parameter,), what, "a law of the planar engine", mechanism.value if mechanism else "")
 
 
 OUTSIDE: dict[str, InjectedEffect] = {
@@ -59,21 +62,35 @@ OUTSIDE: dict[str, InjectedEffect] = {
     for effect in (
         _outside(
             "magnet",
-            "N",
-            0.4,
-            4.0,
+            ("N", 0.4, 4.0),
             "A magnet under the table draws the centre of mass to one spot, with at most this force, 40 mm from it.",
+            Mechanism.FORCE_ON_OBJECT,
         ),
-        _outside("greasy_spot", "1", 0.5, 0.95, "Friction is lower by this share in a spot of 60 mm in the middle of the table."),
         _outside(
-            "heating_friction", "1", 0.4, 0.9, "Friction of a cell falls by this share within 20 mm of sliding; each push starts cold."
+            "greasy_spot",
+            ("1", 0.5, 0.95),
+            "Friction is lower by this share in a spot of 60 mm in the middle of the table.",
+            Mechanism.FRICTION_BY_PLACE,
         ),
-        _outside("friction_linear_in_speed", "1", 0.3, 2.0, "Friction grows by this share with every 0.1 m/s."),
-        _outside("friction_step", "1", 0.3, 2.0, "Friction is higher by this share on one half of the table, where x > 0."),
-        _outside("gust", "N", 0.4, 4.0, "A pull along y that oscillates at 1.5 Hz, with another phase in each push."),
+        _outside(
+            "heating_friction",
+            ("1", 0.4, 0.9),
+            "Friction of a cell falls by this share within 20 mm of sliding; each push starts cold.",
+            Mechanism.FRICTION_SINCE_CONTACT,
+        ),
+        _outside(
+            "friction_linear_in_speed", ("1", 0.3, 2.0), "Friction grows by this share with every 0.1 m/s.", Mechanism.FRICTION_BY_SPEED
+        ),
+        _outside(
+            "friction_step",
+            ("1", 0.3, 2.0),
+            "Friction is higher by this share on one half of the table, where x > 0.",
+            Mechanism.FRICTION_BY_PLACE,
+        ),
+        _outside("gust", ("N", 0.4, 4.0), "A pull along y that oscillates at 1.5 Hz, with another phase in each push."),
     )
 }
-"""Effects that only this engine has and that no diagnosis can name, by name."""
+"""Effects that only this engine has, by name: laws that the catalogue of the core does not hold, some of them of its mechanisms."""
 
 
 class Laws(NamedTuple):

@@ -46,7 +46,9 @@ _HARDLY_DETECTABLE = ("restitution", "stribeck_friction", "wear", "speed_depende
 _PAIRABLE = tuple(name for name in CAUSES if name not in _HARDLY_DETECTABLE)
 """Effects that slow pushes show, one of each pair of exact twins."""
 _ELSEWHERE = ("pose_flips", "compliant_table", "viscous_film", "rolling_finger", "pusher_wobble")
-"""Effects that both engines have and that no diagnosis can name."""
+"""Effects that both engines have and whose law no diagnosis holds."""
+_FEWEST, _MOST = 6, 20
+"""Pushes of cases that are all nulls."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,7 @@ class Scenario:
     engine: str
     """`bullet`, `planar`, or `camera`: Bullet through rendered depth images."""
     kind: str
-    """`null`, `single`, `pair`, `outside`."""
+    """`null`, `single`, `pair`, `foreign` (a law that the catalogue does not hold, of a mechanism that it holds), `outside`."""
     names: tuple[str, ...] = ()
     size: float = 1.0
     """Times the typical one."""
@@ -79,7 +81,9 @@ class Truth:
 
     def as_json(self) -> Json:
         """For the seal, and for the tables."""
+        (mechanism,) = {_foreign(name).mechanism for name in self.scenario.names} if self.scenario.kind == "foreign" else {""}
         return {
+            "mechanism": mechanism,
             "engine": self.scenario.engine,
             "kind": self.scenario.kind,
             "names": list(self.scenario.names),
@@ -106,19 +110,36 @@ def _plan() -> tuple[Scenario, ...]:
         for _ in range(12):
             first, second = rng.choice(len(_PAIRABLE), 2, replace=False)
             plan.append(Scenario(engine, "pair", (_PAIRABLE[first], _PAIRABLE[second]), 1.5))
-        plan += [Scenario(engine, "outside", (name,), s) for name in _ELSEWHERE for s in (1.0, 3.0)]
-    plan += [Scenario("planar", "outside", (name,), s) for name in OUTSIDE for s in (1.0, 2.0)]
+        plan += [_without_a_law(engine, name, s) for name in _ELSEWHERE for s in (1.0, 3.0)]
+    plan += [_without_a_law("planar", name, s) for name in OUTSIDE for s in (1.0, 2.0)]
     return tuple(plan[i] for i in rng.permutation(len(plan)))
 
 
-def draw_truth(object_name: str, model: int, *, filmed: bool = False) -> Truth:
-    """The truth of a case: the plan gives the scenario, the seed the rest. Where it is `filmed`, what no camera can film becomes a null."""
+def _without_a_law(engine: str, name: str, size: float) -> Scenario:
+    return Scenario(engine, "foreign" if _foreign(name).mechanism else "outside", (name,), size)
+
+
+def _foreign(name: str) -> InjectedEffect:
+    return OUTSIDE[name] if name in OUTSIDE else INJECTED[name]
+
+
+def n_pushes_of_null(object_name: str, model: int) -> int:
+    """Pushes of a case of the variant of nulls."""
+    return int(np.random.default_rng([model, OBJECT_NAMES.index(object_name), 78]).integers(_FEWEST, _MOST + 1))
+
+
+def draw_truth(object_name: str, model: int, variant: str = "") -> Truth:
+    """The truth of a case: the plan gives the scenario, the seed the rest. Where it is filmed, what no camera can film becomes a null;
+    in the variant of nulls all are."""
+    filmed = variant == CAMERA
     # A report begins at the other end of the plan than tuning did.
     first, plan = (FIRST_REPORT_MODEL, _plan()[::-1]) if phase_of(model) == "report" else (0, _plan())
     scenario = plan[((model - first) * len(OBJECT_NAMES) + OBJECT_NAMES.index(object_name)) % len(plan)]
     if filmed:
         can_be = all(name in INJECTED and name != "tether" and INJECTED[name].acts_on != "poses" for name in scenario.names)
         scenario = replace(scenario, engine="camera") if can_be else Scenario("camera", "null")
+    elif variant == NULLS:
+        scenario = Scenario(("bullet", "planar")[model % 2], "null")
     rng = np.random.default_rng([model, OBJECT_NAMES.index(object_name), 77])
     values: dict[str, tuple[float, ...]] = {}
     outside: list[tuple[str, float]] = []
@@ -217,6 +238,8 @@ def _filmed(truth: Truth, object_name: str, model: int, n_pushes: int) -> list[P
 
 CAMERA: Final = "camera"
 """Variant through rendered depth images and perception."""
+NULLS: Final = "nulls"
+"""Variant without any effect, with 6 to 20 pushes."""
 ENGINES: Final = "engines"
 """Variant that compares the engines; it has no truth to be sealed."""
 DECIDING_PACKAGES: Final = ("geometry", "physics", "pushing", "identification", "diagnosis", "perception")
@@ -265,5 +288,5 @@ def seal_cases(cases: Sequence[Case], folder: Path) -> Json:
 
 
 def _truth_of(case: Case) -> Json:
-    truth = draw_truth(case.object_name, case.model, filmed=case.variant == CAMERA)
+    truth = draw_truth(case.object_name, case.model, case.variant)
     return {"case": case.key, "object": case.object_name, "model": case.model, **truth.as_json()}

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.diagnosis.diagnose import diagnose
+from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import fit_effects, polished
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.odds import SOMETHING_ELSE
@@ -73,7 +74,7 @@ def score_case(
         values["true_parameters"] = {name: v.tolist() for name, v in wanted.items()}
         if wanted:
             values["detectability"] = _detectability(base, wanted)
-    if truth.scenario.kind == "outside" and make_plain is not None:
+    if truth.scenario.kind in ("foreign", "outside") and make_plain is not None:
         values["visibility"] = _visibility(base, make_plain())
     if truth.scenario.kind == "single" and make_push is not None and _is_open(diagnosis):
         values["requested"] = _resolve(diagnosis, list(records), settings, make_push)
@@ -85,7 +86,7 @@ def _outcome(diagnosis: Diagnosis) -> Json:
     return {
         "verdict": diagnosis.verdict.value,
         "sentence": diagnosis.sentence,
-        "effects": [{"name": e.name, "parameters": e.parameters, "std": e.std, "evidence": e.log_bayes_factor} for e in diagnosis.effects],
+        "effects": to_json(diagnosis)["effects"],
         "confusable": list(diagnosis.confusion_set),
         "gap": None if diagnosis.gap is None else _gap(diagnosis.gap),
         "probabilities": None

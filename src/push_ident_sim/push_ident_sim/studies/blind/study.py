@@ -23,11 +23,13 @@ from push_ident_sim.recordings.truth import TruthSettings, make_pushes, true_mod
 from push_ident_sim.studies.blind.cases import (
     CAMERA,
     ENGINES,
+    NULLS,
     Truth,
     decision_hashes,
     draw_truth,
     make_records,
     make_requested_record,
+    n_pushes_of_null,
     seal_cases,
 )
 from push_ident_sim.studies.blind.scoring import MakePush, score_case
@@ -43,8 +45,9 @@ _N_PUSHES: Final = {MOST_PUSHES: 14, CHOSEN: 6, CAMERA: 8}
 def _run(case: Case, settings: CaseSettings) -> Json:
     if case.variant == ENGINES:
         return _compare_engines(case)
-    of_case, n_pushes = (case.object_name, case.model), _N_PUSHES[case.variant]
-    truth = draw_truth(*of_case, filmed=case.variant == CAMERA)
+    of_case = (case.object_name, case.model)
+    n_pushes = n_pushes_of_null(*of_case) if case.variant == NULLS else _N_PUSHES[case.variant]
+    truth = draw_truth(*of_case, case.variant)
     records = make_records(truth, *of_case, n_pushes, settings.noise)
 
     def make_push(push: PlannedPush, number: int) -> PushRecord | None:
@@ -113,15 +116,16 @@ STUDY = Experiment(
     name="blind",
     title="Does a diagnosis name the right cause?",
     question=(
-        "Each case has no effect, one at sizes from undetectable to three times typical, two, or one outside the catalogue. Seeds from "
+        "Each case has no effect, one at sizes from undetectable to three times typical, two, one by a law that the catalogue does not "
+        "hold (foreign), or one whose mechanism it does not hold (outside). `nulls`: none, 6 to 20 pushes. Seeds from "
         "1000 on are scored once, after the hashes were written down. An effect is detectable where its true size brings 5 nat of log "
-        "evidence on average (odds of 150 to 1), clearly detectable where it does so nine times out of ten; one outside the catalogue "
+        "evidence on average (odds of 150 to 1), clearly detectable where it does so nine times out of ten; a foreign or outside one "
         "is visible where the same pushes without it differ by a noncentrality of 25. Exact twins count as right. S is the share of the"
         " gap on held-out pushes that the effect explains. Where a verdict leaves more than one effect, up to two requested pushes are "
         "made. `6-chosen`: three random pushes and three that the diagnosis proposes. `camera`: 8 pushes through rendered depth images "
         "and perception; effects that cannot be filmed are left out."
     ),
-    variants=(MOST_PUSHES, CHOSEN, CAMERA, ENGINES),
+    variants=(MOST_PUSHES, CHOSEN, CAMERA, NULLS, ENGINES),
     most_models={ENGINES: 2},
     every={CHOSEN: 3, CAMERA: 3},
     # Perception counts for the camera, pushing for the requested pushes.
