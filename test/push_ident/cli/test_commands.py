@@ -50,7 +50,7 @@ def test_recording_is_diagnosed_against_another_one(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "d.json").read_text())
     assert done.returncode == 0 and "No change since the reference is found" in done.stdout
     assert content["verdict"] == "no_gap" and content["shared_with_reference"] == ["table_tilt"] and content["causes"] == []
-    assert content["remainder"]["over_motion"]["error_m"] < 2e-3
+    assert content["remainder_m"] < 1e-3 and content["motion"]["after_m"] < 2e-3
     assert (
         "no change since the reference" in (tmp_path / "out" / "report.html").read_text() and not (tmp_path / "out" / "model.json").exists()
     )

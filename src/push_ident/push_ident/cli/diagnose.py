@@ -26,7 +26,7 @@ from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.wording import describe_push, detectable_size
+from push_ident.diagnosis.wording import describe_push, detectable_size, in_pushes
 from push_ident.extras import need
 from push_ident.identification.results.model_file import save_model
 from push_ident.identification.unknowns.prior import Prior
@@ -102,8 +102,8 @@ def _show(diagnosis: Diagnosis) -> None:
     if diagnosis.check:
         say(f"Without a push: {diagnosis.check}")
     if diagnosis.next_push is not None and diagnosis.next_push.push.plan is not None:
-        enough = "is expected to" if diagnosis.next_push.resolves else "will hardly"
-        say(f"The push that {diagnosis.next_push.aim}: {describe_push(diagnosis.next_push.push)}. One such push {enough} be enough.")
+        proposal = diagnosis.next_push
+        say(f"The push that {proposal.aim}: {describe_push(proposal.push)}. {in_pushes(proposal.n_pushes)}")
     elif diagnosis.confusion_set:
         say("No push within its limits would resolve what is still open.")
     if diagnosis.selection is not None:

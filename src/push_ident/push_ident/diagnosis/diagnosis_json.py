@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.fits import BASE_WITH_FORCES
-from push_ident.diagnosis.held_out import Gap
+from push_ident.diagnosis.held_out import Gap, MotionGap
 from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.residuals import ResidualGroup
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
-from push_ident.diagnosis.shares import Closed, closed_by_cause
+from push_ident.diagnosis.shares import closed_by_cause
 from push_ident.diagnosis.something_else.evidence import SomethingElse
 from push_ident.diagnosis.verdict import FoundEffect, FreeLaw
 from push_ident.identification.predicting.next_push import PlannedPush
@@ -34,12 +33,13 @@ def to_json(diagnosis: Diagnosis) -> Json:
     return {
         "verdict": diagnosis.verdict.value,
         "sentence": diagnosis.sentence,
-        "effects": [*map(_effect, diagnosis.effects), *([_free_law(diagnosis.free_law)] if diagnosis.free_law else [])],
+        "effects": _effects(diagnosis),
         "confusable": list(diagnosis.confusion_set),
         "gap": _gap(diagnosis.gap),
         "causes": _causes(diagnosis),
         "shared_with_reference": _shared(diagnosis.selection),
-        "remainder": _remainder(diagnosis.gap),
+        "remainder_m": _remainder_m(diagnosis.gap),
+        "motion": diagnosis.gap and diagnosis.gap.motion and _motion(diagnosis.gap.motion),
         "account": _account(diagnosis.account, diagnosis.first_push),
         "where": {by: [_group(group) for group in groups] for by, groups in diagnosis.where.items()},
         "ranking": _ranking(diagnosis.selection),
@@ -52,6 +52,10 @@ def to_json(diagnosis: Diagnosis) -> Json:
         "something_else": _something_else(diagnosis),
         "gates": [{"passed": g.passed, "found": g.finding, "remedy": g.remedy} for g in diagnosis.gates],
     }
+
+
+def _effects(diagnosis: Diagnosis) -> list[Json]:
+    return [*map(_effect, diagnosis.effects), *([_free_law(diagnosis.free_law)] if diagnosis.free_law else [])]
 
 
 def _effect(e: FoundEffect) -> Json:
@@ -112,7 +116,7 @@ def _gap(gap: Gap | None) -> Json:
     if gap is None:
         nan = float("nan")
         lengths = dict.fromkeys(("before_m", "after_m", "noise_m", "shrink"), nan)
-        return {**lengths, "shrink_interval": [nan, nan], "before_per_push_m": [], "after_per_push_m": [], "stages": [], "motion": None}
+        return {**lengths, "shrink_interval": [nan, nan], "before_per_push_m": [], "after_per_push_m": [], "stages": []}
     return {
         "before_m": float(np.mean(gap.before)),
         "after_m": float(np.mean(gap.after)),
@@ -122,14 +126,17 @@ def _gap(gap: Gap | None) -> Json:
         "before_per_push_m": gap.before.tolist(),
         "after_per_push_m": gap.after.tolist(),
         "stages": [{"effects": names.split(", "), "after_m": float(np.mean(errors))} for names, errors in gap.stages.items()],
-        "motion": gap.motion
-        and {
-            "before_m": float(np.mean(gap.motion.before)),
-            "after_m": float(np.mean(gap.motion.after)),
-            "noise_m": float(np.mean(gap.motion.noise)),
-            "before_per_push_m": gap.motion.before.tolist(),
-            "after_per_push_m": gap.motion.after.tolist(),
-        },
+    }
+
+
+def _motion(motion: MotionGap) -> Json:
+    """The gap over the whole motion: root mean square over the frames."""
+    return {
+        "before_m": float(np.mean(motion.before)),
+        "after_m": float(np.mean(motion.after)),
+        "noise_m": float(np.mean(motion.noise)),
+        "before_per_push_m": motion.before.tolist(),
+        "after_per_push_m": motion.after.tolist(),
     }
 
 
@@ -140,31 +147,31 @@ def _shared(selection: Selection | None) -> list[str] | None:
 
 
 def _causes(diagnosis: Diagnosis) -> list[Json]:
-    """What each named cause closes of the error on held-out pushes."""
-    if diagnosis.gap is None or not (diagnosis.effects or diagnosis.free_law):
+    """Each named cause with what it closes of the error on held-out pushes; of several that were added together, what they close."""
+    if diagnosis.gap is None:
         return []
-    return [
-        {
-            "names": list(cause.names),
-            "at_end": _closed(cause.at_end),
-            "over_motion": None if cause.over_motion is None else _closed(cause.over_motion),
-        }
+    closed = {name: one for one in closed_by_cause(diagnosis.gap) for name in one.names}
+    causes = []
+    for effect in _effects(diagnosis):
+        at_end, over_motion = closed[effect["name"]].at_end, closed[effect["name"]].over_motion
         # What a free law changes is known at the ends of the pushes.
-        for cause in closed_by_cause(replace(diagnosis.gap, motion=None) if diagnosis.free_law else diagnosis.gap)
-    ]
+        of_motion = None if over_motion is None or diagnosis.free_law else over_motion.mean
+        causes.append(
+            {
+                **{key: effect[key] for key in ("name", "mechanism", "law", "parameters", "std")},
+                "closes_m": at_end.mean,
+                "interval": list(at_end.interval),
+                "share": at_end.share,
+                "closes_over_motion_m": of_motion,
+                "together_with": [name for name in closed[effect["name"]].names if name != effect["name"]],
+            }
+        )
+    return causes
 
 
-def _closed(closed: Closed) -> Json:
-    return {"closes_m": closed.mean, "interval_m": list(closed.interval), "share": closed.share}
-
-
-def _remainder(gap: Gap | None) -> Json | None:
-    """Error on held-out pushes that remains beside all named causes, and the part of it that noise makes."""
-    if gap is None:
-        return None
-    motion = gap.motion
-    over_motion = motion and {"error_m": float(np.mean(motion.after)), "noise_m": float(np.mean(motion.noise))}
-    return {"at_end": {"error_m": float(np.mean(gap.after)), "noise_m": float(np.mean(gap.noise))}, "over_motion": over_motion}
+def _remainder_m(gap: Gap | None) -> float | None:
+    """Error on held-out pushes beside all named causes, without what the noise of the poses makes [m]."""
+    return None if gap is None else float(np.mean(gap.after - gap.noise))
 
 
 def _account(account: Account | None, first_push: PlannedPush | None) -> Json:

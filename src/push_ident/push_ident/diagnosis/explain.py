@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from push_ident.diagnosis import wording
-from push_ident.diagnosis.next_push import competing_explanations, most_informative_push, separating_push
+from push_ident.diagnosis.next_push import competing_explanations, most_informative_push, needed_evidence, separating_push
 from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.residuals import group_residuals
 from push_ident.diagnosis.result import Diagnosis
@@ -37,7 +37,8 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         first_push = most_informative_push(validation.selection.fit, pose, limits, policy.next_push)
     explanations = competing_explanations(validation.selection, policy.selection)
     if len(explanations) > 1:
-        next_push = separating_push(explanations, pose, limits, policy.next_push)
+        needed = needed_evidence(explanations, policy.selection)
+        next_push = separating_push(explanations, pose, limits, policy.next_push, needed=needed)
     something_else = validation.something_else
     sources = [state.source_of(push) for push in range(len(state.records) + len(state.reference))]
     pattern = validation.free_law or (None if something_else is None else something_else.best)

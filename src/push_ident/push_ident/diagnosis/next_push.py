@@ -43,9 +43,9 @@ class SeparatingPush:
     between: tuple[str, str]
     """The pair of explanations whose predictions differ least, among those that a push can distinguish."""
     mahalanobis2: float
-    """Squared Mahalanobis distance of their predictions, as the sensor would observe them."""
-    resolves: bool
-    """Whether one such push is expected to be enough: no two explanations stay indistinguishable, and the distance is large."""
+    """Squared Mahalanobis distance of their predictions, as the sensor would observe them and the model may be wrong."""
+    n_pushes: int
+    """Such pushes that are expected to be enough: each brings half the distance in log evidence."""
 
     @property
     def aim(self) -> str:
@@ -78,11 +78,26 @@ def competing_explanations(selection: Selection, policy: SelectionPolicy) -> dic
     return {without(last.name): step.before, last.name: selection.fit}
 
 
-def separating_push(fits: Mapping[str, Fit], pose: Float64Array, settings: PushSettings, policy: NextPushPolicy) -> SeparatingPush | None:
+def needed_evidence(fits: Mapping[str, Fit], policy: SelectionPolicy) -> float:
+    """Log evidence that pushes have to bring to decide between explanations [nat]: what excludes a rival, or detects an effect."""
+    first = next(iter(fits))
+    return policy.min_log_bayes_factor if first == NO_EFFECT or first.startswith(without("")) else policy.tie_margin
+
+
+def separating_push(
+    fits: Mapping[str, Fit], pose: Float64Array, settings: PushSettings, policy: NextPushPolicy, *, needed: float
+) -> SeparatingPush | None:
     """The best of some safe candidate pushes: it has the largest distance between the two explanations that it separates least.
 
-    None where no push is safe, or none would distinguish any two explanations beyond the noise. `fits`: explanations by name, at least two,
-    all of one object; `pose`: where it lies, table frame, shape (3,).
+    Args:
+        fits: explanations by name, at least two, all of one object.
+        pose: where it lies, table frame, shape (3,).
+        settings: limits of the push.
+        policy: candidates, and how many pushes are worth while.
+        needed: log evidence that decides [nat].
+
+    Returns:
+        None where no push is safe, or no few pushes are expected to decide.
     """
     problem = next(iter(fits.values())).problem
     candidates = _candidates(problem.unknowns.shape, pose, settings, policy)
@@ -92,15 +107,17 @@ def separating_push(fits: Mapping[str, Fit], pose: Float64Array, settings: PushS
     outcomes = map_in_threads(lambda push: _outcomes(models, push, sensor, problem.noise, first_variance), candidates)
     pairs = list(combinations(fits, 2))
     distances = np.array([[_mahalanobis2(outcome[a], outcome[b]) for a, b in pairs] for outcome in outcomes]).reshape(-1, len(pairs))
-    separable = np.flatnonzero(np.max(distances, axis=0, initial=0.0) >= policy.min_mahalanobis2)
+    # A pair that no push separates does not count against any: the others can still be decided.
+    separable = np.flatnonzero(np.max(distances, axis=0, initial=0.0) >= 2.0 * needed / policy.max_pushes)
     if not len(separable):
         return None
-    # A pair that no push separates does not count against any.
     hardest = distances[:, separable].min(axis=1)
     best = int(np.argmax(hardest))
+    n_pushes = int(np.ceil(2.0 * needed / hardest[best]))
+    if n_pushes > policy.max_pushes:
+        return None
     pair = pairs[separable[int(np.argmin(distances[best, separable]))]]
-    resolves = len(separable) == len(pairs) and float(hardest[best]) >= policy.resolving_mahalanobis2
-    return SeparatingPush(candidates[best], pair, float(hardest[best]), resolves)
+    return SeparatingPush(candidates[best], pair, float(hardest[best]), n_pushes)
 
 
 def most_informative_push(fit: Fit, pose: Float64Array, settings: PushSettings, policy: NextPushPolicy) -> PlannedPush | None:
@@ -158,7 +175,7 @@ class _Predictor:
 
 _Outcome = tuple[Float64Array, Float64Array]
 """What an explanation predicts that the sensor observes of a push: poses in standard deviations of the observation, shape (3 n_frames,),
-and their covariance, from the posterior of the fit and the first pose, shape (3 n_frames, 3 n_frames)."""
+and their covariance, from the posterior of the fit, the first pose and the discrepancy, shape (3 n_frames, 3 n_frames)."""
 
 
 def _sensor(poses: PoseTrack) -> PoseSensor:
@@ -192,7 +209,9 @@ def _outcome(model: _Predictor, push: PlannedPush, observation: Observation, fir
     derivative[:3] = -np.linalg.solve(by_pose[0], by_value[:, 0].T) @ derivative[len(derivative) - len(by_value) :]
     whitened = np.einsum("fij,fjp->fip", observation.whitening, motion.jacobian).reshape(3 * len(observation.time), -1)
     by_first, rows = whitened[:, :3], whitened @ derivative
-    covariance = rows @ model.covariance @ rows.T + (by_first * first_variance) @ by_first.T
+    # Of a discrepancy that the frames of the push share, too.
+    discrepancy = np.einsum("fij,fjm->fim", observation.whitening, observation.shared).reshape(len(rows), -1)
+    covariance = rows @ model.covariance @ rows.T + (by_first * first_variance) @ by_first.T + discrepancy @ discrepancy.T
     return np.einsum("fij,fj->fi", observation.whitening, motion.pose).ravel(), covariance
 
 

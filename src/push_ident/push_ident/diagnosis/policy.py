@@ -270,10 +270,8 @@ class NextPushPolicy:
     """Random pushes whose predictions decide which push teaches most of the maps. As many as on the page of an identification."""
     first_pose_std: tuple[float, float, float] = (0.01, 0.01, 0.1)
     """Standard deviation of the first pose beside what the frames show [m, m, rad]: a fit may place it anywhere. A wide prior."""
-    min_mahalanobis2: float = 1.0
-    """Squared Mahalanobis distance of the predictions from which a push is proposed [1]. Judgement: one standard deviation."""
-    resolving_mahalanobis2: float = 9.0
-    """And from which one push is expected to resolve the tie [1]: three standard deviations are rarely mistaken."""
+    max_pushes: int = 2
+    """Pushes of the same kind that a person makes for one answer: where more would be needed, none is proposed. Judgement."""
 
 
 @dataclass(frozen=True, slots=True)

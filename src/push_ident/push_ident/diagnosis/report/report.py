@@ -24,7 +24,7 @@ from push_ident.diagnosis.report.figures import (
 )  # fmt: skip
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.verdict import Verdict
-from push_ident.diagnosis.wording import amplitude_of, in_mm, sentence_of_more_pushes, size_of
+from push_ident.diagnosis.wording import amplitude_of, in_mm, in_pushes, sentence_of_more_pushes, size_of
 from push_ident.pages.page import write_page
 from push_ident.physics.effects import EFFECTS
 
@@ -206,9 +206,7 @@ def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:
         "heading": float(np.degrees(plan.direction)),
         "distance": plan.distance,
         "speed": plan.speed,
-        "expectation": "One such push is expected to be enough."
-        if proposal.resolves
-        else "One such push will hardly be enough; make several.",
+        "expectation": in_pushes(proposal.n_pushes),
         "command": (
             f"push-ident push --at={x:.4f},{y:.4f} --direction={plan.direction:.4f} --distance {plan.distance:.4f} --speed {plan.speed:.3f}"
         ),

@@ -53,6 +53,7 @@ class VariesWith(Enum):
 _MECHANISMS: Final = {
     (Acts.FORCE, VariesWith.POINT): Mechanism.FORCE_ON_OBJECT,
     (Acts.FORCE, VariesWith.POSITION): Mechanism.FORCE_ON_OBJECT,
+    (Acts.FORCE, VariesWith.FROM_PUSH): Mechanism.FORCE_ON_OBJECT,
     (Acts.PUSHER, VariesWith.FROM_PUSH): Mechanism.TOOL_MOVED,
     (Acts.PUSHER, VariesWith.SIDE): Mechanism.OUTLINE,
 }
