@@ -15,9 +15,10 @@ from typing import Final
 import numpy as np
 
 from push_ident.diagnosis.diagnose import diagnose
+from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.fits import fit_effects
 from push_ident.diagnosis.held_out import measure_gap
-from push_ident.diagnosis.odds import SOMETHING_ELSE
+from push_ident.diagnosis.odds import SOMETHING_ELSE, mechanism_of
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
@@ -33,8 +34,8 @@ from push_ident_sim.studies.recorded import draw_pushes, find_sets, prior_of
 
 _N_PUSHES: Final = 14
 """Drawn from a recording at most, as many as of a case of the blind check."""
-_SIZES: Final = (0.5, 1.0, 2.0)
-"""Times the typical size of an effect."""
+_SIZES: Final = (1.0, 2.0, 4.0)
+"""Times the typical size of an effect: below it most displace less than what a recording holds anyway."""
 _COUNTS: Final = {"as-recorded": 0, "single": 1, "pair": 2, "against-half": 0, "single-against-half": 1, "pair-against-half": 2}
 """Causes that a variant puts in."""
 _AGAINST: Final = "against-half"
@@ -66,7 +67,7 @@ def _outcome(diagnosis: Diagnosis) -> Json:
     probabilities, gap = diagnosis.probabilities, diagnosis.gap
     return {
         "verdict": diagnosis.verdict.value,
-        "named": {e.name: list(e.parameters.values()) for e in diagnosis.effects},
+        "named": {e["name"]: list(e["parameters"].values()) for e in to_json(diagnosis)["effects"]},
         "confusable": list(diagnosis.confusion_set),
         "something_else": None if probabilities is None else probabilities.something_else,
         "gap": None if gap is None else {f"{key}_m": float(np.mean(getattr(gap, key))) for key in ("before", "after", "noise")},
@@ -98,8 +99,8 @@ def is_detectable(values: Json) -> bool:
 
 
 def is_same(name: str, other: str) -> bool:
-    """Whether two effects are the same to these sensors."""
-    return name == other or other in EFFECTS[name].exact_twins
+    """Whether two causes, effects or mechanisms with a free law, are the same to these sensors, by whatever law."""
+    return mechanism_of(name) == mechanism_of(other) or (name in EFFECTS and other in EFFECTS[name].exact_twins)
 
 
 # --- all cases
@@ -161,7 +162,7 @@ def _size_errors(values: Json) -> list[float]:
     errors = []
     for cause, true in values["causes"].items():
         name = _named_as(cause, values)
-        if name is not None:
+        if name in EFFECTS:
             # Exact twins have the same values.
             before = next((np.array(v) for n, v in values["before"]["named"].items() if is_same(cause, n)), np.zeros(len(true)))
             errors.append(float(np.linalg.norm(np.array(values["named"][name]) - before - true) / np.linalg.norm(true)))
@@ -205,8 +206,8 @@ STUDY = Experiment(
     name="injected",
     title="Does it name known causes in real recordings?",
     question=(
-        "Errors of camera, clock, tool and geometry are put into recordings of others (`--recordings DIR`, as of `recorded`), from half "
-        "to twice their typical size, singly and in pairs; each seed is a draw of pushes and causes. Against half: the other half of the "
+        "Errors of camera, clock, tool and geometry are put into recordings of others (`--recordings DIR`, as of `recorded`), from their "
+        "typical size to four times it, singly and in pairs; each seed is a draw of pushes and causes. Against half: the other half of the "
         "pushes, as recorded, is the reference of `--against`. Detectable: the model that is given "
         "the true causes predicts held-out pushes better by more than twice the standard error of that gain. Exact twins count as right. "
         "Left open: true, but only one of several. Wrong: neither true, nor left open to it, nor given to the same pushes as they were "
