@@ -29,7 +29,7 @@ def test_the_model_with_a_cause_sees_the_recording_as_it_was(model: int) -> None
 
 
 def case(named: dict[str, list[float]], causes: dict[str, list[float]], before: dict[str, list[float]]) -> CaseResult:
-    outcome = {"verdict": "named", "named": named, "confusable": [], "something_else": 0.1, "gap": None}
+    outcome = {"verdict": "named", "named": named, "confusable": [], "something_else": 0.1, "gap": None, "account_holds": None}
     gain = {"log_density": 3.0, "standard_error": 1.0}
     values = {"n": 14, "causes": causes, "seconds": 1.0, **outcome, "before": {**outcome, "named": before}, "gain": gain}
     return CaseResult(Case("recording", 0, "single"), values)

@@ -27,6 +27,7 @@ from push_ident.physics.effects import EFFECTS
 from push_ident_sim.injected.into_recordings import CHANGES, Values, draw_values, with_causes
 from push_ident_sim.recordings.recording import seal
 from push_ident_sim.studies.blind.cases import decision_hashes
+from push_ident_sim.studies.blind.scoring import account_holds
 from push_ident_sim.studies.common.measuring import mean_of
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import causes_text, markdown_table, millimetres, number
@@ -69,6 +70,7 @@ def _outcome(diagnosis: Diagnosis) -> Json:
         "verdict": diagnosis.verdict.value,
         "named": {e["name"]: list(e["parameters"].values()) for e in to_json(diagnosis)["effects"]},
         "confusable": list(diagnosis.confusion_set),
+        "account_holds": account_holds(diagnosis),
         "something_else": None if probabilities is None else probabilities.something_else,
         "gap": None if gap is None else {f"{key}_m": float(np.mean(getattr(gap, key))) for key in ("before", "after", "noise")},
     }
@@ -124,6 +126,7 @@ def _row(cases: Sequence[Json]) -> Json:
         "n": len(cases),
         "verdicts": dict(Counter(v["verdict"] for v in cases)),
         "something_else": mean_of(v["something_else"] for v in cases),
+        "account_holds": [sum(v["account_holds"] is True for v in cases), sum(v["account_holds"] is not None for v in cases)],
         "gap": {key: mean_of((v["gap"][key] for v in cases if v["gap"]), 6) for key in ("before_m", "after_m", "noise_m")},
         "seconds": float(np.median([v["seconds"] for v in cases])),
     }
@@ -171,7 +174,7 @@ def _size_errors(values: Json) -> list[float]:
 
 def _tables(summary: Json) -> str:
     head = ["", "cases", "verdicts", "detectable", "all named", "one of them", "left open", "named wrongly", "size wrong by (median)"]
-    head += ["something else", "held-out error, after it, noise [mm]", "processor [s]"]
+    head += ["account holds the error", "something else", "held-out error, after it, noise [mm]", "processor [s]"]
     parts = []
     for rows in (summary["variants"], summary["causes"]):
         if rows:
@@ -181,10 +184,11 @@ def _tables(summary: Json) -> str:
 
 def _cells(name: str, row: Json) -> list[str]:
     counts = [str(row[key]) if key in row else "–" for key in ("detectable", "all_named", "one_named", "left_open", "wrong")]
-    errors = row.get("size_errors")
+    errors, (n_held, n) = row.get("size_errors"), row["account_holds"]
     return [
         name, str(row["n"]), causes_text(row["verdicts"]), *counts, f"{100 * float(np.median(errors)):.0f} %" if errors else "–",
-        number(row["something_else"], "{:.2f}"), ", ".join(millimetres(value, 1) for value in row["gap"].values()), f"{row['seconds']:.0f}",
+        f"{n_held} of {n}", number(row["something_else"], "{:.2f}"), ", ".join(millimetres(value, 1) for value in row["gap"].values()),
+        f"{row['seconds']:.0f}",
     ]  # fmt: skip
 
 

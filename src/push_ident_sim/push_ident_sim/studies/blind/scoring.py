@@ -89,11 +89,21 @@ def _outcome(diagnosis: Diagnosis) -> Json:
         "effects": to_json(diagnosis)["effects"],
         "confusable": list(diagnosis.confusion_set),
         "gap": None if diagnosis.gap is None else _gap(diagnosis.gap),
+        "account_holds": account_holds(diagnosis),
         "probabilities": None
         if probabilities is None
         else {**probabilities.effects, SOMETHING_ELSE: probabilities.something_else, "nothing": probabilities.nothing},
         "failed_gates": [gate.finding for gate in diagnosis.gates if not gate.passed],
     }
+
+
+def account_holds(diagnosis: Diagnosis) -> bool | None:
+    """Whether noise, maps and discrepancy explain the error on held-out pushes beside all that is named, within the interval at 90 %; None
+    without a verdict."""
+    if diagnosis.account is None:
+        return None
+    low, high = diagnosis.account["unexplained"].interval
+    return low <= 0.0 <= high
 
 
 def _gap(gap: Gap) -> Json:

@@ -171,8 +171,14 @@ def figures(cases: Sequence[Judged]) -> Json:
         "stated_surely": interval(sum(stated), len(stated)),
         "shrink": _statistic([share for share in shrinks if share is not None]),
         "size_intervals": interval(sum(sized), len(sized)),
+        "account": _share([c for c in (*nulls, *singles, *pairs) if _explained(c)], lambda c: c.values["account_holds"]),
         "seconds": _statistic([c.values["seconds"] for c in cases]),
     }
+
+
+def _explained(case: Judged) -> bool:
+    """Whether exactly what acts is named, so that the account is to hold the whole error."""
+    return case.values.get("account_holds") is not None and set(case.truth) == set(case.named)
 
 
 def _is_visible(case: Judged) -> bool:
@@ -308,6 +314,7 @@ _ROWS: Final = {
     "stated_surely": ("causes stated with a probability of at least 90 %: right", ""),
     "shrink": ("S, median", ">= 0.85"),
     "size_intervals": ("90 % intervals of sizes that contain the truth", "85-95 %"),
+    "account": ("nothing, or all of it, to be named: account holds the held-out error", "85-95 %"),
     "seconds": ("processor seconds a case, median", ""),
 }
 """Figure: its words and its target."""
