@@ -20,7 +20,6 @@ from push_ident.diagnosis.residuals import correlation_in_motion
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.something_else.family import VariesWith
 from push_ident.diagnosis.verdict import Verdict
 from push_ident.errors import InputError
 from push_ident.geometry.cells import cell_error
