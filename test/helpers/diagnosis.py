@@ -81,7 +81,7 @@ def frame_residuals(standardized: Float64Array) -> FrameResiduals:
     n = n_pushes * n_frames
     zero, white = np.zeros(n), np.random.default_rng(1).normal(size=(400, n, 3))
     push = np.repeat(np.arange(n_pushes), n_frames)
-    return FrameResiduals(standardized.reshape(n, 3), np.zeros((n, 3)), push, zero, zero, zero, zero, np.zeros((n, 2)), white)
+    return FrameResiduals(standardized.reshape(n, 3), np.zeros((n, 3)), push, zero, zero, zero, zero, np.zeros((n, 2)), zero, white)
 
 
 def gap_of(before: list[float], after: list[float], noise: float, log_density_gain: float = 1.0, *, names: tuple[str, ...] = ()) -> Gap:

@@ -32,8 +32,10 @@ class MotionGap:
     """That the noise of the poses would make if the model were right."""
     stages: dict[str, Float64Array] = field(default_factory=dict)
     """With some of the effects only, as `Gap.stages`."""
+    start: Float64Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """Observed position before each push, table frame [m], shape (n_pushes, 2)."""
     end: Float64Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """Observed position at the end of each push, table frame [m], shape (n_pushes, 2)."""
+    """The same after it."""
     displacement_before: Float64Array = field(default_factory=lambda: np.zeros((0, 2)))
     """Observed minus predicted position there, without the effects [m], shape (n_pushes, 2)."""
     displacement_after: Float64Array = field(default_factory=lambda: np.zeros((0, 2)))
@@ -200,7 +202,7 @@ def measure_gap(
         np.array([_by_push([getattr(result.errors, kind) for result in results], folds) for results in by_fit])
         for kind in ("at_end", "over_motion", "end_displacement")
     )
-    ends = np.array([observation.pose[-1, :2] for observation in base.problem.observations[:n]])
+    starts, ends = (np.array([observation.pose[frame, :2] for observation in base.problem.observations[:n]]) for frame in (0, -1))
     noise, noise_of_motion = noise_errors(fit, policy.noise_draws)
     density = np.array([[result.log_density for result in results] for results in by_fit])
     evidence = np.array([one.log_evidence for one in fits])[:, None] - density
@@ -219,6 +221,7 @@ def measure_gap(
             of_motion[-1],
             noise_of_motion,
             dict(zip(stages, of_motion[1:-1], strict=True)),
+            starts,
             ends,
             displacement[0],
             displacement[-1],

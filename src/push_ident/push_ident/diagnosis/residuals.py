@@ -32,6 +32,9 @@ PHASES = ("contact", "steady", "stop", "rest")
 N_SECTORS = 8
 """Of headings, of 45 degrees each."""
 _SPEEDS = ("at rest", "slow", "medium", "fast")
+_SINCE_CONTACT = (0.1, 0.3, 1.0)
+"""Limits of the groups by the time since contact [s]."""
+_SINCE_CONTACT_NAMES = ("up to 0.1 s", "0.1 to 0.3 s", "0.3 to 1 s", "after 1 s")
 _REGIONS = ("x low, y low", "x low, y high", "x high, y low", "x high, y high")
 
 
@@ -56,6 +59,8 @@ class FrameResiduals:
     """[rad]"""
     position: Float64Array
     """On the table [m], shape (n, 2)."""
+    since_contact: Float64Array
+    """Time since the object began to move [s]."""
     null_draws: Float64Array
     """Standardized residuals drawn under the model, shape (n_draws, n, 3)."""
 
@@ -143,6 +148,7 @@ def _push_residuals(
         "heading_in_table": heading,
         "heading_in_object": wrap_angle(heading - motion.pose[:, 2]),
         "position": motion.pose[:, :2],
+        "since_contact": time - time[np.argmax(speed > policy.rest_speed)],
     }
     return fields, np.einsum("fij,fjk->fik", turn, np.linalg.inv(whitening)) / deviation[:, :, None]
 
@@ -228,7 +234,7 @@ class ResidualGroup:
 
 
 def group_residuals(frames: FrameResiduals, policy: ResidualPolicy) -> dict[str, list[ResidualGroup]]:
-    """Residuals by push, phase, speed, heading in table and object, and table region."""
+    """Residuals by push, phase, speed, heading in table and object, table region, and time since the object began to move."""
     moving = frames.speed > policy.rest_speed
     quantiles = np.quantile(frames.speed[moving], [1 / 3, 2 / 3]) if np.any(moving) else np.zeros(2)
     speeds = np.where(moving, 1 + np.searchsorted(quantiles, frames.speed), 0)
@@ -242,6 +248,9 @@ def group_residuals(frames: FrameResiduals, policy: ResidualPolicy) -> dict[str,
         "heading_in_table": _sectors(frames, frames.heading_in_table),
         "heading_in_body": _sectors(frames, frames.heading_in_object),
         "table_region": _grouped(frames, quarter, _REGIONS, range(4)),
+        "since_contact": _grouped(
+            frames, np.digitize(frames.since_contact, _SINCE_CONTACT).astype(np.float64), _SINCE_CONTACT_NAMES, range(4)
+        ),
     }
 
 

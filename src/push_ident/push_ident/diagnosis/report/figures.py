@@ -123,14 +123,24 @@ def _heat(text: str, value: float, bold: bool = False) -> dict[str, Any]:
 
 
 def draw_held_out(motion: MotionGap) -> list[tuple[str, str]]:
-    """Observed minus predicted position at the end of every held-out push, on the table: without the effects and, where there are some,
-    with them. Captions and drawings."""
+    """Observed minus predicted position at the end of every held-out push, on the table and by the direction of its motion: without the
+    effects and, where there are some, with them. Captions and drawings."""
     drawn = [("without the effects", motion.displacement_before)]
     if motion.after is not motion.before:
         drawn.append(("with the effects", motion.displacement_after))
-    reach = motion.end + EXAGGERATION * np.concatenate([vectors for _, vectors in drawn]).reshape(len(drawn), -1, 2)
-    frame = np.vstack([motion.end, *reach])
-    return [(text, field_panel(f"Held-out errors {text}", motion.end, vectors, EXAGGERATION, frame=frame)) for text, vectors in drawn]
+    vectors = np.concatenate([vectors for _, vectors in drawn])
+    way = motion.end - motion.start
+    direction = way / np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
+    # A circle that the largest arrow does not cross.
+    on_circle = EXAGGERATION * max(float(np.max(np.linalg.norm(vectors, axis=1))), 1e-4) * direction
+    figures = []
+    for where, points in (("on the table", motion.end), ("by the direction of the motion", on_circle)):
+        frame = np.vstack([points, *(points + EXAGGERATION * vectors.reshape(len(drawn), -1, 2))])
+        figures += [
+            (f"{where}, {text}", field_panel(f"Held-out errors {where}, {text}", points, of_text, EXAGGERATION, frame=frame))
+            for text, of_text in drawn
+        ]
+    return figures
 
 
 def ranking_bars(selection: Selection, min_log_bayes_factor: float) -> tuple[list[Bar], float]:

@@ -66,7 +66,7 @@ def _title(diagnosis: Diagnosis) -> str:
     law = diagnosis.free_law
     if (diagnosis.effects or law) and gap is not None:
         since = "changed since the reference, " if has_reference else ""
-        causes = since + " and ".join(f"{e.name} {size_of(e)}" for e in diagnosis.effects)
+        causes = since + " and ".join(f"{e.name} {size_of(e)}{' by another law' if e.is_free else ''}" for e in diagnosis.effects)
         causes += f"{law.mechanism.value} {amplitude_of(law)}" if law else ""
         before, after, where = gap.before, gap.after, "at the end"
         if gap.motion is not None and np.mean(gap.motion.before - gap.motion.after) > np.mean(before - after):
