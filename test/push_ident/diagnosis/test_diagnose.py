@@ -96,7 +96,7 @@ def test_noise_has_the_part_that_known_noise_makes(nothing: Diagnosis) -> None:
 
 def test_page_is_complete_in_one_file_and_its_parts_add_up(tilted: Diagnosis, tmp_path: Path) -> None:
     page = page_of(tilted, tmp_path)
-    assert page.count("<svg") == 3 and page.count('class="dot"') >= 3 * 6
+    assert page.count("<svg") == 5 and page.count('class="dot"') >= 3 * 6
     assert "table_tilt" in page and "bag, push 0" in page and tilted.check in page and not re.search(r"\d rad\b", page)
     assert not re.findall(r"(?:src|href)=\"(?!#|data:)", page)
     parts = re.findall(r'<span class="part( negative)?" style="left:([\d.]+)%;width:([\d.]+)%', page.split('class="row"')[0])
