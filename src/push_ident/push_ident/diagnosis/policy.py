@@ -85,7 +85,7 @@ class SelectionPolicy:
     alarm in the published null cases."""
     discrepancy_next: float = 2.4
     """The same of an effect beside others, whose laws are not exactly those of the world [1]: 12 nat are needed."""
-    discrepancy_next_share: float = 0.02
+    discrepancy_next_share: float = 0.012
     """At least this times the log Bayes factors of all approximate laws found before [1/nat]: the error of a law grows with its effect."""
     discrepancy_rivals: float = 3.35
     """The same of the difference between two effects that explain the same pushes [1]: 6 nat exclude a rival, as in the prototype."""

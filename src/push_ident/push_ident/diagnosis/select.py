@@ -104,6 +104,7 @@ def choose_refits(scores: Sequence[EffectScore], policy: SelectionPolicy, *, req
         group = (name, *EFFECTS[name].refit_with)
         if any(promises.get(member, -np.inf) > 0 for member in group):
             chosen.update(group)
+    chosen.update(name for name in promises if chosen and EFFECTS[name].is_abrupt)
     return [score for score in scores if score.name in chosen]
 
 
@@ -143,7 +144,9 @@ def _shared_instead(selection: Selection, step: Step, policy: SelectionPolicy) -
 
 
 def _refit(fit: Fit, required: float, score: EffectScore) -> Candidate:
-    start = np.concatenate([fit.effect_unknowns, score.start])
+    effect = EFFECTS[score.name]
+    typical = np.array([(p.typical - p.nominal) / p.scale for p in effect.parameters])
+    start = np.concatenate([fit.effect_unknowns, typical if effect.is_abrupt else score.start])
     refit = fit_effects(fit, (*fit.names, score.name), start, score.expected_log_bayes_factor, required)
     return Candidate(score.name, refit, refit.log_evidence - fit.log_evidence)
 

@@ -336,6 +336,8 @@ class Effect:
     """Effects that contain it: at some value of one of their parameters they are it."""
     refit_with: tuple[str, ...] = ()
     """Effects whose scores mislead about one another: where one of them is refitted, all are. They name it as well."""
+    is_abrupt: bool = False
+    """Whether its derivative where it is absent says nothing of its typical size, so that a refit starts there."""
     export: ExportAs | None = None
     """The part of an exported description that carries it; None where no format has one."""
     within: Subsystem | None = None

@@ -25,4 +25,5 @@ EFFECT = Effect(
     rivals=(Rival("pusher_lag", "fast impacts at a high frame rate"), Rival("pose_latency", "fast impacts at a high frame rate")),
     check="Film an impact at a high frame rate.",
     source="Newton's law of impact, as in the paper's model of contact (there with e = 0).",
+    is_abrupt=True,
 )
