@@ -105,6 +105,8 @@ def test_effect_beside_another_is_refitted_only_where_it_promises_something() ->
 
     assert chosen(True, wear=3.0, restitution=-0.1) == ["wear", "restitution"]
     assert chosen(False, wear=3.0, restitution=-1.0) == ["wear"]
+    # Its score says nothing of a bounce that is there.
+    assert chosen(True, wear=3.0, restitution=-9.0) == ["wear", "restitution"] and chosen(True, restitution=-9.0) == []
     assert chosen(True, outline_error=100.0, wear=5.0) == ["outline_error"]  # no rival of so much more
     # Effects whose scores mislead about one another are refitted together.
     assert chosen(True, pose_latency=90.0, wear=5.0, pusher_lag=-5.0) == ["pose_latency", "pusher_lag"]

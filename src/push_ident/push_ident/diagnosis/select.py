@@ -104,7 +104,7 @@ def choose_refits(scores: Sequence[EffectScore], policy: SelectionPolicy, *, req
         group = (name, *EFFECTS[name].refit_with)
         if any(promises.get(member, -np.inf) > 0 for member in group):
             chosen.update(group)
-    chosen.update(name for name in promises if chosen and EFFECTS[name].is_abrupt)
+    chosen.update(name for name in promises if is_first and chosen and EFFECTS[name].is_abrupt)
     return [score for score in scores if score.name in chosen]
 
 
