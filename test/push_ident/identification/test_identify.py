@@ -14,7 +14,7 @@ from push_ident.errors import InputError
 from push_ident.identification.fitting.budget import Budget, Sample
 from push_ident.identification.fitting.fit import FitOptions
 from push_ident.identification.identify import identify
-from push_ident.identification.observing.observation import NoiseModel, noise_correlation, observe_push
+from push_ident.identification.observing.observation import NoiseModel, noise_correlation, observe_push, variance_of_mean
 from push_ident.identification.predicting.prediction import held_out_errors, predict
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.identification.results.result import Identification
@@ -123,3 +123,9 @@ def test_frames_at_rest_are_one_pose_that_a_single_wrong_one_does_not_move() -> 
     pose[2, 2] += np.pi
     spoilt = observe_push(replace(record, poses=replace(record.poses, pose=pose)))
     assert np.abs(spoilt.pose[0] - observed.pose[0]).max() < 3e-3
+
+
+@pytest.mark.parametrize(("n", "correlation"), [(1, 0.7), (6, 0.5), (40, 0.9), (8, 0.0)])
+def test_variance_of_a_mean_is_that_of_all_pairs(n: int, correlation: float) -> None:
+    pairs = correlation ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    assert variance_of_mean(n, correlation) == pytest.approx(pairs.mean())

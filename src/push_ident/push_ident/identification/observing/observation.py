@@ -188,7 +188,7 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     for end in (0, -1):
         n = len(groups[end])
         common = 0.0 if noise.discrepancy_modes else max(0.0, 1.0 - 2.0 * scatter)
-        independent = min(1.0, repetition(noise.correlation) / n)
+        independent = variance_of_mean(n, noise.correlation)
         stated[end] = stated[end] / repeated * (inflation**2 if n == 1 else common + (1.0 - common) * independent)
     covariance = np.array([c + floor + np.diag(growth * distance**2) for c, distance in zip(stated, travel, strict=True)])
     covariance[1:] *= noise.frame_factor**2
@@ -280,6 +280,15 @@ def repetition(correlation: float) -> float:
     """Factor of the variance of a mean of many frames over that of independent ones."""
     rho = min(max(correlation, 0.0), _MAX_CORRELATION)
     return (1.0 + rho) / (1.0 - rho)
+
+
+def variance_of_mean(n: int, correlation: float) -> float:
+    """Variance of the mean of n errors of unit variance, first-order autoregressive.
+
+    Priestley, Spectral Analysis and Time Series, 1981, section 5.3.2.
+    """
+    rho = min(max(correlation, 0.0), _MAX_CORRELATION)
+    return (repetition(rho) - 2.0 * rho * (1.0 - rho**n) / (n * (1.0 - rho) ** 2)) / n
 
 
 def rest_frames(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp], bool]:
