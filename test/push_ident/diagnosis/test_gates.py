@@ -39,6 +39,13 @@ def test_good_pushes_pass_all_gates_and_too_few_do_not(records: list[PushRecord]
     assert failed(records, GatePolicy(min_pushes=5)) == ["4 of 4 pushes touch the object"]
 
 
+def test_object_that_moves_far_from_the_pusher_is_a_matter_of_calibration_not_of_more_pushes(records: list[PushRecord]) -> None:
+    scaled = [replace(r, poses=replace(r.poses, pose=r.poses.pose + [0.0, 0.03, 0.0])) for r in records]
+    scaled = [r for r in scaled if not observe_push(r).touched]
+    (gate,) = [gate for gate in check_data(scaled, NoiseModel(), GatePolicy()) if not gate.passed]
+    assert "the object moves while the pusher is reported at least" in gate.finding and "calibration" in gate.remedy
+
+
 def test_pushes_with_many_missing_frames_count_by_their_poses_at_rest(records: list[PushRecord]) -> None:
     rng = np.random.default_rng(0)
     gaps = [with_frames(record, rng.random(len(record.poses.time)) > 0.4) for record in records]

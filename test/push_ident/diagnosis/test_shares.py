@@ -25,14 +25,6 @@ def test_each_cause_closes_what_it_removes_beside_those_before_it() -> None:
     assert closed_by_cause(gap)[0].over_motion is None and closed_by_cause(gap_of([1e-3], [1e-3], 1e-3)) == ()
 
 
-def test_share_above_noise_is_that_of_end_or_motion_whichever_closes_more() -> None:
-    gap = gap_of([3e-3, 3e-3], [2.5e-3, 2.5e-3], 1e-3, names=("pose_latency",))
-    assert gap.closed_share == pytest.approx(0.25)
-    motion = MotionGap(np.full(2, 5e-3), np.full(2, 2e-3), np.full(2, 1e-3))
-    assert replace(gap, motion=motion).closed_share == pytest.approx(0.75)
-    assert gap_of([1e-3], [3e-3], 1e-3).closed_share == 0.0
-
-
 def test_effects_that_predict_held_out_pushes_no_better_close_nothing() -> None:
     assert gap_of([3e-3, 3e-3, 3e-3], [1e-3, 1e-3, 1e-3], 1e-3, -1.0).is_closed_in_part
     worse = gap_of([1e-3, 1e-3, 1e-3], [3e-3, 3e-3, 3e-3], 1e-3, -1.0)

@@ -21,6 +21,7 @@ from push_ident.identification.observing.observation import (
     noise_correlation,
     noise_correlation_std,
     observe_push,
+    pusher_gaps,
 )  # fmt: skip
 from push_ident.types import BoolArray, PoseTrack, PushRecord
 
@@ -65,8 +66,29 @@ def check_data(records: Sequence[PushRecord], noise: NoiseModel, policy: GatePol
             f"Record at least {policy.min_pushes} pushes that move the object; 8 to 14 from different sides determine much more.",
         )
     ]
+    if not gates[0].passed and (apart := _moved_from_afar(records, noise)):
+        gates = [
+            Gate(
+                False,
+                f"in {len(apart)} of {len(records)} pushes the object moves while the pusher is reported at least "
+                f"{1e3 * float(np.median(apart)):.0f} mm from it (median)",
+                "Poses, path of the pusher and outline disagree by more than any effect explains: check their frames and units, the "
+                "calibration of the camera (offset, rotation, scale) and the radius of the pusher.",
+            )
+        ]
     gates += _missing_frames(records, policy)
     return [*gates, _jumps(records, policy)]
+
+
+def _moved_from_afar(records: Sequence[PushRecord], noise: NoiseModel) -> list[float]:
+    """Least gap between pusher and object [m] of each push in which that does not touch and this moves, by five standard deviations."""
+    apart = []
+    for record in records:
+        deviation = np.sqrt(np.diagonal(np.median(record.poses.covariance, axis=0)))
+        moved = np.abs(record.poses.pose[-1] - record.poses.pose[0])[:2] > 5.0 * np.maximum(deviation[:2], noise.floor_position)
+        if np.any(moved) and not observe_push(record, noise).touched:
+            apart.append(float(np.min(pusher_gaps(record))))
+    return apart
 
 
 def in_burst(record: PushRecord, policy: GatePolicy) -> BoolArray:

@@ -93,21 +93,17 @@ class Gap:
         return no_more_probable and float(np.mean(self.after)) >= float(np.mean(self.before))
 
     @property
+    def closes_error(self) -> bool:
+        """Whether held-out pushes are certainly nearer to their prediction with the effects, at the end or over the motion."""
+        closed = [self.before - self.after, *([] if self.motion is None else [self.motion.before - self.motion.after])]
+        return any(self.mean_interval(values)[0] > 0.0 for values in closed)
+
+    @property
     def is_closed_in_part(self) -> bool:
         """Whether the effects certainly help to predict held-out pushes: their density, their end or their motion."""
         gain = self.log_density_gain
-        closed = [self.before - self.after, *([] if self.motion is None else [self.motion.before - self.motion.after])]
         more_probable = np.mean(gain) > self.policy.min_gap_standard_errors * np.std(gain, ddof=1) / np.sqrt(len(gain))
-        return bool(more_probable) or any(self.mean_interval(values)[0] > 0.0 for values in closed)
-
-    @property
-    def closed_share(self) -> float:
-        """Part of the error above noise that the effects close, at the end or over the motion, whichever is larger, 0 to 1."""
-        errors = [(self.before, self.after, self.noise)]
-        if self.motion is not None:
-            errors.append((self.motion.before, self.motion.after, self.motion.noise))
-        shares = [_shrink(before, after, noise) for before, after, noise in errors]
-        return float(np.clip(np.nanmax([*shares, 0.0]), 0.0, 1.0))
+        return bool(more_probable) or self.closes_error
 
     def mean_interval(self, values: Float64Array, shared_std: float = 0.0) -> tuple[float, float]:
         """Contains the mean of values, one for each push, shape (n,), with the probability of the policy, by bootstrap over the pushes.

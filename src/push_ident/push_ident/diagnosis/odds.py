@@ -149,12 +149,12 @@ def explanations_of(
     policy: SelectionPolicy,
     *,
     rejected: Mapping[str, float] | None = None,
-    closed: float = 0.0,
+    closes_error: bool = False,
 ) -> tuple[Explanation, ...]:
     """All explanations that were considered, with their weights.
 
     `rejected`: log Bayes factors [nat] of effects in the pushes that do not support them: no effect that was not added has more.
-    `closed`: part of the gap that the selected effects close on held-out pushes [1].
+    `closes_error`: whether held-out pushes are certainly nearer to their prediction with the selected effects.
     """
     names: list[str] = []
     weight = 0.0
@@ -184,7 +184,7 @@ def explanations_of(
     return (
         Explanation(frozenset(), 0.0),
         *in_place,
-        *_with_imitations(named, closed, policy),
+        *_with_imitations(named, policy, closes_error=closes_error),
         *_not_added(selection, weight, policy, rejected or {}),
     )
 
@@ -248,12 +248,12 @@ def _twins(names: Sequence[str], weight: float, others: Sequence[Explanation]) -
     return [Explanation(causes, weight) for causes in twins if causes not in explained and len(causes) == len(names)]
 
 
-def _with_imitations(explanations: Sequence[Explanation], closed: float, policy: SelectionPolicy) -> list[Explanation]:
+def _with_imitations(explanations: Sequence[Explanation], policy: SelectionPolicy, *, closes_error: bool) -> list[Explanation]:
     """Explanations by effects, of each of which a part says that something else is there in their place, which they imitate.
 
-    What leaves a structure is the less probably an imitation, the more of the gap it closes.
+    What leaves a structure is rather an imitation where it does not predict other pushes better.
     """
-    in_part = max(policy.imitated_wholly, policy.imitated_in_part * (1.0 - closed))
+    in_part = policy.imitated_wholly if closes_error else policy.imitated_in_part
     split: list[Explanation] = []
     for one in explanations:
         effects = frozenset(cause for cause in one.causes if cause in EFFECTS)

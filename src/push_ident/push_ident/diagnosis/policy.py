@@ -73,8 +73,8 @@ class SelectionPolicy:
     imitated_wholly: float = 0.05
     """Probability that what an effect explains alone is a cause outside the catalogue, whose law says nearly the same [1]."""
     imitated_in_part: float = 0.5
-    """Probability that what effects explain is part of the trace of something else, where that leaves a structure beside them and they
-    close none of the gap on held-out pushes [1]; in proportion less where they close a part."""
+    """Probability that what effects explain is part of the trace of something else, where that leaves a structure beside them and
+    held-out pushes are not certainly nearer to their prediction with them [1]; else it is `imitated_wholly`."""
     cost_false_alarm: float = 6.0
     """Cost of a cause where there is none, in that of a cause that is not reported [1]. With the prior it asks for a log Bayes factor of
     5.0 nat, with which 40 of 40 effect-free cases had no false alarm."""
@@ -97,11 +97,6 @@ class SelectionPolicy:
     discrepancy_something_else_share: float = 0.02
     """The same beside effects, at least this times their log Bayes factors [1/nat], as of a further effect: an outline that was 3 mm too
     small in Bullet, which rounds its corners in another way, left a structure of 4 nat beside the right name."""
-    min_log_bayes_factor_single: float = 12.0
-    """An effect below this is reported with every rival that brings `weak_rival_log_bayes_factor` [nat]. Set on tuning
-    cases; the prototype took 25."""
-    weak_rival_log_bayes_factor: float = 1.0
-    """Log Bayes factor above which a refitted effect is a rival of a weak one [nat]. Judgement."""
     min_promise_first: float = -2.0
     """Expected log Bayes factor below which a first effect is not refitted [nat]. The score test is of second order: the
     margin below `min_log_bayes_factor` is a judgement of its error."""
@@ -280,8 +275,6 @@ class CameraPolicy:
 
     discrepancy_first: float = 3.0
     """As `SelectionPolicy.discrepancy_first` [1]: 15 nat are needed. Camera nulls brought up to 11 nat under the noise below, 18 before."""
-    min_log_bayes_factor_single: float = 25.0
-    """As in the selection [nat]. Scaled with the above; judgement."""
     discrepancy_rivals: float = 5.6
     """As `SelectionPolicy.discrepancy_rivals` [1]: 10 nat exclude a rival. Scaled with the above; judgement."""
     discrepancy_something_else: float = 6.0
@@ -323,7 +316,7 @@ class DecisionPolicy:
     def for_camera(self) -> DecisionPolicy:
         """The policy for poses and outlines that come from a camera: no margin falls, some rise."""
         selection, camera = self.selection, self.camera
-        names = ("discrepancy_first", "discrepancy_rivals", "discrepancy_something_else", "min_log_bayes_factor_single")
+        names = ("discrepancy_first", "discrepancy_rivals", "discrepancy_something_else")
         larger = {name: max(getattr(selection, name), getattr(camera, name)) for name in names}
         return replace(self, selection=replace(selection, **larger))
 

@@ -126,16 +126,13 @@ class Selection:
         """Rivals that explain the pushes nearly as well.
 
         The margin of a rival with an approximate law grows with the evidence: where it is the true effect, its law still differs from the
-        world's. All rivals of an effect with weak evidence are in a tie with it.
+        world's.
         """
         log_bayes_factors = {name: candidate.log_bayes_factor for name, (_, candidate) in self.added.items()}
 
         def margin(rival: RivalFit) -> float:
-            log_bayes_factor = log_bayes_factors[rival.replaces]
-            if log_bayes_factor < policy.min_log_bayes_factor_single:
-                return log_bayes_factor - policy.weak_rival_log_bayes_factor
             share = 0.0 if EFFECTS[rival.name].law is Law.EXACT else policy.discrepancy_rivals_share * policy.log_cost_wrong_name
-            return max(policy.tie_margin, share * log_bayes_factor)
+            return max(policy.tie_margin, share * log_bayes_factors[rival.replaces])
 
         return tuple(rival for rival in self.rivals if rival.deficit < margin(rival))
 

@@ -20,9 +20,10 @@ class DiagnosisSettings:
 
     prior: Prior = field(default_factory=Prior)
     """Of the maps and the scales."""
-    noise: NoiseModel = field(default_factory=lambda: NoiseModel(discrepancy_modes=6, max_moving_frames=30))
-    """Of the poses. The model discrepancy is calibrated on effect-free pushes, which it brings to a reduced chi-square of about 1. Thirty
-    frames of a motion, not ten, double the information about lag and latency at no measurable cost."""
+    noise: NoiseModel = field(default_factory=lambda: NoiseModel(discrepancy_modes=6, max_moving_frames=30, single_frame_inflation=1.0))
+    """Of the poses. Where no rest checks what single frames claim, the pushes do, by the size of the errors of frames. The model
+    discrepancy is calibrated on effect-free pushes, which it brings to a reduced chi-square of about 1. Thirty frames of a motion, not
+    ten, double the information about lag and latency at no measurable cost."""
     numerics: SimulationSettings = field(default_factory=SimulationSettings)
     """Of the simulation."""
     policy: DecisionPolicy = field(default_factory=DecisionPolicy)

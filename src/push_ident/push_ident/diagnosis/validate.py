@@ -48,8 +48,8 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
             )
             selection, remaining = supported, _look_for_structure(state, supported.fit, ()) if supported.selected else base
             gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
-        closed = gap.closed_share if selection.selected else 0.0
-        reported, probabilities = _weigh_outside(state, selection, base, remaining, rejected, closed)
+        closes_error = bool(selection.selected) and gap.closes_error
+        reported, probabilities = _weigh_outside(state, selection, base, remaining, rejected, closes_error=closes_error)
         closes_nothing = bool(selection.selected) and not gap.is_closed_in_part and probabilities.beside > 0.5
     names_no_effect, free_law = closes_nothing or is_outside(probabilities, policy.selection), None
     instead = _mechanism_instead(selection, probabilities, names_no_effect=names_no_effect)
@@ -126,7 +126,8 @@ def _weigh_outside(
     base: _Structure,
     remaining: _Structure,
     rejected: Mapping[str, float],
-    closed: float = 0.0,
+    *,
+    closes_error: bool = False,
 ) -> tuple[SomethingElse | None, Probabilities]:
     """From the residuals of the base model and of the fit with all effects of a selection: something else in place of the effects or
     in addition to them, whichever explains more, and the probabilities of all causes."""
@@ -136,7 +137,7 @@ def _weigh_outside(
     failed = () if state.reference else failed_tests(base_residuals, residuals, policy.unknown, correlation_std=correlation_std)
     named = sum(candidate.log_bayes_factor for _, candidate in selection.added.values())
     evidence = OutsideEvidence.of(in_place, in_addition, failed, policy.selection, named=named)
-    explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected, closed=closed)
+    explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected, closes_error=closes_error)
     outside = [explanation for explanation in explanations if explanation.free or SOMETHING_ELSE in explanation.causes]
     most = max(outside, key=lambda explanation: explanation.log_weight)
     reported = in_addition if (most.causes | most.imitated_by) & EFFECTS.keys() else in_place

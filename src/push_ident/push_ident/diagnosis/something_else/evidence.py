@@ -396,4 +396,4 @@ def _amplitudes(family: Family, member: Member, scale: float, linear: _Linear) -
     slope = member.gathered(_slope(family, linear, linear.residual[:, None]))[:, 0]
     amplitudes = member.spread(precision.amplitudes(slope, scale))
     largest = member.gathered(np.eye(len(amplitudes))[:, [np.argmax(np.abs(amplitudes))]])[:, 0]
-    return amplitudes, float(np.sqrt(largest @ precision.amplitudes(largest, scale)))
+    return amplitudes, float(np.sqrt(np.maximum(largest @ precision.amplitudes(largest, scale), 0.0)))
