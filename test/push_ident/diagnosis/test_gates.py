@@ -40,7 +40,7 @@ def test_good_pushes_pass_all_gates_and_too_few_do_not(records: list[PushRecord]
 
 
 def test_object_that_moves_far_from_the_pusher_is_a_matter_of_calibration_not_of_more_pushes(records: list[PushRecord]) -> None:
-    scaled = [replace(r, poses=replace(r.poses, pose=r.poses.pose + [0.0, 0.03, 0.0])) for r in records]
+    scaled = [replace(r, poses=replace(r.poses, pose=r.poses.pose + np.array([0.0, 0.03, 0.0]))) for r in records]
     scaled = [r for r in scaled if not observe_push(r).touched]
     (gate,) = [gate for gate in check_data(scaled, NoiseModel(), GatePolicy()) if not gate.passed]
     assert "the object moves while the pusher is reported at least" in gate.finding and "calibration" in gate.remedy
