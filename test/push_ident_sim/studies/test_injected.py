@@ -5,7 +5,7 @@ import pytest
 
 from helpers.objects import hammer, random_records
 from push_ident.physics.effect_values import EffectValues, driven_path, measurement_times, reported_poses
-from push_ident_sim.injected.into_recordings import with_causes
+from push_ident_sim.injected.into_recordings import displacement, values_of, with_causes
 from push_ident_sim.studies.common.study import Case, CaseResult
 from push_ident_sim.studies.injected import STUDY, draw_causes
 
@@ -13,8 +13,11 @@ from push_ident_sim.studies.injected import STUDY, draw_causes
 @pytest.mark.parametrize("model", range(3))
 def test_the_model_with_a_cause_sees_the_recording_as_it_was(model: int) -> None:
     (record,) = random_records(hammer(1), 1, 1)
-    drawn = [draw_causes(Case("recording", seed, "single"), 1) for seed in range(40 * model, 40 * model + 40)]
-    for name, values in {name: values for causes in drawn for name, values in causes.items()}.items():
+    drawn = [draw_causes(Case("recording", seed, "single")) for seed in range(40 * model, 40 * model + 40)]
+    for name, (size, angle) in {name: of_case for causes in drawn for name, of_case in causes.items()}.items():
+        values = values_of(name, size, angle, [record])
+        # Of a clock that is late it is no linear function.
+        assert displacement([record], with_causes([record], {name: values})) == pytest.approx(size, rel=0.25), name
         (changed,) = with_causes([record], {name: values})
         acting = EffectValues((name,), np.array(values))
         step = float(np.median(np.diff(record.pusher.time)))

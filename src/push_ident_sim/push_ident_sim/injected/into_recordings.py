@@ -65,20 +65,38 @@ CHANGES: Final[Mapping[str, Callable[[PushRecord, Values], PushRecord]]] = {
 """Of each effect of the catalogue that can be put into a recording: the record as a cell with this error would report it."""
 
 
-def draw_values(name: str, size: float, rng: np.random.Generator) -> Values:
-    """An effect of `CHANGES` at `size` times its typical size, in any direction or of either sign."""
-    parameters = INJECTED[name].acting
-    length, angle = size * parameters[0].typical, float(rng.uniform(-np.pi, np.pi))
-    if len(parameters) == 2:
-        return (length * float(np.cos(angle)), length * float(np.sin(angle)))
-    if name == "outline_error":
-        return (-length,)
-    return (length if parameters[0].lowest >= 0 or angle > 0 else -length,)
-
-
 def with_causes(records: Sequence[PushRecord], causes: Mapping[str, Values]) -> list[PushRecord]:
     """The pushes as a cell with these errors would have reported them."""
     changed = list(records)
     for name, values in causes.items():
         changed = [CHANGES[name](record, values) for record in changed]
     return changed
+
+
+def displacement(records: Sequence[PushRecord], changed: Sequence[PushRecord]) -> float:
+    """By how much the contact was displaced [m]: root mean square of the change of poses, at equal times, of the path and of the radius."""
+    squares = []
+    for record, other in zip(records, changed, strict=True):
+        time = record.poses.time
+        moved = np.column_stack([np.interp(time, other.poses.time, other.poses.pose[:, axis]) for axis in (0, 1)])
+        parts = [moved - record.poses.pose[:, :2], other.pusher.position - record.pusher.position]
+        of_radius = other.pusher.radius - record.pusher.radius
+        squares.append(of_radius**2 + sum(float(np.mean(np.sum(part**2, axis=1))) for part in parts))
+    return float(np.sqrt(np.mean(squares)))
+
+
+def values_of(name: str, size: float, angle: float, records: Sequence[PushRecord]) -> Values:
+    """An effect of `CHANGES` that displaces the contact of recorded pushes by `size` [m].
+
+    At most at its largest size: a slow push shows little of a delay. `angle` [rad]: its direction, or sign, -pi to pi.
+    """
+    parameters = INJECTED[name].acting
+    length = parameters[0].typical
+    if len(parameters) == 2:
+        typical: Values = (length * float(np.cos(angle)), length * float(np.sin(angle)))
+    elif name == "outline_error":
+        typical = (-length,)
+    else:
+        typical = (length if parameters[0].lowest >= 0 or angle > 0 else -length,)
+    factor = size / max(displacement(records, with_causes(records, {name: typical})), 1e-12)
+    return tuple(value * min(factor, parameters[0].highest / length) for value in typical)

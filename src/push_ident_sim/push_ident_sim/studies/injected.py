@@ -24,7 +24,7 @@ from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.files import finite
 from push_ident.physics.effects import EFFECTS
-from push_ident_sim.injected.into_recordings import CHANGES, Values, draw_values, with_causes
+from push_ident_sim.injected.into_recordings import CHANGES, Values, values_of, with_causes
 from push_ident_sim.recordings.recording import seal
 from push_ident_sim.studies.blind.cases import decision_hashes
 from push_ident_sim.studies.blind.scoring import account_holds
@@ -35,25 +35,27 @@ from push_ident_sim.studies.recorded import draw_pushes, find_sets, prior_of
 
 _N_PUSHES: Final = 14
 """Drawn from a recording at most, as many as of a case of the blind check."""
-_SIZES: Final = (1.0, 2.0, 4.0)
-"""Times the typical size of an effect: below it most displace less than what a recording holds anyway."""
+_SIZES: Final = (1e-3, 2e-3, 4e-3, 8e-3)
+"""By which a cause displaces the contact, root mean square over the pushes [m]."""
 _COUNTS: Final = {"as-recorded": 0, "single": 1, "pair": 2, "against-half": 0, "single-against-half": 1, "pair-against-half": 2}
 """Causes that a variant puts in."""
 _AGAINST: Final = "against-half"
 """End of the names of variants whose reference are the other half of the pushes, as they were recorded."""
 
 
-def draw_causes(case: Case, n_causes: int) -> dict[str, Values]:
-    """Which causes a case has and of what size: one size for all, in any direction, by the seed of the case."""
+def draw_causes(case: Case) -> dict[str, tuple[float, float]]:
+    """Which causes a case has, by the seed of the case: by how much each displaces the contact [m], one size for all, and its direction
+    [rad]."""
+    n_causes = _COUNTS[case.variant]
     rng = np.random.default_rng([case.model, *case.object_name.encode(), n_causes])
     size = float(rng.choice(_SIZES)) * float(np.exp(0.2 * rng.normal()))
-    return {str(name): draw_values(str(name), size, rng) for name in rng.permutation(list(CHANGES))[:n_causes]}
+    return {str(name): (size, float(rng.uniform(-np.pi, np.pi))) for name in rng.permutation(list(CHANGES))[:n_causes]}
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
     drawn = draw_pushes(find_sets(settings.recordings)[case.object_name], _N_PUSHES, np.random.default_rng([case.model]), with_forces=False)
     of_diagnosis = DiagnosisSettings(prior=prior_of(drawn))
-    causes = draw_causes(case, _COUNTS[case.variant])
+    causes = {name: values_of(name, *of_case, drawn.records) for name, of_case in draw_causes(case).items()}
     records, reference = (drawn.records[1::2], drawn.records[::2]) if case.variant.endswith(_AGAINST) else (drawn.records, [])
     start = time.process_time()
     diagnosis = diagnose(with_causes(records, causes), of_diagnosis, against=reference)
@@ -202,7 +204,7 @@ def _answer(summary: Json) -> str:
 
 
 def _seal(cases: Sequence[Case], folder: Path) -> Json:
-    truths = {case.key: {name: list(values) for name, values in draw_causes(case, _COUNTS[case.variant]).items()} for case in cases}
+    truths = {case.key: {name: list(drawn) for name, drawn in draw_causes(case).items()} for case in cases}
     return {"n_cases": len(cases), "truth_sha256": seal({"cases": truths}), **decision_hashes()}
 
 
@@ -210,9 +212,9 @@ STUDY = Experiment(
     name="injected",
     title="Does it name known causes in real recordings?",
     question=(
-        "Errors of camera, clock, tool and geometry are put into recordings of others (`--recordings DIR`, as of `recorded`), from their "
-        "typical size to four times it, singly and in pairs; each seed is a draw of pushes and causes. Against half: the other half of the "
-        "pushes, as recorded, is the reference of `--against`. Detectable: the model that is given "
+        "Errors of camera, clock, tool and geometry are put into recordings of others (`--recordings DIR`, as of `recorded`), so that they "
+        "displace the contact by 1 to 8 mm, singly and in pairs; each seed is a draw of pushes and causes. Against half: the other half "
+        "of the pushes, as recorded, is the reference of `--against`. Detectable: the model that is given "
         "the true causes predicts held-out pushes better by more than twice the standard error of that gain. Exact twins count as right. "
         "Left open: true, but only one of several. Wrong: neither true, nor left open to it, nor given to the same pushes as they were "
         "recorded."
