@@ -142,11 +142,12 @@ def test_shrink_is_the_share_of_the_gap_above_noise_that_is_closed_and_not_a_num
     assert gap.is_above_noise and gap.shrink == pytest.approx(0.75) and gap.shrink_interval[0] < 0.75 < gap.shrink_interval[1]
     scattered = gap_of([1e-3, 6e-3, 0.2e-3, 0.4e-3], [1e-3] * 4, 1e-3)
     assert not scattered.is_above_noise and np.isnan(scattered.shrink) and np.isnan(scattered.shrink_interval).all()
-    # Effects are worse only where neither error nor density improves.
+    # Effects are worse only where no error shrinks and the density does not certainly grow.
     better = gap_of([3e-3, 3e-3], [2e-3, 2e-3], 1e-3, log_density_gain=-1.0)
     assert not better.is_worse
     worse = replace(better, after=np.array([4e-3, 4e-3]))
     assert worse.is_worse and not replace(worse, log_density_gain=np.ones(2)).is_worse
+    assert replace(worse, log_density_gain=np.array([5.0, -4.0])).is_worse
 
 
 def test_effects_added_in_stages_have_a_part_each() -> None:

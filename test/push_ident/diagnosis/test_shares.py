@@ -26,8 +26,8 @@ def test_each_cause_closes_what_it_removes_beside_those_before_it() -> None:
 
 
 def test_effects_that_predict_held_out_pushes_no_better_close_nothing() -> None:
-    assert gap_of([3e-3, 3e-3, 3e-3], [1e-3, 1e-3, 1e-3], 1e-3, -1.0).is_closed_in_part
+    assert gap_of([3e-3, 3e-3, 3e-3], [1e-3, 1e-3, 1e-3], 1e-3, -1.0).closes_error
     worse = gap_of([1e-3, 1e-3, 1e-3], [3e-3, 3e-3, 3e-3], 1e-3, -1.0)
-    assert not worse.is_closed_in_part
-    assert replace(worse, log_density_gain=np.array([5.0, 6.0, 7.0])).is_closed_in_part
-    assert not replace(worse, log_density_gain=np.array([-5.0, 1.0, 7.0])).is_closed_in_part
+    assert not worse.closes_error and not worse.is_more_probable
+    assert replace(worse, log_density_gain=np.array([5.0, 6.0, 7.0])).is_more_probable
+    assert not replace(worse, log_density_gain=np.array([-5.0, 1.0, 7.0])).is_more_probable

@@ -88,22 +88,25 @@ class Gap:
 
     @property
     def is_worse(self) -> bool:
-        """Whether held-out pushes are predicted no better with the effects, neither by their end positions nor by their density."""
-        no_more_probable = float(np.mean(self.log_density_gain)) <= self.policy.min_log_density_gain
-        return no_more_probable and float(np.mean(self.after)) >= float(np.mean(self.before))
+        """Whether held-out pushes are no nearer to their prediction with the effects, neither at their end nor over their motion, and not
+        certainly more probable."""
+        return not self.is_more_probable and all(float(np.mean(closed)) <= 0.0 for closed in self._closed)
 
     @property
     def closes_error(self) -> bool:
         """Whether held-out pushes are certainly nearer to their prediction with the effects, at the end or over the motion."""
-        closed = [self.before - self.after, *([] if self.motion is None else [self.motion.before - self.motion.after])]
-        return any(self.mean_interval(values)[0] > 0.0 for values in closed)
+        return any(self.mean_interval(closed)[0] > 0.0 for closed in self._closed)
 
     @property
-    def is_closed_in_part(self) -> bool:
-        """Whether the effects certainly help to predict held-out pushes: their density, their end or their motion."""
+    def is_more_probable(self) -> bool:
+        """Whether held-out pushes are certainly more probable with the effects."""
         gain = self.log_density_gain
-        more_probable = np.mean(gain) > self.policy.min_gap_standard_errors * np.std(gain, ddof=1) / np.sqrt(len(gain))
-        return bool(more_probable) or self.closes_error
+        return bool(np.mean(gain) > self.policy.min_gap_standard_errors * np.std(gain, ddof=1) / np.sqrt(len(gain)))
+
+    @property
+    def _closed(self) -> list[Float64Array]:
+        """Error that the effects remove, at the end and over the motion [m], each of shape (n_pushes,)."""
+        return [self.before - self.after, *([] if self.motion is None else [self.motion.before - self.motion.after])]
 
     def mean_interval(self, values: Float64Array, shared_std: float = 0.0) -> tuple[float, float]:
         """Contains the mean of values, one for each push, shape (n,), with the probability of the policy, by bootstrap over the pushes.

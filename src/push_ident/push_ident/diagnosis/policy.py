@@ -181,8 +181,6 @@ class ValidationPolicy:
 
     max_folds: int = 7
     """Fits without some pushes; with more pushes, two or more are held out together. A limit of time, not of evidence."""
-    min_log_density_gain: float = 0.0
-    """Mean gain of log predictive density at or below which held-out pushes are predicted no better [nat a fold]. A difference of zero."""
     min_gap_standard_errors: float = 2.0
     """Standard errors by which the held-out error exceeds the pose noise, above which there is a gap to close [1]. About 95 %,
     two-sided."""

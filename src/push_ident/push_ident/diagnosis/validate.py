@@ -50,7 +50,7 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
             gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
         closes_error = bool(selection.selected) and gap.closes_error
         reported, probabilities = _weigh_outside(state, selection, base, remaining, rejected, closes_error=closes_error)
-        closes_nothing = bool(selection.selected) and not gap.is_closed_in_part and probabilities.beside > 0.5
+        closes_nothing = bool(selection.selected) and not (gap.closes_error or gap.is_more_probable) and probabilities.beside > 0.5
     names_no_effect, free_law = closes_nothing or is_outside(probabilities, policy.selection), None
     instead = _mechanism_instead(selection, probabilities, names_no_effect=names_no_effect)
     if instead:
