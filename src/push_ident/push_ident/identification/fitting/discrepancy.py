@@ -172,7 +172,9 @@ class LinearPushes:
         pull = -(self.slope + self.prior_slope) - np.einsum("pim,pm->i", self.cross, eliminated[:, :, -1])
         covariance = np.linalg.inv(reduced)
         moved = np.asarray(covariance @ pull)
-        volume = 0.5 * float(np.linalg.slogdet(reduced)[1] + np.sum(np.linalg.slogdet(of_push)[1]))
+        # By Cholesky's roots, which no matrix has that rounding has made indefinite.
+        roots = (np.linalg.cholesky(reduced), np.linalg.cholesky(of_push))
+        volume = float(sum(np.sum(np.log(np.diagonal(root, axis1=-2, axis2=-1))) for root in roots))
         gained = 0.5 * float(pull @ moved + np.sum(pull_of_push * eliminated[:, :, -1]))
         cost = self.constant + 0.5 * float(np.sum(precision * self.at_push**2)) - gained
         follows = eliminated[:, :, :-1]
@@ -236,7 +238,12 @@ def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> Disc
     try:
         logs = linear.best(np.zeros(3))
         gain = linear.cost(np.zeros(3))[0] - linear.cost(logs)[0]
+        of_pushes = end.cost - problem.prior_at(x)[0]
+        # A cost below zero is no cost: the size would have to be judged outside of the linear range.
+        in_range = linear.solve(logs).cost + of_pushes >= 0.0
     except np.linalg.LinAlgError:  # a Hessian with very steep and very flat directions
+        in_range = False
+    if not in_range:
         logs, gain = np.zeros(3), 0.0
     of_frames = errors.best(end.residual)
     gain += errors.cost(end.residual) - errors.cost(end.residual, of_frames)

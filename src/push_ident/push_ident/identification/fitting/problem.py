@@ -63,8 +63,10 @@ class Evaluation:
 
     @property
     def log_volume(self) -> float:
-        """Logarithm of the share of the prior that the posterior leaves, with the sign of a cost [nat]."""
-        return 0.5 * float(np.linalg.slogdet(self.hessian)[1])
+        """Logarithm of the share of the prior that the posterior leaves, with the sign of a cost [nat]; infinite where rounding has made
+        the Hessian indefinite."""
+        sign, log = np.linalg.slogdet(self.hessian)
+        return 0.5 * float(log) if sign > 0 else float("inf")
 
 
 @dataclass(frozen=True, slots=True)
