@@ -61,6 +61,9 @@ def _what(pattern: Pattern) -> str:
     acts, amplitude = pattern.family.acts_on, pattern.amplitude
     size = float(np.max(np.abs(amplitude)))
     largest = float(amplitude[np.argmax(np.abs(amplitude))])
+    if pattern.family.varies_with is VariesWith.SPEED:
+        along = amplitude.reshape(len(PATTERNS.speeds), -1)[:, 0]  # a force against the motion is more friction
+        return f"friction that differs by {100 * along[np.argmax(np.abs(along))]:+.0f} %"
     if acts is Acts.FRICTION:
         return f"friction that is {'higher' if largest > 0 else 'lower'} by up to {100 * min(size, 1.0):.0f} %"
     if acts is Acts.PUSHER:
@@ -96,9 +99,10 @@ def _by_amplitude(pattern: Pattern) -> str:
         frame = "table" if varies is VariesWith.HEADING else "object"
         return f"by the direction of motion in the {frame}, most towards {np.degrees(_largest_heading(amplitude)):.0f}°"
     assert family.at is not None, "the other coordinates have values"
-    at = family.at[np.argmax(np.abs(amplitude))]
     if varies is VariesWith.SPEED:
-        return f"by the speed, most near {1e3 * at[0]:.0f} mm/s"
+        along = amplitude.reshape(len(PATTERNS.speeds), -1)[:, 0]
+        return f"by the speed, most near {1e3 * PATTERNS.speeds[np.argmax(np.abs(along))]:.0f} mm/s"
+    at = family.at[np.argmax(np.abs(amplitude))]
     if varies is VariesWith.SIDE:
         return f"where the pusher touches the side towards {np.degrees(at[0]):.0f}° of the object's axes"
     if varies is VariesWith.TIME:
