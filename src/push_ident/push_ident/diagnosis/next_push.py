@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.stats import norm
 
 from push_ident.diagnosis.policy import NextPushPolicy, SelectionPolicy
 from push_ident.diagnosis.selection import Selection
@@ -45,7 +46,7 @@ class SeparatingPush:
     mahalanobis2: float
     """Squared Mahalanobis distance of their predictions, as the sensor would observe them and the model may be wrong."""
     n_pushes: int
-    """Such pushes that are expected to be enough: each brings half the distance in log evidence."""
+    """Such pushes that are probably enough: each brings half the distance in log evidence on average, with the distance as variance."""
 
     @property
     def aim(self) -> str:
@@ -108,16 +109,23 @@ def separating_push(
     pairs = list(combinations(fits, 2))
     distances = np.array([[_mahalanobis2(outcome[a], outcome[b]) for a, b in pairs] for outcome in outcomes]).reshape(-1, len(pairs))
     # A pair that no push separates does not count against any: the others can still be decided.
-    separable = np.flatnonzero(np.max(distances, axis=0, initial=0.0) >= 2.0 * needed / policy.max_pushes)
+    separable = np.flatnonzero([_n_pushes(float(np.max(of_pair, initial=0.0)), needed, policy) is not None for of_pair in distances.T])
     if not len(separable):
         return None
     hardest = distances[:, separable].min(axis=1)
     best = int(np.argmax(hardest))
-    n_pushes = int(np.ceil(2.0 * needed / hardest[best]))
-    if n_pushes > policy.max_pushes:
+    n_pushes = _n_pushes(float(hardest[best]), needed, policy)
+    if n_pushes is None:
         return None
     pair = pairs[separable[int(np.argmin(distances[best, separable]))]]
     return SeparatingPush(candidates[best], pair, float(hardest[best]), n_pushes)
+
+
+def _n_pushes(mahalanobis2: float, needed: float, policy: NextPushPolicy) -> int | None:
+    """Pushes that bring the log evidence `needed` [nat] with the probability of the policy; None where the most that it allows do not."""
+    least = float(norm.ppf(policy.success))
+    evidence = [n * mahalanobis2 / 2.0 - least * np.sqrt(n * mahalanobis2) for n in range(1, policy.max_pushes + 1)]
+    return next((n for n, value in enumerate(evidence, 1) if value >= needed), None)
 
 
 def most_informative_push(fit: Fit, pose: Float64Array, settings: PushSettings, policy: NextPushPolicy) -> PlannedPush | None:

@@ -263,6 +263,8 @@ class NextPushPolicy:
     """Random pushes whose predictions decide which push teaches most of the maps. As many as on the page of an identification."""
     first_pose_std: tuple[float, float, float] = (0.01, 0.01, 0.1)
     """Standard deviation of the first pose beside what the frames show [m, m, rad]: a fit may place it anywhere. A wide prior."""
+    success: float = 0.8
+    """Probability with which the proposed pushes decide [1]. Judgement."""
     max_pushes: int = 2
     """Pushes of the same kind that a person makes for one answer: where more would be needed, none is proposed. Judgement."""
 

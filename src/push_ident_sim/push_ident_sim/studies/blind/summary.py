@@ -354,7 +354,9 @@ def _confusions(confusion: Json) -> str:
     """What was answered instead of the truth, such as `pose_latency: pusher_lag 3`."""
     right = {"nothing": ("nothing", "not_trustworthy"), "outside": ("unknown", "not_trustworthy")}
     wrong = {
-        truth: ", ".join(f"{answer} {n}" for answer, n in answers.items() if answer not in right.get(truth, (truth,)))
+        truth: ", ".join(
+            f"{answer} {n}" for answer, n in answers.items() if answer not in right.get(truth, (truth.removeprefix("foreign "),))
+        )
         for truth, answers in confusion.items()
     }
     return "; ".join(f"{truth}: {answers}" for truth, answers in wrong.items() if answers) or "none"
