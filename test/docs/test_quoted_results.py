@@ -21,6 +21,7 @@ def result(name: str) -> dict[str, Any]:
     ("figure", "quoted"),
     [
         ("top1_detectable", "{} detectable single effects were named first"),
+        ("mechanism_foreign", "a mechanism by another law than that of the catalogue was named in {} visible cases"),
         ("false_alarms", "{} null cases raised a false alarm"),
         ("wrong_names", "{} was named wrongly with confidence"),
         ("unknown_flagged", "{} were reported as unknown or not trustworthy"),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from push_ident.diagnosis.policy import NextPushPolicy, SelectionPolicy
 from push_ident.diagnosis.selection import Selection
@@ -123,7 +123,7 @@ def separating_push(
 
 def _n_pushes(mahalanobis2: float, needed: float, policy: NextPushPolicy) -> int | None:
     """Pushes that bring the log evidence `needed` [nat] with the probability of the policy; None where the most that it allows do not."""
-    least = float(norm.ppf(policy.success))
+    least = float(ndtri(policy.success))
     evidence = [n * mahalanobis2 / 2.0 - least * np.sqrt(n * mahalanobis2) for n in range(1, policy.max_pushes + 1)]
     return next((n for n, value in enumerate(evidence, 1) if value >= needed), None)
 
