@@ -92,11 +92,13 @@ def test_free_law_of_the_mechanism_of_an_effect_is_another_law_of_it_and_one_of_
     of_speed = {"friction_by_speed": 30.0}
     same = probabilities(named, OutsideEvidence({"friction_by_speed": 40.0, **nothing}, {**of_speed, **nothing}, of_speed))
     assert same.mechanisms["friction_by_speed"] > 0.94 and same.effects["speed_dependent_friction"] > 0.94
-    assert same.acts_freely("friction_by_speed") and same.beside < 0.06 and not is_outside(same, POLICY)
+    assert same.acts_freely("friction_by_speed") and same.beyond_effects < 0.06 and not is_outside(same, POLICY)
     other = probabilities(named, OutsideEvidence({"friction_by_place": 60.0, **nothing}, {"friction_by_place": -2.0, **nothing}))
-    assert other.alone["friction_by_place"] > 0.99 and other.mechanisms["friction_by_speed"] < 0.01 and is_outside(other, POLICY)
+    assert (
+        other.in_place_of_effects["friction_by_place"] > 0.99 and other.mechanisms["friction_by_speed"] < 0.01 and is_outside(other, POLICY)
+    )
     beside = probabilities(named, OutsideEvidence({"friction_by_place": 10.0, **nothing}, {"friction_by_place": 10.0, **nothing}))
-    assert beside.beside > 0.99 and beside.something_else < 0.5 and not is_outside(beside, POLICY)
+    assert beside.beyond_effects > 0.99 and beside.something_else < 0.5 and not is_outside(beside, POLICY)
 
 
 def families(*acting: tuple[Acts, VariesWith, float], without: Sequence[Sequence[float]] = ()) -> SomethingElse:

@@ -51,6 +51,7 @@ def test_effects_with_enough_probability_are_used(content: dict[str, Any], names
         (diagnosis("unknown"), "`unknown`"),
         (diagnosis("not_trustworthy", probabilities=None), "`not_trustworthy`"),
         (diagnosis(effects=[{"name": "ghosts", "parameters": {}, "std": {}}]), "no effect of this version"),
+        (diagnosis(effects=[{"name": "friction_by_place", "parameters": {"largest": 0.3}, "std": {"largest": 0.1}}]), "free law"),
         (diagnosis(effects=[{"name": "table_tilt", "parameters": {"z": 1.0}, "std": {"z": 1.0}}]), "expected x, y"),
         (diagnosis(effects=[{"name": "table_tilt", "parameters": {"x": float("nan"), "y": 0.0}, "std": {}}]), "not a diagnosis"),
         ({"format": "push_ident/model/1"}, "not a diagnosis: verdict"),

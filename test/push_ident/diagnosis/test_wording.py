@@ -13,8 +13,9 @@ from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.residuals import ResidualGroup
 from push_ident.diagnosis.something_else.words import PatternWords
-from push_ident.diagnosis.verdict import FoundEffect
+from push_ident.diagnosis.verdict import FoundEffect, FreeLaw
 from push_ident.identification.predicting.next_push import PlannedPush
+from push_ident.physics.effect import Mechanism
 from push_ident.pushing.push import PushPlan2D
 from push_ident.types import PusherPath
 
@@ -72,3 +73,12 @@ def few(more: int | None) -> str:
 )
 def test_sentence_states_its_facts(sentence: str, facts: str) -> None:
     assert [fact for fact in facts.split("|") if fact not in sentence] == [], sentence
+
+
+@pytest.mark.parametrize("mechanism", Mechanism)
+def test_free_law_is_named_by_its_mechanism_with_what_it_closes_and_what_else_it_may_be(mechanism: Mechanism) -> None:
+    closes = account([4.0] * 4, [1.5] * 4, mechanism.value)
+    sentence = wording.sentence_of_free_law(FreeLaw(mechanism, 0.45, 0.05, 20.0, ""), WORDS, {mechanism.value: ("tool_moved",)}, closes)
+    for fact in (mechanism.value, "a force, from push 7 on", "2.5 mm", "what changed before that push", "from tool moved"):
+        assert fact in sentence
+    assert wording.amplitude_of(FreeLaw(mechanism, -2e-3, 1e-4, 20.0, "m")) == "up to -2 ± 0.1 mm"

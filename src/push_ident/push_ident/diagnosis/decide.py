@@ -29,12 +29,12 @@ def decide(state: DiagnosisState) -> DiagnosisState:
     effects = [_with_law(effect, probabilities) for effect in found_effects(selection, validation.gap)]
     free_law = _free_law(validation)
     sets = confusion_sets(selection, settings.policy.selection)
-    first = free_law.mechanism.value if free_law else effects[-1].name if effects else ""
-    doubts = _in_place_of(first, probabilities, settings.policy.selection) if first else ()
+    doubted = free_law.mechanism.value if free_law else effects[-1].name if effects else ""
+    doubts = _in_place_of(doubted, probabilities, settings.policy.selection) if doubted else ()
     if doubts:
-        sets = {**sets, first: (*sets.get(first, ()), *doubts)}
+        sets = {**sets, doubted: (*sets.get(doubted, ()), *doubts)}
     is_unknown = validation.names_no_effect and free_law is None
-    verdict = Verdict.UNKNOWN if is_unknown else verdict_of([e.name for e in effects] or ([first] if first else []), sets)
+    verdict = Verdict.UNKNOWN if is_unknown else verdict_of([e.name for e in effects] or ([doubted] if doubted else []), sets)
     # Those that joined the base model because they are below the accuracy of a cell; their evidence is not reported.
     hidden = selection.base.names if validation.names_no_effect else (*settings.base_effects, *BASE_WITH_FORCES)
     names = [name for name in selection.base.names if name not in hidden]
@@ -60,8 +60,8 @@ def _free_law(validation: Validation) -> FreeLaw | None:
 
 def _in_place_of(name: str, probabilities: Probabilities, policy: SelectionPolicy) -> tuple[str, ...]:
     """What may act in place of a cause that is named, an effect or a mechanism with a free law, without any effect."""
-    alone = {**probabilities.alone, SOMETHING_ELSE: probabilities.outside_alone}
-    return tuple(other for other, value in alone.items() if other != name and value > policy.max_probability_of_error)
+    instead = {**probabilities.in_place_of_effects, SOMETHING_ELSE: probabilities.outside_alone}
+    return tuple(other for other, value in instead.items() if other != name and value > policy.max_probability_of_error)
 
 
 def found_effects(selection: Selection, gap: Gap) -> tuple[FoundEffect, ...]:

@@ -36,7 +36,7 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
     if validation.account.more_pushes != 0:
         first_push = most_informative_push(validation.selection.fit, pose, limits, policy.next_push)
     explanations = competing_explanations(validation.selection, policy.selection)
-    if len(explanations) > 1:
+    if len(explanations) > 1 and decision.free_law is None:
         needed = needed_evidence(explanations, policy.selection)
         next_push = separating_push(explanations, pose, limits, policy.next_push, needed=needed)
     something_else = validation.something_else
@@ -58,7 +58,7 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         held_out=validation.held_out,
         where=group_residuals(validation.base_residuals, policy.residuals),
         next_push=next_push,
-        check=_check(validation, decision, words),
+        check=_check(decision, words),
         probabilities=validation.probabilities,
         something_else=something_else,
         pattern=words,
@@ -74,7 +74,7 @@ def _abstention(state: DiagnosisState) -> Diagnosis:
     return Diagnosis(Verdict.NOT_TRUSTWORTHY, sentence, state.gates, state.settings.policy, check=failed.remedy)
 
 
-def _check(validation: Validation, decision: Decision, words: PatternWords | None) -> str:
+def _check(decision: Decision, words: PatternWords | None) -> str:
     """What a person at the cell can do instead of a push, for the first of the effects that has a check; empty where none has."""
     if decision.verdict is Verdict.UNKNOWN or decision.free_law:
         return "" if words is None else f"Look for {words.look_for}."
@@ -90,14 +90,14 @@ def _sentence(
         sentence = wording.sentence_of_free_law(decision.free_law, words, decision.confusion_sets, account)
     elif decision.verdict is Verdict.UNKNOWN:
         groups = group_residuals(validation.base_residuals, state.settings.policy.residuals)
-        sentence = wording.sentence_of_unknown(account, words, validation.probabilities.beside, validation.residuals, groups)
+        sentence = wording.sentence_of_unknown(account, words, validation.probabilities.beyond_effects, validation.residuals, groups)
     elif decision.effects:
         sentence = wording.sentence_of_effects(decision.effects, decision.confusion_sets, account, is_change=bool(state.reference))
         if any(SOMETHING_ELSE in names for names in decision.confusion_sets.values()) and words is not None:
             sentence += wording.sentence_of_doubt(words, validation.probabilities.outside_alone)
-        elif words is not None and validation.probabilities.beside > state.settings.policy.selection.max_probability_of_error:
+        elif words is not None and validation.probabilities.beyond_effects > state.settings.policy.selection.max_probability_of_error:
             remainder = account.after - float(np.mean(account.gap.noise))
-            sentence += wording.sentence_of_remainder(words, validation.probabilities.beside, remainder)
+            sentence += wording.sentence_of_remainder(words, validation.probabilities.beyond_effects, remainder)
     elif state.reference:
         sentence = wording.sentence_of_no_change(account)
     else:

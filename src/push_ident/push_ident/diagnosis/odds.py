@@ -81,7 +81,7 @@ class OutsideEvidence:
         bound = max((-math.log(-math.e * p * math.log(p)) for p in residuals if p < 1.0 / math.e), default=0.0)
         discrepancy = policy.discrepancy_something_else
         discrepancy_in_addition = max(discrepancy, policy.discrepancy_something_else_share * named)
-        kept = int(in_place is not None and not _is_carried(in_place, policy))
+        kept = int(in_place is not None and not _outlasts_each_fold(in_place, policy))
         return cls(
             _evidence(in_place, bound, lambda found, mechanism: found.log_bayes_factors(mechanism)[kept], discrepancy),
             _evidence(in_addition, bound, lambda found, mechanism: found.log_bayes_factors(mechanism)[0], discrepancy_in_addition),
@@ -106,7 +106,7 @@ def _evidence(
     return {**laws, SOMETHING_ELSE: float(np.logaddexp(among_all(None), bound - math.log(n + 1)))}
 
 
-def _is_carried(found: SomethingElse, policy: SelectionPolicy) -> bool:
+def _outlasts_each_fold(found: SomethingElse, policy: SelectionPolicy) -> bool:
     """Whether something is more probable than nothing without any one fold of the pushes.
 
     Where it is not, the pushes of that fold made the evidence: something happened to them, or they lie at the edge between sticking and
@@ -131,11 +131,11 @@ class Probabilities:
     """That a mechanism acts, by whatever law."""
     free: Mapping[str, float] = field(default_factory=dict)
     """That it acts by a free law."""
-    alone: Mapping[str, float] = field(default_factory=dict)
+    in_place_of_effects: Mapping[str, float] = field(default_factory=dict)
     """That only a free law of a mechanism of no effect that was found acts, or only something else, and no effect is an imitation of it."""
     outside_alone: float = 0.0
     """That only a cause outside the catalogue acts, imitated by effects or not."""
-    beside: float = 0.0
+    beyond_effects: float = 0.0
     """That something else acts, or a mechanism of no effect that was found."""
 
     def acts_freely(self, mechanism: str) -> bool:
@@ -215,9 +215,9 @@ def probabilities_of(explanations: tuple[Explanation, ...], base_effects: tuple[
         subsystems=by_name(Subsystem, lambda e, part: part in map(_part_of, e.causes)),
         mechanisms=by_name(mechanisms, lambda e, name: name in map(mechanism_of, e.causes)),
         free=by_name(mechanisms, lambda e, name: e.free == name),
-        alone=by_name(sorted(not_effects), lambda e, name: e.causes == {name} and not e.imitated_by),
+        in_place_of_effects=by_name(sorted(not_effects), lambda e, name: e.causes == {name} and not e.imitated_by),
         outside_alone=where(lambda e: e.causes == {SOMETHING_ELSE}),
-        beside=where(lambda e: bool(e.causes & not_effects)),
+        beyond_effects=where(lambda e: bool(e.causes & not_effects)),
     )
 
 
@@ -238,7 +238,7 @@ def is_outside(probabilities: Probabilities, policy: SelectionPolicy) -> bool:
 
     Beside effects that explain more it is the remainder that real pushes always hold: the effects are named, and it stays possible.
     """
-    return sum(probabilities.alone.values()) > 0.5 and probabilities.nothing < policy.max_probability_of_nothing
+    return sum(probabilities.in_place_of_effects.values()) > 0.5 and probabilities.nothing < policy.max_probability_of_nothing
 
 
 def _twins(names: Sequence[str], weight: float, others: Sequence[Explanation]) -> list[Explanation]:

@@ -86,7 +86,8 @@ class SelectionPolicy:
     discrepancy_next: float = 2.4
     """The same of an effect beside others, whose laws are not exactly those of the world [1]: 12 nat are needed."""
     discrepancy_next_share: float = 0.012
-    """At least this times the log Bayes factors of all approximate laws found before [1/nat]: the error of a law grows with its effect."""
+    """At least this times the log Bayes factors of all approximate laws found before [1/nat]: the error of a law grows with its effect. Of
+    93 tuning cases, wrong effects brought up to 12 nat beside 107, a true one 19 beside 273."""
     discrepancy_rivals: float = 3.35
     """The same of the difference between two effects that explain the same pushes [1]: 6 nat exclude a rival, as in the prototype."""
     discrepancy_rivals_share: float = 0.056

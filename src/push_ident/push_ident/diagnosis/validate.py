@@ -50,7 +50,7 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
             gap = measure_gap(selection.base, selection.fit, policy.validation, on_progress, between=selection.stages, held_out=held_out)
         closes_error = bool(selection.selected) and gap.closes_error
         reported, probabilities = _weigh_outside(state, selection, base, remaining, rejected, closes_error=closes_error)
-        closes_nothing = bool(selection.selected) and not (gap.closes_error or gap.is_more_probable) and probabilities.beside > 0.5
+        closes_nothing = bool(selection.selected) and not (gap.closes_error or gap.is_more_probable) and probabilities.beyond_effects > 0.5
     names_no_effect, free_law = closes_nothing or is_outside(probabilities, policy.selection), None
     instead = _mechanism_instead(selection, probabilities, names_no_effect=names_no_effect)
     if instead:
@@ -58,6 +58,7 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
         bare, law = _with_patterns(bare, selection, base[1], instead)
         if names_no_effect or (law is not None and np.mean(bare.after) < np.mean(gap.after)):
             names_no_effect, free_law, gap, selection = True, law, bare, selection.without_effects()
+            reported = base[1]
     validation = Validation(
         selection=selection,
         gap=gap,
@@ -148,7 +149,7 @@ def _mechanism_instead(selection: Selection, probabilities: Probabilities, *, na
     """What may act without any effect of the selection: the most probable cause if no effect is named; the mechanism of the only effect,
     where that acts by a free law; else ""."""
     if names_no_effect:
-        return max(probabilities.alone, key=lambda name: probabilities.alone[name])
+        return max(probabilities.in_place_of_effects, key=lambda name: probabilities.in_place_of_effects[name])
     mechanisms = {EFFECTS[name].mechanism for name in selection.selected}
     return next((name for name in mechanisms if len(mechanisms) == 1 and probabilities.acts_freely(name)), "")
 
