@@ -11,6 +11,7 @@ import numpy as np
 from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.threads import map_in_threads
+from push_ident.identification.fitting.contacts import freed, in_contact
 from push_ident.identification.fitting.discrepancy import with_size
 from push_ident.identification.fitting.fit import AMPLITUDES, Fit, fit_amplitudes
 from push_ident.identification.fitting.levenberg_marquardt import minimise
@@ -46,6 +47,8 @@ class _FitSettings:
     """Fits at most until the size of the discrepancy is that of the pushes."""
     size_tolerance: float = 0.2
     """Of the logarithm of that size [-]; the evidence is that at the best size in any case."""
+    promised_by_size: float = 2.0
+    """Gain of log evidence that another size of the discrepancy may promise without being tried [nat]."""
     second_start_gain: float = 1.0
     """Expected gain of log evidence above which a fit that gains nothing gets a second start [nat]."""
     second_start: float = 0.4
@@ -76,7 +79,7 @@ def fit_base(records: Sequence[PushRecord], settings: DiagnosisSettings, earlier
     start = np.zeros(problem.size)
     problem, start = _roughly_sized(problem, start)
     fits = fit_amplitudes(lambda amplitude: problem.of(unknowns.at_amplitude(amplitude)), start, _SETTINGS.max_base_iterations, starts)
-    return at_its_discrepancy(max(fits, key=lambda fit: fit.log_evidence), _SETTINGS.max_base_iterations)
+    return at_its_discrepancy(max(fits, key=lambda fit: fit.log_evidence), _SETTINGS.max_base_iterations, sets_rest=True)
 
 
 def fit_with_reference(records: Sequence[PushRecord], reference: Sequence[PushRecord], settings: DiagnosisSettings) -> Fit:
@@ -93,7 +96,7 @@ def fit_with_reference(records: Sequence[PushRecord], reference: Sequence[PushRe
     start[unknowns.slices["shared_effects"]] = known.effect_unknowns
     problem, start = _roughly_sized(problem, start)
     fit = Fit(problem, *minimise(problem, start, _SETTINGS.max_base_iterations, relative=True), known.amplitude)
-    return at_its_discrepancy(fit, _SETTINGS.max_base_iterations)
+    return at_its_discrepancy(fit, _SETTINGS.max_base_iterations, sets_rest=True)
 
 
 def with_shared(fit: Fit, name: str, start: Float64Array) -> Fit:
@@ -112,18 +115,23 @@ def _roughly_sized(problem: FitProblem, start: Float64Array) -> tuple[FitProblem
     """The problem under the size of the discrepancy that a rough fit shows: nothing needs to be fitted more exactly, nor simulated so."""
     if problem.noise is None or problem.noise.discrepancy_modes == 0:
         return problem, start
+    problem, start = in_contact(problem, start)
     rough = Fit(problem, *minimise(problem, start, _SETTINGS.rough_iterations, relative=True))
-    rough = at_its_discrepancy(rough, _SETTINGS.rough_iterations)
+    rough = at_its_discrepancy(rough, _SETTINGS.rough_iterations, sets_rest=True)
     return rough.problem, rough.x
 
 
-def at_its_discrepancy(fit: Fit, max_iterations: int = _SETTINGS.max_iterations) -> Fit:
-    """The fit repeated until its discrepancy has the size that the pushes show."""
+def at_its_discrepancy(fit: Fit, max_iterations: int = _SETTINGS.max_iterations, *, sets_rest: bool = False) -> Fit:
+    """The fit repeated, with other contacts where they are better, until its discrepancy has the size that the pushes show; `sets_rest` as
+    of `with_size`."""
     for _ in range(_SETTINGS.max_size_rounds):
+        if (x := freed(fit.problem, fit.x)) is not fit.x:
+            problem = fit.problem.of(fit.unknowns)
+            fit = Fit(problem, *minimise(problem, x, max_iterations, relative=True), fit.amplitude)
         size = fit.discrepancy_size
         if np.max(np.abs(np.log([*size.shared, size.frames]))) < _SETTINGS.size_tolerance:
             break
-        problem, x = with_size(fit.problem.of(fit.unknowns), fit.x, size)
+        problem, x = with_size(fit.problem.of(fit.unknowns), fit.x, size, sets_rest=sets_rest)
         fit = Fit(problem, *minimise(problem, x, max_iterations, relative=True), fit.amplitude)
     return fit
 
@@ -144,7 +152,9 @@ def fit_effects(
     fits = [_refit(base, unknowns, first, needed_cost)]
     if start is not None and expected > _SETTINGS.second_start_gain and fits[0].end.cost > base.end.cost - 1.0:
         fits.append(_refit(base, unknowns, guess + _SETTINGS.second_start * (start - guess), needed_cost))
-    return max(fits, key=lambda fit: fit.log_evidence)
+    best = max(fits, key=lambda fit: fit.log_evidence)
+    # Another size of the discrepancy promises that gain in the linear range only.
+    return at_its_discrepancy(best) if best.discrepancy_size.log_evidence_gain > _SETTINGS.promised_by_size else best
 
 
 def with_another(fit: Fit, old: str, new: str, other: Fit) -> Fit:

@@ -97,6 +97,13 @@ class Gap:
         """Whether held-out pushes are certainly nearer to their prediction with the effects, at the end or over the motion."""
         return any(self.mean_interval(closed)[0] > 0.0 for closed in self._closed)
 
+    def closes_error_at(self, stage: int) -> bool:
+        """The same of what was added at one of the `stages`, or after the last of them."""
+        closed = [_removed_at(stage, self.before, self.stages, self.after)]
+        if self.motion is not None:
+            closed.append(_removed_at(stage, self.motion.before, self.motion.stages, self.motion.after))
+        return any(self.mean_interval(removed)[0] > 0.0 for removed in closed)
+
     @property
     def is_more_probable(self) -> bool:
         """Whether held-out pushes are certainly more probable with the effects."""
@@ -135,6 +142,11 @@ class Gap:
         drawn = [_shrink(self.before[i], self.after[i], self.noise[i]) for i in resampled]
         low, high = np.nanquantile(drawn, self.policy.interval_quantiles)
         return float(low), float(high)
+
+
+def _removed_at(stage: int, before: Float64Array, stages: Mapping[str, Float64Array], after: Float64Array) -> Float64Array:
+    errors = [before, *stages.values(), after]
+    return np.asarray(errors[stage] - errors[stage + 1])
 
 
 def _shrink(before: Float64Array, after: Float64Array, noise: Float64Array) -> float:

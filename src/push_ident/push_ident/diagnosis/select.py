@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -70,13 +69,11 @@ def select_effects(base: Fit, policy: SelectionPolicy, on_progress: Progress | N
         if _is_negligible(best, policy):
             report(f"{best.name} is negligible: it joins the base model")
             return select_effects(polished(fit_effects(selection.base, (*selection.base.names, best.name))), policy, on_progress)
-        n_selected, selection = len(selection.selected), replace(selection, steps=(*selection.steps, step))
-        if n_selected >= policy.max_effects:
+        if len(selection.selected) >= policy.max_effects:
+            return replace(selection, steps=(*selection.steps, step))
+        before, selection = selection.fit, _with_next(selection, step, policy)
+        if selection.fit is before:
             return selection
-        larger = _with_best(selection, best, policy)
-        if larger is selection:
-            return selection
-        selection = larger
 
 
 def required_log_bayes_factor(selection: Selection, policy: SelectionPolicy) -> float:
@@ -122,7 +119,8 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
         report(f"refitting with {', '.join(score.name for score in chosen)}")
     # All refits of a first effect are completed, since the ranking shows them; later ones end where they cannot matter any more.
     required = needed - policy.tie_margin if selection.selected else -np.inf
-    candidates = _ranked(map_in_threads(partial(_refit, fit, required), chosen), policy.tie_margin)
+    refits = map_in_threads(lambda score: _refit(fit, required, score, fit), chosen)
+    candidates = _ranked(_freed_candidates(fit, refits, chosen, required, policy), policy.tie_margin)
     return Step(fit, information, scores, tuple(candidates))
 
 
@@ -143,12 +141,33 @@ def _shared_instead(selection: Selection, step: Step, policy: SelectionPolicy) -
     return polished(fit_effects(fit, selection.base.names)) if explains_more else None
 
 
-def _refit(fit: Fit, required: float, score: EffectScore) -> Candidate:
+def _refit(fit: Fit, required: float, score: EffectScore, maps: Fit) -> Candidate:
+    """The fit with the effect of a score, from the maps and contacts of `maps`."""
     effect = EFFECTS[score.name]
     typical = np.array([(p.typical - p.nominal) / p.scale for p in effect.parameters])
     start = np.concatenate([fit.effect_unknowns, typical if effect.is_abrupt else score.start])
-    refit = fit_effects(fit, (*fit.names, score.name), start, score.expected_log_bayes_factor, required)
+    needed = required + fit.log_evidence - maps.log_evidence
+    refit = fit_effects(maps, (*fit.names, score.name), start, score.expected_log_bayes_factor, needed)
     return Candidate(score.name, refit, refit.log_evidence - fit.log_evidence)
+
+
+def _freed_candidates(
+    fit: Fit, candidates: Sequence[Candidate], scores: Sequence[EffectScore], required: float, policy: SelectionPolicy
+) -> list[Candidate]:
+    """The candidates, with those that fell short of their score fitted again from the maps beside the best one: they stopped at a kink of
+    the cost."""
+    best = max(candidates, key=lambda candidate: candidate.log_bayes_factor, default=None)
+    if best is None or best.log_bayes_factor <= 0.0:
+        return list(candidates)
+
+    def free(pair: tuple[Candidate, EffectScore]) -> Candidate:
+        candidate, score = pair
+        if candidate is best or candidate.log_bayes_factor > score.expected_log_bayes_factor - policy.tie_margin:
+            return candidate
+        again = _refit(fit, required, score, best.fit)
+        return max(candidate, again, key=lambda one: one.log_bayes_factor)
+
+    return map_in_threads(free, list(zip(candidates, scores, strict=True)))
 
 
 def _ranked(candidates: Sequence[Candidate], tie_margin: float) -> list[Candidate]:
@@ -182,6 +201,18 @@ def _is_negligible(candidate: Candidate, policy: SelectionPolicy) -> bool:
     effect, fit = EFFECTS[candidate.name], candidate.fit
     values = fit.fitted_effects.values[fit.fitted_effects.slice_of(candidate.name)]
     return effect.law is Law.EXACT and float(np.linalg.norm(values)) < policy.negligible.get(effect.parameters[0].unit, 0.0)
+
+
+def _with_next(selection: Selection, step: Step, policy: SelectionPolicy) -> Selection:
+    """The selection after a step, with the first of its candidates that explains more in the end; without any where none does."""
+    for candidate in step.candidates:
+        if not candidate.log_bayes_factor >= required_log_bayes_factor(selection, policy):
+            break
+        others = tuple(other for other in step.candidates if other is not candidate)
+        stepped = replace(selection, steps=(*selection.steps, replace(step, candidates=(candidate, *others))))
+        if (larger := _with_best(stepped, candidate, policy)) is not stepped:
+            return larger
+    return replace(selection, steps=(*selection.steps, step))
 
 
 def _with_best(selection: Selection, best: Candidate, policy: SelectionPolicy) -> Selection:

@@ -97,7 +97,8 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
     """The effects that held-out pushes support: none where they are predicted worse.
 
     An effect without evidence in the fit without one push came from that push: something happened to it, or it lies at the edge between
-    sticking and sliding, where small causes decide where the object goes. It is rejected, and so are those that were added after it.
+    sticking and sliding, where small causes decide where the object goes. It is rejected, and so are those that were added after it, unless
+    it certainly brings held-out pushes nearer to their prediction.
     """
     if not selection.selected:
         return selection, None
@@ -108,7 +109,7 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
     for stage, (fit, log_bayes_factors) in enumerate(zip(fits, gap.log_bayes_factor_without, strict=True)):
         fold = int(np.argmin(log_bayes_factors))
         names = [name for name in fit.names if name not in earlier]
-        if log_bayes_factors[fold] < policy.min_log_bayes_factor_without_push:
+        if log_bayes_factors[fold] < policy.min_log_bayes_factor_without_push and not gap.closes_error_at(stage):
             return selection.until(stage), UnsupportedEffect(" and ".join(names), gap.folds[fold])
         earlier |= set(names)
     return selection, None

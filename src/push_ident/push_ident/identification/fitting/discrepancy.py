@@ -166,19 +166,21 @@ class LinearPushes:
         of_push = self.hessian_of_push + np.diag(precision)
         pull_of_push = -(self.slope_of_push + precision * self.at_push)
         right = np.concatenate([self.cross.transpose(0, 2, 1), pull_of_push[:, :, None]], axis=2)
-        inverse = np.linalg.inv(of_push)
-        eliminated = inverse @ right
-        reduced = self.prior_hessian + self.hessian - np.einsum("pim,pmj->ij", self.cross, eliminated[:, :, :-1])
-        pull = -(self.slope + self.prior_slope) - np.einsum("pim,pm->i", self.cross, eliminated[:, :, -1])
+        # By Cholesky's roots: the difference below stays positive definite, where one by an inverse loses it to rounding.
+        root = np.linalg.cholesky(of_push)
+        half = np.linalg.inv(root)
+        by_root = half @ right
+        reduced = self.prior_hessian + self.hessian - np.einsum("pmi,pmj->ij", by_root[:, :, :-1], by_root[:, :, :-1])
+        pull = -(self.slope + self.prior_slope) - np.einsum("pmi,pm->i", by_root[:, :, :-1], by_root[:, :, -1])
         covariance = np.linalg.inv(reduced)
         moved = np.asarray(covariance @ pull)
-        # By Cholesky's roots, which no matrix has that rounding has made indefinite.
-        roots = (np.linalg.cholesky(reduced), np.linalg.cholesky(of_push))
+        roots = (np.linalg.cholesky(reduced), root)
         volume = float(sum(np.sum(np.log(np.diagonal(root, axis1=-2, axis2=-1))) for root in roots))
-        gained = 0.5 * float(pull @ moved + np.sum(pull_of_push * eliminated[:, :, -1]))
+        eliminated = half.transpose(0, 2, 1) @ by_root
+        gained = 0.5 * float(pull @ moved + np.sum(by_root[:, :, -1] ** 2))
         cost = self.constant + 0.5 * float(np.sum(precision * self.at_push**2)) - gained
         follows = eliminated[:, :, :-1]
-        variance = np.diagonal(inverse, axis1=1, axis2=2) + np.sum((follows @ covariance) * follows, axis=2)
+        variance = np.sum(half**2, axis=1) + np.sum((follows @ covariance) * follows, axis=2)
         return LinearMinimum(self.at + moved, self.at_push + eliminated[:, :, -1] - follows @ moved, variance, volume, cost)
 
     def best(self, start: Float64Array) -> Float64Array:
@@ -257,13 +259,19 @@ def log_prior_of_size(noise: NoiseModel | None) -> float:
     return -0.5 * float(np.sum((np.log([*noise.discrepancy_factor, noise.frame_factor]) / WIDTH) ** 2))
 
 
-def with_size(problem: FitProblem, x: Float64Array, size: DiscrepancySize) -> tuple[FitProblem, Float64Array]:
-    """The problem under a discrepancy of another size, and the unknowns of the same motions, shape (size,)."""
+def with_size(
+    problem: FitProblem, x: Float64Array, size: DiscrepancySize, *, sets_rest: bool = False
+) -> tuple[FitProblem, Float64Array]:
+    """The problem under a discrepancy of another size, and the unknowns of the same motions, shape (size,).
+
+    `sets_rest`: whether modes that the frames of a push do not share have that size, too.
+    """
     noise = problem.noise
     assert noise is not None, "a size was estimated"
     contact, position, yaw = (float(value) for value in noise.discrepancy_factor * size.shared)
     frames = noise.frame_factor * size.frames
-    other = problem.with_noise(replace(noise, discrepancy_factor=(contact, position, yaw), frame_factor=frames))
+    rest = (position, yaw) if sets_rest else noise.rest_factor
+    other = problem.with_noise(replace(noise, discrepancy_factor=(contact, position, yaw), rest_factor=rest, frame_factor=frames))
     group = groups_of(problem)
     scale = np.where(group < 0, 1.0, size.shared[group])
     return other, x / np.r_[np.ones(problem.unknowns.size), np.tile(scale, len(problem.records))]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from push_ident.identification.fitting.problem import Evaluation, FitProblem
+from push_ident.identification.fitting.budget import Meter
+from push_ident.identification.fitting.problem import FRAME_COST, Evaluation, FitProblem
+from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import Float64Array, SolveStatus
 
 MAX_ITERATIONS = 60
@@ -43,6 +45,18 @@ class DescentOptions:
 
 
 _OPTIONS: Final = DescentOptions()
+
+
+class Cost(Protocol):
+    """What is minimised."""
+
+    meter: Meter
+    unknowns: UnknownsSpec
+
+    def evaluate(self, x: Float64Array) -> Evaluation:
+        """Cost and derivatives at `x`, shape (size,)."""
+
+
 NeededCost = Callable[[Evaluation], float]
 """The cost at or below which a result matters, were it to end near a point."""
 
@@ -88,7 +102,7 @@ def minimise(
 
 
 def minimise_roughly(
-    problem: FitProblem,
+    problem: Cost,
     x0: Float64Array,
     max_iterations: int = MAX_ITERATIONS,
     *,
@@ -101,12 +115,11 @@ def minimise_roughly(
 
 def poorness(end: Evaluation) -> float:
     """Cost in units of what noise alone would cost, 1 at least: pushes explained so much worse tell points apart so much less."""
-    # A frame explained to its noise costs half of its three squared residuals.
-    return max(1.0, end.cost / (1.5 * len(end.residual)))
+    return max(1.0, end.cost / (FRAME_COST * len(end.residual)))
 
 
 def _descend(
-    problem: FitProblem,
+    problem: Cost,
     x: Float64Array,
     max_iterations: int,
     tolerance: float,

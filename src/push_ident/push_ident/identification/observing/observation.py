@@ -40,6 +40,8 @@ UNCHECKED = 2.0
 """Factor on the stated standard deviation of a pose that nothing checks, where the pushes do not set it [-]."""
 _SHARING = 10
 """Frames of a motion, or windows of forces, for which the discrepancies of `NoiseModel` in a fit hold; of more, each counts less."""
+_OUTLIER = 6.0
+"""Standard deviations from the median of a rest beyond which a pose is wrong, or the object no longer there [-]."""
 _MAX_CORRELATION = 0.98
 """Largest correlation of neighbouring frames that is assumed [-]: the mean of 100 frames is then as uncertain as a single one."""
 
@@ -68,6 +70,9 @@ class NoiseModel:
     discrepancy_modes: int = 0
     """Modes by which the frames of a push share the model discrepancy in a fit, as in a prediction; 0: they count as independent, each
     with the discrepancy of a frame in a fit."""
+    rest_factor: tuple[float, float] = (0.0, 0.0)
+    """On the model discrepancy of a predicted position and yaw, of whose process the modes beyond `discrepancy_modes` are independent
+    errors of the frames [-]. One of its own, so that fits of other sizes of the shared discrepancy know the frames as well."""
     floor_force: float = 0.02
     """Least standard deviation of a mean force: offset and hysteresis that a tare leaves [N]."""
     force_discrepancy: float = 0.1
@@ -118,8 +123,12 @@ class NoiseModel:
     def model_discrepancy(self) -> Float64Array:
         """Model discrepancy of a predicted pose, by travel [1, 1, rad/m], shape (3,)."""
         _, position, yaw = self.discrepancy_factor
-        position, yaw = position * self.model_discrepancy_position, yaw * self.model_discrepancy_yaw
-        return np.array([position, position, yaw])
+        return np.array([position, position, yaw]) * self.unscaled_discrepancy
+
+    @property
+    def unscaled_discrepancy(self) -> Float64Array:
+        """The same, as it was before pushes set its size, shape (3,)."""
+        return np.array([self.model_discrepancy_position, self.model_discrepancy_position, self.model_discrepancy_yaw])
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,28 +199,35 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
         common = 0.0 if noise.discrepancy_modes else max(0.0, 1.0 - 2.0 * scatter)
         independent = variance_of_mean(n, noise.correlation)
         stated[end] = stated[end] / repeated * (inflation**2 if n == 1 else common + (1.0 - common) * independent)
-    covariance = np.array([c + floor + np.diag(growth * distance**2) for c, distance in zip(stated, travel, strict=True)])
+    modes, rest = _modes_of_discrepancy(travel, noise.discrepancy_modes)
+    of_rest = np.array([noise.rest_factor[0], noise.rest_factor[0], noise.rest_factor[1]]) * noise.unscaled_discrepancy
+    errors = np.multiply.outer(travel**2, growth) + np.multiply.outer(rest, of_rest**2)
+    covariance = np.array([c + floor + np.diag(error) for c, error in zip(stated, errors, strict=True)])
     covariance[1:] *= noise.frame_factor**2
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     discrepancy = travel[:, None] * noise.model_discrepancy
     unchecked = len(before) == len(after) == 1
     surface_std = noise.surface_std(record.shape)
-    shared, last = _shared_displacements(travel, surface_std, noise), stated[-1] + floor
+    shared, last = _shared_displacements(modes, surface_std, noise), stated[-1] + floor
     end = last if noise.discrepancy_modes == 0 else covariance[-1] + shared[-1] @ shared[-1].T
     return Observation(time, pose, whitening, covariance[0], last, touched, end, discrepancy, neighbours, surface_std, unchecked, shared)
 
 
-def _shared_displacements(travel: Float64Array, surface_std: float, noise: NoiseModel) -> Float64Array:
-    """`Observation.shared` of frames after so much travel [m], shape (n_frames, 3, n_shared)."""
+def _shared_displacements(modes: Float64Array, surface_std: float, noise: NoiseModel) -> Float64Array:
+    """`Observation.shared` of frames with such modes of the discrepancy, shape (n_frames, n_modes), shape (n_frames, 3, n_shared)."""
     axes = np.eye(3)[:, :2] * surface_std if surface_std > 0 else np.zeros((3, 0))
-    surface = np.broadcast_to(axes, (len(travel), *axes.shape))
-    if noise.discrepancy_modes == 0:
-        return surface
-    whole = max(float(np.max(travel)), 1e-9)
-    rate = (np.arange(noise.discrepancy_modes) + 0.5) * np.pi
-    modes = whole * np.sqrt(2.0) / rate * np.sin(np.outer(travel / whole, rate))
-    of_model = np.einsum("fm,i,ij->fijm", modes, noise.model_discrepancy, np.eye(3)).reshape(len(travel), 3, -1)
+    surface = np.broadcast_to(axes, (len(modes), *axes.shape))
+    of_model = np.einsum("fm,i,ij->fijm", modes, noise.model_discrepancy, np.eye(3)).reshape(len(modes), 3, -1)
     return np.concatenate([surface, of_model], axis=2)
+
+
+def _modes_of_discrepancy(travel: Float64Array, n_modes: int) -> tuple[Float64Array, Float64Array]:
+    """Of a Wiener process of the travel [m], shape (n_frames,), whose standard deviation in the end is the whole travel: its first modes
+    [m], shape (n_frames, n_modes), and the variance of all others [m^2], shape (n_frames,)."""
+    whole = max(float(np.max(travel)), 1e-9)
+    rate = (np.arange(n_modes) + 0.5) * np.pi
+    modes = whole * np.sqrt(2.0) / rate * np.sin(np.outer(travel / whole, rate))
+    return modes, np.maximum(whole * travel - np.sum(modes**2, axis=1), 0.0)
 
 
 def at_rest(record: PushRecord) -> PushRecord:
@@ -266,13 +282,13 @@ def _clear_rests(records: Sequence[PushRecord]) -> list[Float64Array]:
     return errors
 
 
-def _agreeing(record: PushRecord, rest: NDArray[np.intp], outlier: float = 6.0) -> NDArray[np.intp]:
-    """Frames at rest without wrong poses, so many standard deviations from the median: a single one would shift the mean."""
+def _agreeing(record: PushRecord, rest: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Frames at rest without wrong poses: a single one would shift the mean."""
     if len(rest) < 2:
         return rest
     error = record.poses.pose[rest] - np.median(record.poses.pose[rest], axis=0)
     deviation = np.sqrt(np.diagonal(record.poses.covariance[rest], axis1=1, axis2=2))
-    fits = np.max(np.abs(error) / deviation, axis=1) < outlier
+    fits = np.max(np.abs(error) / deviation, axis=1) < _OUTLIER
     return rest[fits] if np.any(fits) else rest
 
 
@@ -294,7 +310,8 @@ def variance_of_mean(n: int, correlation: float) -> float:
 def rest_frames(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp], bool]:
     """Frames at rest before contact and after the push, at least one each; and whether the pusher comes near the object.
 
-    Where no frame shows the object after the push, the last frame stands for it.
+    Contact is where outline and pusher are reported; where the poses show that the object moves before or after that, they count. Where no
+    frame shows the object after the push, the last frame stands for it.
     """
     poses, pusher = record.poses, record.pusher
     near = pusher_gaps(record) < _near_gap(record)
@@ -304,11 +321,21 @@ def rest_frames(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp],
     coast = 0.15  # time within which an object released at 0.3 m/s on friction 0.2 comes to rest [s]
     rest_time = float(pusher.time[np.flatnonzero(driving)[-1]]) + coast if np.any(driving) else -np.inf
     before = np.flatnonzero(poses.time <= contact_time)
-    before = before if len(before) else np.array([0])
+    before = _still(record, before) if len(before) else np.array([0])
     after = np.flatnonzero(poses.time >= max(rest_time, contact_time)) if np.isfinite(contact_time) else np.array([], dtype=int)
     after = after[after > before[-1]]
-    after = after if len(after) else np.array([len(poses.time) - 1])
+    after = _still(record, after[::-1])[::-1] if len(after) else np.array([len(poses.time) - 1])
     return before, after, bool(np.any(near))
+
+
+def _still(record: PushRecord, rest: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The frames of a rest, those farthest from the push first, up to the one from which on all others show the object elsewhere."""
+    poses = record.poses
+    farthest = rest[: max(1, len(rest) // 4)]
+    deviation = np.sqrt(np.diagonal(poses.covariance[rest], axis1=1, axis2=2) * _scatter(record, farthest))
+    elsewhere = np.any(np.abs(poses.pose[rest] - np.median(poses.pose[farthest], axis=0)) > _OUTLIER * deviation, axis=1)
+    at_rest = np.flatnonzero(~elsewhere)
+    return rest[: at_rest[-1] + 1] if len(at_rest) else rest[:1]
 
 
 def _near_gap(record: PushRecord) -> float:
