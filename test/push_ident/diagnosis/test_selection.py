@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Valida
 from push_ident.diagnosis.validate import failed_tests, supported_selection, validate
 from push_ident.diagnosis.verdict import Gate, Verdict
 from push_ident.identification.fitting.fit import Fit
+from push_ident.physics.effect_values import effect_values
 from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
 from push_ident.types import SolveStatus
@@ -210,6 +213,11 @@ def test_outcome_names_pushes_that_were_set_aside_and_that_alone_support_an_effe
     assert outcome.next_push is None and outcome.where["push"] and outcome.residual_ratio == pytest.approx(2.25, rel=0.1)
 
 
+def with_effects(*names: str) -> Any:
+    """A fit of which only the effects are known."""
+    return SimpleNamespace(fitted_effects=effect_values(names))
+
+
 @pytest.mark.parametrize(
     ("log_bayes_factors", "kept", "unsupported"),
     [
@@ -225,13 +233,23 @@ def test_effect_that_one_push_supports_is_rejected_with_all_after_it(
     selection = Selection(base, both, tuple(Step(fit, None, (), ()) for fit in (base, lag, both)))
     zero, policy = np.zeros(5), ValidationPolicy()
     folds = ((0, 3), (1, 4), (2,))
-    gap = Gap(zero, zero, zero, np.ones(3), np.zeros((3, 2)), folds, np.array(log_bayes_factors))
+    # Lag and wear, without each of the folds.
+    estimates, held_out = np.array([[0.050, 0.020], [0.051, 0.021], [0.049, 0.019]]), (with_effects("pusher_lag", "wear"),)
+    gap = Gap(zero, zero, zero, np.ones(3), estimates, folds, np.array(log_bayes_factors), {"pusher_lag": zero}, fits=held_out)
     supported, found = supported_selection(selection, gap, policy)
     assert supported.selected == kept and found == unsupported
     assert unsupported is None or len(supported.steps) == len(kept) + 1
+    # One that certainly brings the others nearer to their prediction came not from that push.
+    closer = replace(gap, before=2.0 + zero, stages={"pusher_lag": 1.0 + zero})
+    assert supported_selection(selection, closer, policy) == (selection, None)
     # What predicts held-out pushes worse is rejected, whatever its evidence.
     worse = replace(gap, log_density_gain=-np.ones(3))
     assert supported_selection(selection, worse, policy)[0].selected == ()
+    alone = Selection(base, lag, selection.steps[:1])
+    disagreeing = replace(gap, estimates=np.array([[0.05], [-0.05], [0.01]]), stages={}, fits=(with_effects("pusher_lag"),))
+    disagreeing = replace(disagreeing, log_bayes_factor_without=np.ones((1, 3)))
+    assert not disagreeing.determines("pusher_lag")
+    assert supported_selection(alone, disagreeing, policy) == (alone.without_effects(), UnsupportedEffect("pusher_lag", ()))
     neither = Selection(base, base, selection.steps[:1])
     assert supported_selection(neither, replace(worse, log_bayes_factor_without=np.zeros((0, 3))), policy) == (neither, None)
 

@@ -71,7 +71,7 @@ def test_without_an_effect_pushes_are_those_at_its_null_value(fit: Fit) -> None:
     assert gain > 10.0
     # In the linear range, as the fit with and without it.
     assert gain == pytest.approx(tilted.log_evidence - fit.log_evidence, rel=0.35)
-    assert tilted.effects.values[0] == pytest.approx(0.025, abs=0.008)
+    assert tilted.effects.values[0] == pytest.approx(0.025, abs=0.01)  # two standard deviations
 
 
 def test_another_size_has_the_same_motions_and_displacements(fit: Fit) -> None:

@@ -19,12 +19,12 @@ from push_ident.types import PushRecord
 
 @dataclass(frozen=True, slots=True)
 class UnsupportedEffect:
-    """An effect that only one push, or those that were held out with it, supports."""
+    """An effect that only one push, or those that were held out with it, supports, or on which pushes contradict each other."""
 
     name: str
     """Of the effect; of several that were added at once, joined by "and"."""
     pushes: tuple[int, ...]
-    """Numbers of the pushes that support it."""
+    """Numbers of the pushes that support it; none where they contradict each other."""
 
 
 @dataclass(frozen=True, slots=True)

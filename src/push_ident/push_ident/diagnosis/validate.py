@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from push_ident.diagnosis.account import account_of
+from push_ident.diagnosis.fits import fit_effects, polished
 from push_ident.diagnosis.held_out import Gap, HeldOutFits, folds_of, measure_gap
 from push_ident.diagnosis.odds import SOMETHING_ELSE, OutsideEvidence, Probabilities, explanations_of, is_outside, probabilities_of
 from push_ident.diagnosis.policy import UnknownPolicy, ValidationPolicy
@@ -98,7 +99,7 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
 
     An effect without evidence in the fit without one push came from that push: something happened to it, or it lies at the edge between
     sticking and sliding, where small causes decide where the object goes. It is rejected, and so are those that were added after it, unless
-    it certainly brings held-out pushes nearer to their prediction.
+    it certainly brings held-out pushes nearer to their prediction. One on whose values the pushes contradict each other is rejected alone.
     """
     if not selection.selected:
         return selection, None
@@ -112,7 +113,13 @@ def supported_selection(selection: Selection, gap: Gap, policy: ValidationPolicy
         if log_bayes_factors[fold] < policy.min_log_bayes_factor_without_push and not gap.closes_error_at(stage):
             return selection.until(stage), UnsupportedEffect(" and ".join(names), gap.folds[fold])
         earlier |= set(names)
-    return selection, None
+    contradicted = [name for name in selection.selected if not gap.determines(name)]
+    if not contradicted:
+        return selection, None
+    kept = [name for name in selection.fit.names if name not in contradicted]
+    none_left = not set(kept) - set(selection.base.names)
+    rest = selection.without_effects() if none_left else replace(selection, fit=polished(fit_effects(selection.fit, kept)), swaps=())
+    return rest, UnsupportedEffect(" and ".join(contradicted), ())
 
 
 def _look_for_structure(state: DiagnosisState, fit: Fit, folds: Sequence[Sequence[int]]) -> _Structure:

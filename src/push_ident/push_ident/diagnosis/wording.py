@@ -133,7 +133,10 @@ def sentence_of_suspicion(probabilities: Probabilities) -> str:
 
 
 def sentence_of_unsupported(name: str, pushes: Sequence[str]) -> str:
-    """Added to the sentence where an effect is rejected because only one push supports it."""
+    """Added to the sentence where an effect is rejected because only one push supports it, or pushes contradict each other: of these none
+    is given."""
+    if not pushes:
+        return f" Fits without some of the pushes contradict each other on {name}, which is therefore not reported: make more pushes."
     support, those = ("supports", "that push") if len(pushes) == 1 else ("support", "those pushes")
     return f" Only {' and '.join(pushes)} {support} {name}, so that it is not reported: repeat {those}."
 

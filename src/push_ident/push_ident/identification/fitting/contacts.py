@@ -89,7 +89,7 @@ def _contacts(problem: FitProblem, push: int) -> list[Float64Array]:
     return starts
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class _OnePush:
     """The cost of one push by its own unknowns, all others given."""
 
@@ -126,7 +126,8 @@ def _to_contact(problem: FitProblem) -> Float64Array:
 def _gap(record: PushRecord, observed: Observation) -> tuple[float, Float64Array]:
     """Gap between pusher and object when this begins to move, by poses and outline as reported [m], negative inside, and the outward normal
     of the outline there, table frame, shape (2,)."""
-    begins = min(float(observed.time[min(1, len(observed.time) - 1)]), float(record.pusher.time[-1]))
+    away = np.linalg.norm(np.einsum("fij,fj->fi", observed.whitening, observed.pose - observed.pose[0]), axis=1)
+    begins = min(float(observed.time[int(np.argmax(away > _CERTAIN))]), float(record.pusher.time[-1]))
     position = [[np.interp(begins, record.pusher.time, record.pusher.position[:, axis]) for axis in (0, 1)]]
     pose = [[np.interp(begins, record.poses.time, record.poses.pose[:, axis]) for axis in range(3)]]
     step = 1e-5  # [m]

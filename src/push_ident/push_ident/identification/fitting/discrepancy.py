@@ -259,9 +259,7 @@ def log_prior_of_size(noise: NoiseModel | None) -> float:
     return -0.5 * float(np.sum((np.log([*noise.discrepancy_factor, noise.frame_factor]) / WIDTH) ** 2))
 
 
-def with_size(
-    problem: FitProblem, x: Float64Array, size: DiscrepancySize, *, sets_rest: bool = False
-) -> tuple[FitProblem, Float64Array]:
+def with_size(problem: FitProblem, x: Float64Array, size: DiscrepancySize, *, sets_rest: bool = False) -> tuple[FitProblem, Float64Array]:
     """The problem under a discrepancy of another size, and the unknowns of the same motions, shape (size,).
 
     `sets_rest`: whether modes that the frames of a push do not share have that size, too.

@@ -21,7 +21,7 @@ import numpy as np
 
 from push_ident.identification.fitting.discrepancy import OF_FRAME, DiscrepancySize, estimate_size, log_prior_of_size
 from push_ident.identification.fitting.levenberg_marquardt import MAX_ITERATIONS, NeededCost, minimise, poorness
-from push_ident.identification.fitting.problem import FRAME_COST, OUTLIER, Evaluation, FitProblem
+from push_ident.identification.fitting.problem import Evaluation, FitProblem
 from push_ident.identification.observing.observation import NoiseModel
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.unknowns.mechanics import Mechanics, effects_at, mechanics_at, model_at
@@ -115,19 +115,8 @@ class Fit:
     @cached_property
     def log_evidence(self) -> float:
         """Up to a constant of the pushes [nat], under the discrepancy of largest evidence: compare fits of the same pushes only."""
-        at_size = self._cost_of_outliers - self.end.cost - self.end.log_volume - self._log_size_of_frames
+        at_size = -self.end.cost - self.end.log_volume - self._log_size_of_frames
         return at_size + log_prior_of_size(self.problem.noise) + self.discrepancy_size.log_evidence_gain
-
-    @property
-    def _cost_of_outliers(self) -> float:
-        """Cost that is not counted, of pushes explained so badly that something else has happened in them [nat]: at an edge between sliding
-        and slipping off, hundreds of nat would depend on one push. None without a shared discrepancy, which a push has to exceed first."""
-        noise = self.problem.noise
-        if noise is None or noise.discrepancy_modes == 0 or not np.isfinite(self.end.cost):
-            return 0.0
-        ends = np.cumsum([len(observation.time) for observation in self.problem.observations])
-        costs = [(self.problem.weigh(residual)[0], len(residual)) for residual in np.split(self.end.residual, ends[:-1])]
-        return sum(max(0.0, cost - FRAME_COST * n_frames - OUTLIER) for cost, n_frames in costs)
 
     @property
     def _log_size_of_frames(self) -> float:

@@ -43,9 +43,6 @@ TAILS = 4.0
 """Degrees of freedom of the noise of a frame [-]."""
 FRAME_COST = 1.5
 """Of a frame that is explained to its noise [nat]: half of its three squared residuals."""
-OUTLIER = 30.0
-"""Cost of a push beyond that of noise from which a fit says nothing of it [nat]: about three for each of the ten numbers by which frames
-show a motion, of a density a tenth as wide. Judgement."""
 _PUSHES = "pushes"
 """Block of the nuisance parameters: first pose and displacement of each push."""
 _POSE = 3

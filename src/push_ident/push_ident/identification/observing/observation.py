@@ -330,10 +330,12 @@ def rest_frames(record: PushRecord) -> tuple[NDArray[np.intp], NDArray[np.intp],
 
 def _still(record: PushRecord, rest: NDArray[np.intp]) -> NDArray[np.intp]:
     """The frames of a rest, those farthest from the push first, up to the one from which on all others show the object elsewhere."""
-    poses = record.poses
-    farthest = rest[: max(1, len(rest) // 4)]
-    deviation = np.sqrt(np.diagonal(poses.covariance[rest], axis1=1, axis2=2) * _scatter(record, farthest))
-    elsewhere = np.any(np.abs(poses.pose[rest] - np.median(poses.pose[farthest], axis=0)) > _OUTLIER * deviation, axis=1)
+    pose, farthest = record.poses.pose[rest], slice(0, max(1, len(rest) // 4))
+    error = pose - np.median(pose[farthest], axis=0)
+    stated = np.diagonal(record.poses.covariance[rest], axis1=1, axis2=2)
+    # Errors that are larger than stated, or that hardly change from frame to frame, are no motion.
+    deviation = np.sqrt(np.maximum(stated, np.mean(error[farthest] ** 2, axis=0)))
+    elsewhere = np.any(np.abs(error) > _OUTLIER * deviation, axis=1)
     at_rest = np.flatnonzero(~elsewhere)
     return rest[: at_rest[-1] + 1] if len(at_rest) else rest[:1]
 
