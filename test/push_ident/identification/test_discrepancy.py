@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from helpers.diagnosis import simulated_pushes
-from push_ident.diagnosis.fits import fit_base, fit_effects
+from push_ident.diagnosis.fits import fit_base, fit_effects, fit_with_reference
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.fitting.discrepancy import DiscrepancySize, LinearPushes, with_size
 from push_ident.identification.fitting.fit import Fit
@@ -83,3 +83,26 @@ def test_another_size_has_the_same_motions_and_displacements(fit: Fit) -> None:
     assert problem.noise.frame_factor == pytest.approx(1.3 * fit.problem.noise.frame_factor)
     first: list[Float64Array] = [p.first_pose(at, 0) for p, at in ((fit.problem, fit.x), (problem, x))]
     np.testing.assert_array_equal(*first)
+
+
+def test_very_steep_pushes_keep_the_evidence_of_a_size(fit: Fit) -> None:
+    """A push whose end depends on 1e-9 of an unknown has a Hessian beside which rounding hides all others."""
+    pushes, n = linear(fit), fit.unknowns.size
+    steep = 1e8 * np.random.default_rng(1).normal(size=(60, n + pushes.at_push.shape[1]))
+    hessian = steep.T @ steep
+    steeper = replace(
+        pushes,
+        hessian=pushes.hessian + hessian[:n, :n],
+        cross=np.concatenate([pushes.cross[:-1], pushes.cross[-1:] + hessian[:n, n:]]),
+        hessian_of_push=np.concatenate([pushes.hessian_of_push[:-1], pushes.hessian_of_push[-1:] + hessian[n:, n:]]),
+    )
+    at = steeper.solve(np.zeros(3))
+    assert np.isfinite(at.volume) and np.isfinite(at.cost) and np.all(np.isfinite(at.unknowns))
+
+
+def test_a_change_since_a_reference_may_be_below_zero() -> None:
+    """A spring of the reference that is gone, of which there is less than none."""
+    fit = fit_with_reference(simulated_pushes(3, 5), simulated_pushes(3, 6), DiagnosisSettings())
+    changed = fit_effects(fit, ("tether",), np.array([-0.5, 0.0, 0.0]))
+    below = replace(changed, x=np.where(np.arange(len(changed.x)) == changed.unknowns.slices["effects"].start, -0.5, changed.x))
+    assert below.fitted_effects.values[0] < 0.0 <= below.effects.values[0]

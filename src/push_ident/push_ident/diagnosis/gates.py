@@ -39,7 +39,7 @@ def check_pushes(state: DiagnosisState) -> DiagnosisState:
     records = tuple(at_rest(record) if _missing_share(record, policy) >= policy.max_missing_share else record for record in records)
     return replace(
         state,
-        records=tuple(record for record in records if observe_push(record, noise).touched),
+        records=tuple(record for record in records if _is_pushed(record, noise, policy)),
         settings=replace(settings, noise=noise_at_rest(records, noise)),
         rest_noise_known=bool(np.isfinite(noise_correlation(records, enough_pairs=policy.min_rest_pairs))),
         rest_correlation_std=noise_correlation_std(records),
@@ -58,7 +58,7 @@ def reference_pushes(state: DiagnosisState, records: Sequence[PushRecord]) -> tu
 
 def check_data(records: Sequence[PushRecord], noise: NoiseModel, policy: GatePolicy) -> list[Gate]:
     """Gates: number of pushes, missing frames (passed, since pushes then count by their ends), and poses that jump."""
-    touched = [record for record in records if observe_push(record, noise).touched]
+    touched = [record for record in records if _is_pushed(record, noise, policy)]
     gates = [
         Gate(
             len(touched) >= policy.min_pushes,
@@ -78,6 +78,11 @@ def check_data(records: Sequence[PushRecord], noise: NoiseModel, policy: GatePol
         ]
     gates += _missing_frames(records, policy)
     return [*gates, _jumps(records, policy)]
+
+
+def _is_pushed(record: PushRecord, noise: NoiseModel, policy: GatePolicy) -> bool:
+    """Whether the pusher touches the object, or moves it from no farther than errors of poses, tool and outline make it seem."""
+    return observe_push(record, noise).touched or any(gap < policy.max_gap for gap in _moved_from_afar([record], noise))
 
 
 def _moved_from_afar(records: Sequence[PushRecord], noise: NoiseModel) -> list[float]:

@@ -207,7 +207,7 @@ def _with_next(selection: Selection, step: Step, policy: SelectionPolicy) -> Sel
     """The selection after a step, with the first of its candidates that explains more in the end; without any where none does."""
     for candidate in step.candidates:
         if not candidate.log_bayes_factor >= required_log_bayes_factor(selection, policy):
-            break
+            continue
         others = tuple(other for other in step.candidates if other is not candidate)
         stepped = replace(selection, steps=(*selection.steps, replace(step, candidates=(candidate, *others))))
         if (larger := _with_best(stepped, candidate, policy)) is not stepped:
