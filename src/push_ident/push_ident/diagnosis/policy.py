@@ -30,8 +30,8 @@ class GatePolicy:
     min_pushes: int = 3
     """Pushes that touch the object; with fewer, no push can be held out of a fit to at least two. Judgement."""
     max_gap: float = 0.01
-    """Reported gap between a pusher and the object that it moves, up to which it counts as touching [m]: five prior standard deviations of a
-    displaced tool."""
+    """Reported gap between a pusher and the object that it moves, up to which it counts as touching [m]: five prior standard deviations of
+    a displaced tool."""
     min_frames: int = 6
     """Frames of a push from which missing frames are counted. Judgement."""
     missing_frame_interval: float = 1.8
