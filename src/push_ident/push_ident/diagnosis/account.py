@@ -2,12 +2,12 @@
 
 A push that a fit did not use ends beside the prediction of that fit by more than the poses' noise: its maps are known only to within their
 posterior, and no model of pushing is exact. With draws of the first and the last pose (noise n), of the unknowns z of the posterior of the
-fit without the push, and of the model discrepancy d, which grows with travel from the floor of the noise model (contact is not known
-better), the cell error e to expect is
+fit without the push, of the displacement s of the contact, and of the model discrepancy d, which grows with travel from the floor of the
+noise model (contact is not known better), the cell error e to expect is
 
     A = E e(f(z_mean, x + n_first) + n_last)                  noise of the poses alone
     B = E e(f(z, x + n_first) + n_last)                       and maps that are not known yet
-    C = E e(f(z, x + n_first) + n_last + d)                   and the model's own discrepancy
+    C = E e(f(z, x + n_first - s) + s + n_last + d)           and the model's own discrepancy
 
     before = A + (B - A) + (C - B) + sum over the effects of the error that each removes + (after - C)
 
@@ -192,9 +192,12 @@ def _errors_of_fold(fit: Fit, pushes: Sequence[int], problem: FitProblem, policy
         starts = observed.pose[0] + first @ lower_root(observed.first_covariance - floor).T
         last = last @ lower_root(observed.last_covariance - floor).T
         discrepancy = discrepancy * np.sqrt(np.diag(floor) + observed.discrepancy[-1] ** 2)
+        # The surface lies elsewhere: the object that is seen is displaced from the one that is touched.
+        beside = np.random.default_rng([2, push]).normal(size=(policy.draws, 3)) * [observed.surface_std, observed.surface_std, 0.0]
         end_of = _EndPoses(record, observed, problem.settings, mean)
         with_maps = last + [end_of(model, start) for model, start in zip(drawn, starts, strict=True)]
-        ends = np.array([last + [end_of(mean, start) for start in starts], with_maps, with_maps + discrepancy])
+        moved = np.array([end_of(model, start) for model, start in zip(drawn, starts - beside, strict=True)]) + beside
+        ends = np.array([last + [end_of(mean, start) for start in starts], with_maps, last + moved + discrepancy])
         errors[row] = cell_errors(record.shape.cells, ends, end_of(mean, observed.pose[0]))
     return errors
 
