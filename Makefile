@@ -60,7 +60,7 @@ recordings: setup  ## recordings of others, set by set, DATA=FOLDER of them (goe
 	$(VENV)/push-ident experiment report
 
 injected: setup  ## known causes put into recordings of others, DATA=FOLDER of them (goes on where it stopped), then the page
-	$(call experiment,injected --seed 200 --models 4 --stop-after 13 --variants single$(comma)single-against-half --recordings "$(DATA)")
+	$(call experiment,injected --seed 200 --models 4 --variants single$(comma)single-against-half --recordings "$(DATA)")
 	$(VENV)/push-ident experiment report
 
 STREAMS ?= 10000

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import numpy as np
 import pytest
 
 from helpers.paths import ROOT
@@ -32,6 +33,18 @@ def test_figures_of_the_blind_check(figure: str, quoted: str) -> None:
     row = result("blind")["summary"]["figures"]["14-pushes"][figure]
     hits = round(row["share"] * row["n"])
     assert quoted.format(f"{ {0: 'none', 1: 'one'}.get(hits, hits) } of {row['n']}") in README
+
+
+def test_figures_of_known_causes_in_real_recordings() -> None:
+    rows = result("injected")["summary"]["variants"]
+    alone, against_half = rows["single"], rows["single-against-half"]
+    assert f"it named {alone['all_named']} of {alone['detectable']} detectable ones" in README
+    assert f"against half of the same recording {against_half['all_named']} of {against_half['detectable']}" in README
+    sizes = [round(100 * float(np.median(row["size_errors"]))) for row in (alone, against_half)]
+    assert f"wrong by {sizes[0]} and {sizes[1]} % (median)" in README
+    assert alone["wrong"] + against_half["wrong"] == 0 and f"none of {alone['n'] + against_half['n']} was named wrongly" in README
+    held, n = np.sum([alone["account_holds"], against_half["account_holds"]], axis=0)
+    assert f"{held} of {n}." in README
 
 
 def test_errors_of_predicted_pushes_and_successes_of_goals() -> None:

@@ -12,7 +12,7 @@ from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.fitting.contacts import freed, in_contact
 from push_ident.identification.fitting.problem import FitProblem
-from push_ident.identification.observing.observation import NoiseModel, observe_push, rest_frames
+from push_ident.identification.observing.observation import NoiseModel, at_rest, observe_push, rest_frames
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.types import PushRecord
@@ -42,6 +42,14 @@ def test_a_tool_that_is_reported_elsewhere_starts_in_contact() -> None:
     assert started.cost(at) < problem.cost(x)
     exact = problem_of(simulated_pushes(4, 3, noise=precise))
     assert in_contact(exact, x)[0] is exact
+
+
+def test_pushes_that_show_no_motion_start_as_reported() -> None:
+    """Of poses at rest alone nobody knows when the object began to move: the pusher may have left long before the last of them."""
+    records = moved_tool([at_rest(r) for r in simulated_pushes(4, 3, noise=np.array([5e-5, 5e-5, 5e-4]))], (0.006, 0.0))
+    problem = problem_of(records)
+    assert all(len(observed.time) == 2 for observed in problem.observations)
+    assert in_contact(problem, np.zeros(problem.size))[0] is problem
 
 
 def test_a_push_is_freed_from_a_contact_that_explains_it_badly() -> None:

@@ -192,12 +192,15 @@ def _errors_of_fold(fit: Fit, pushes: Sequence[int], problem: FitProblem, policy
         starts = observed.pose[0] + first @ lower_root(observed.first_covariance - floor).T
         last = last @ lower_root(observed.last_covariance - floor).T
         discrepancy = discrepancy * np.sqrt(np.diag(floor) + observed.discrepancy[-1] ** 2)
-        # The surface lies elsewhere: the object that is seen is displaced from the one that is touched.
-        beside = np.random.default_rng([2, push]).normal(size=(policy.draws, 3)) * [observed.surface_std, observed.surface_std, 0.0]
+        # The object that is touched is displaced from the one that is seen.
+        displacement = np.random.default_rng([2, push]).normal(size=(policy.draws, 3)) * [observed.surface_std, observed.surface_std, 0.0]
         end_of = _EndPoses(record, observed, problem.settings, mean)
         with_maps = last + [end_of(model, start) for model, start in zip(drawn, starts, strict=True)]
-        moved = np.array([end_of(model, start) for model, start in zip(drawn, starts - beside, strict=True)]) + beside
-        ends = np.array([last + [end_of(mean, start) for start in starts], with_maps, last + moved + discrepancy])
+        displaced = with_maps
+        if observed.surface_std > 0.0:
+            touched = [end_of(model, start) for model, start in zip(drawn, starts - displacement, strict=True)]
+            displaced = last + touched + displacement
+        ends = np.array([last + [end_of(mean, start) for start in starts], with_maps, displaced + discrepancy])
         errors[row] = cell_errors(record.shape.cells, ends, end_of(mean, observed.pose[0]))
     return errors
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 from scipy.special import chdtrc
@@ -20,9 +19,6 @@ from push_ident.identification.predicting.prediction import PredictionErrors, pr
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario
 from push_ident.types import Float64Array
-
-_CONFIDENCE: Final = 0.95
-"""With which values of an effect differ from those at which it does not act [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,14 +84,14 @@ class Gap:
 
     def determines(self, name: str) -> bool:
         """Whether the fits without some of the pushes agree that an effect acts: its values differ from those at which it does not by more
-        than the jackknife of `effects_std` explains (chi squared, 95 %)."""
+        than the jackknife of `effects_std` explains (chi squared)."""
         effects = self.fits[0].fitted_effects
         acting = [not parameter.shape for parameter in EFFECTS[name].parameters]
         values = self.estimates[:, effects.slice_of(name)][:, acting] - EFFECTS[name].nominal[acting]
         n, mean = len(values), values.mean(axis=0)
         covariance = (n - 1) * np.atleast_2d(np.cov(values.T, ddof=0)) + 1e-12 * np.diag(mean**2)
         distance2 = float(mean @ np.linalg.lstsq(covariance, mean)[0])
-        return bool(chdtrc(len(mean), distance2) < 1.0 - _CONFIDENCE)
+        return bool(chdtrc(len(mean), distance2) < self.policy.max_p_value)
 
     @property
     def is_above_noise(self) -> bool:

@@ -81,7 +81,7 @@ class OutsideEvidence:
         bound = max((-math.log(-math.e * p * math.log(p)) for p in residuals if p < 1.0 / math.e), default=0.0)
         discrepancy = policy.discrepancy_something_else
         discrepancy_in_addition = max(discrepancy, policy.discrepancy_something_else_share * named)
-        kept = int(in_place is not None and not _outlasts_each_fold(in_place, policy))
+        kept = int(in_place is not None and not _is_probable_without_each_fold(in_place, policy))
         return cls(
             _evidence(in_place, bound, lambda found, mechanism: found.log_bayes_factors(mechanism)[kept], discrepancy),
             _evidence(in_addition, bound, lambda found, mechanism: found.log_bayes_factors(mechanism)[0], discrepancy_in_addition),
@@ -106,7 +106,7 @@ def _evidence(
     return {**laws, SOMETHING_ELSE: float(np.logaddexp(among_all(None), bound - math.log(n + 1)))}
 
 
-def _outlasts_each_fold(found: SomethingElse, policy: SelectionPolicy) -> bool:
+def _is_probable_without_each_fold(found: SomethingElse, policy: SelectionPolicy) -> bool:
     """Whether something is more probable than nothing without any one fold of the pushes.
 
     Where it is not, the pushes of that fold made the evidence: something happened to them, or they lie at the edge between sticking and

@@ -191,6 +191,8 @@ class ValidationPolicy:
     min_log_bayes_factor_without_push: float = -1.0
     """Log Bayes factor in the fit without any one fold, from which an effect is supported [nat]. Of 31 true effects with 14 pushes, 30 kept
     a third of their evidence and more. With six pushes some of 21 kept hardly any, so that any gain suffices, up to rounding of fits."""
+    max_p_value: float = 0.05
+    """Of the sizes of an effect in fits without some of the pushes, if it did not act, up to which they agree that it does [1]."""
     noise_draws: int = 64
     """Draws of the pose noise a push for the error that noise makes without any gap. Its median is then known to about 15 %."""
     bootstrap_draws: int = 2000

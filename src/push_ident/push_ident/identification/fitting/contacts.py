@@ -48,9 +48,8 @@ def in_contact(problem: FitProblem, x: Float64Array) -> tuple[FitProblem, Float6
     contact = max(contact, contact * size / noise.surface_std(problem.records[0].shape))
     problem, x = problem.with_noise(replace(noise, discrepancy_factor=(contact, position, yaw))), np.array(x)
     for push in np.flatnonzero(np.any(moved != 0.0, axis=1)):
-        observed, own = problem.observations[push], problem.slice_of_push(int(push)).start
-        x[own : own + 3] = np.linalg.solve(problem.first_scale[push], np.append(moved[push], 0.0))
-        x[own + 3 : own + 5] = -moved[push] / observed.surface_std
+        std = problem.observations[push].surface_std
+        x[problem.slice_of_push(int(push))] = _displaced(problem, int(push), -moved[push] / std)
     return problem, x
 
 
@@ -68,25 +67,28 @@ def freed(problem: FitProblem, x: Float64Array) -> Float64Array:
         if before.cost < FRAME_COST * len(before.residual):
             continue
         ends = [minimise_roughly(one, start, _FREEING_STEPS)[:2] for start in _contacts(problem, push)]
-        own, end = min(ends, key=lambda found: found[1].cost)
+        of_push, end = min(ends, key=lambda found: found[1].cost)
         if end.cost < before.cost - _GAIN:
             better = np.array(better)
-            better[problem.slice_of_push(push)] = own
+            better[problem.slice_of_push(push)] = of_push
     return better
 
 
 def _contacts(problem: FitProblem, push: int) -> list[Float64Array]:
     """Unknowns of a push with its surface as reported, at the pusher, and displaced along its normal by one and two standard deviations,
-    each shape (n_own,)."""
+    each shape (unknowns_of_push,)."""
     observed = problem.observations[push]
     gap, normal = _gap(problem.records[push], observed)
-    starts = []
-    for deviations in (0.0, -gap / observed.surface_std, 1.0, -1.0, 2.0, -2.0):
-        own = np.zeros(problem.unknowns_of_push)
-        own[:3] = np.linalg.solve(problem.first_scale[push], -deviations * observed.surface_std * np.append(normal, 0.0))
-        own[3:5] = deviations * normal
-        starts.append(own)
-    return starts
+    return [_displaced(problem, push, n * normal) for n in (0.0, -gap / observed.surface_std, 1.0, -1.0, 2.0, -2.0)]
+
+
+def _displaced(problem: FitProblem, push: int, surface: Float64Array) -> Float64Array:
+    """Unknowns of a push, shape (unknowns_of_push,), whose surface is displaced by `surface` [standard deviations], shape (2,): the object
+    that is touched lies elsewhere, and is seen where it was."""
+    of_push = np.zeros(problem.unknowns_of_push)
+    displacement = problem.observations[push].surface_std * np.append(surface, 0.0)
+    of_push[:3], of_push[3:5] = np.linalg.solve(problem.first_scale[push], -displacement), surface
+    return of_push
 
 
 @dataclass(slots=True)
@@ -100,13 +102,13 @@ class _OnePush:
     unknowns: UnknownsSpec
     meter: Meter = field(default_factory=lambda: Meter(Budget(max_seconds=None)))
 
-    def evaluate(self, own: Float64Array) -> Evaluation:
-        """Cost and derivatives at `own`, shape (n_own,)."""
+    def evaluate(self, of_push: Float64Array) -> Evaluation:
+        """Cost and derivatives at `of_push`, shape (unknowns_of_push,)."""
         x, n = np.array(self.x), self.problem.unknowns.size
-        x[self.problem.slice_of_push(self.push)] = own
+        x[self.problem.slice_of_push(self.push)] = of_push
         end = self.problem.evaluate_push(x, self.push)
         if end is None:
-            return Evaluation(np.inf, np.zeros(len(own)), np.eye(len(own)), np.empty((0, 3)))
+            return Evaluation(np.inf, np.zeros(len(of_push)), np.eye(len(of_push)), np.empty((0, 3)))
         return Evaluation(end.cost, end.gradient[n:], end.hessian[n:, n:], end.residual)
 
 
@@ -116,22 +118,22 @@ def _to_contact(problem: FitProblem) -> Float64Array:
     moved = np.zeros((len(problem.records), 2))
     for push, (record, observed) in enumerate(zip(problem.records, problem.observations, strict=True)):
         gap, normal = _gap(record, observed)
-        deviation = float(np.sqrt(np.max(observed.last_covariance[:2, :2])))
-        moves = np.linalg.norm(observed.pose[-1, :2] - observed.pose[0, :2]) > _CERTAIN * deviation
-        if moves and abs(gap) > _CERTAIN * deviation:
+        if abs(gap) > _CERTAIN * float(np.sqrt(np.max(observed.last_covariance[:2, :2]))):
             moved[push] = gap * normal
     return moved
 
 
 def _gap(record: PushRecord, observed: Observation) -> tuple[float, Float64Array]:
     """Gap between pusher and object when this begins to move, by poses and outline as reported [m], negative inside, and the outward normal
-    of the outline there, table frame, shape (2,)."""
+    of the outline there, table frame, shape (2,). A gap of 0 where no frame of the motion shows when that is."""
     away = np.linalg.norm(np.einsum("fij,fj->fi", observed.whitening, observed.pose - observed.pose[0]), axis=1)
-    begins = min(float(observed.time[int(np.argmax(away > _CERTAIN))]), float(record.pusher.time[-1]))
+    first = int(np.argmax(away > _CERTAIN))
+    begins = float(observed.time[first])
     position = [[np.interp(begins, record.pusher.time, record.pusher.position[:, axis]) for axis in (0, 1)]]
     pose = [[np.interp(begins, record.poses.time, record.poses.pose[:, axis]) for axis in range(3)]]
     step = 1e-5  # [m]
     points = np.array(position) + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
     distance = outline_distance(points, np.repeat(pose, len(points), axis=0), record.shape.outline)
     rise = np.array([distance[1] - distance[2], distance[3] - distance[4]])
-    return float(distance[0]) - record.pusher.radius, rise / max(float(np.linalg.norm(rise)), 1e-12)
+    gap = float(distance[0]) - record.pusher.radius if 0 < first < len(away) - 1 else 0.0
+    return gap, rise / max(float(np.linalg.norm(rise)), 1e-12)
