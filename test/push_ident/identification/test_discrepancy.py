@@ -52,7 +52,8 @@ def test_evidence_of_a_size_is_that_of_the_whole_hessian_and_its_slope_that_of_d
     np.testing.assert_allclose(at_fit.unknowns, newton[:n], atol=1e-6)
     # Under another size: the same by the dense Hessian, without eliminating the unknowns of the pushes.
     logs = np.array([0.4, -0.3, 0.2])
-    added = np.tile(np.where(pushes.group < 0, 0.0, np.exp(-2.0 * logs)[pushes.group] - 1.0), N_PUSHES)
+    by_all = np.where(pushes.group < 0, 0.0, np.exp(-2.0 * logs)[pushes.group] - 1.0)
+    added = np.outer(fit.problem.precisions, by_all).ravel()
     hessian = fit.end.hessian + np.diag(np.r_[np.zeros(n), added])
     gradient = fit.end.gradient + np.r_[np.zeros(n), added] * fit.x
     moved = fit.x - np.linalg.solve(hessian, gradient)
@@ -75,7 +76,7 @@ def test_without_an_effect_pushes_are_those_at_its_null_value(fit: Fit) -> None:
 
 
 def test_another_size_has_the_same_motions_and_displacements(fit: Fit) -> None:
-    problem, x = with_size(fit.problem, fit.x, DiscrepancySize(1.3, np.array([2.0, 0.5, 3.0]), 0.0))
+    problem, x = with_size(fit.problem, fit.x, DiscrepancySize(1.3, np.array([2.0, 0.5, 3.0]), np.full(N_PUSHES, 0.7), 0.0))
     before, after = ([p.displacement(at, push) for push in range(N_PUSHES)] for p, at in ((fit.problem, fit.x), (problem, x)))
     for one, other in zip(before, after, strict=True):
         np.testing.assert_allclose(other, one, atol=1e-12)
@@ -83,6 +84,23 @@ def test_another_size_has_the_same_motions_and_displacements(fit: Fit) -> None:
     assert problem.noise.frame_factor == pytest.approx(1.3 * fit.problem.noise.frame_factor)
     first: list[Float64Array] = [p.first_pose(at, 0) for p, at in ((fit.problem, fit.x), (problem, x))]
     np.testing.assert_array_equal(*first)
+
+
+def test_a_push_that_the_model_explains_badly_counts_with_a_precision_of_its_own() -> None:
+    records, std = simulated_pushes(N_PUSHES, 5), 1e-4
+    slipped = replace(records[2].pusher, position=records[2].pusher.position + np.array([0.004, 0.003]))
+    found = fit_base([*records[:2], replace(records[2], pusher=slipped), *records[3:]], DiagnosisSettings())
+    others = np.delete(found.problem.precisions, 2)
+    assert found.problem.precisions[2] < 0.1 * np.min(others) and np.all(others > 0.3)
+    pushes, logs = linear(found), np.zeros(3)
+    assert pushes.solve(logs).volume == pytest.approx(found.end.log_volume, abs=1e-6)
+    # The fixed point: the cost does not fall along any precision.
+    for _ in range(200):
+        pushes = pushes.with_precisions(logs)
+    for push in range(N_PUSHES):
+        factor = np.where(np.arange(N_PUSHES) == push, 1.0 + std, 1.0)
+        above, below = (replace(pushes, precisions=pushes.precisions * f).cost(logs)[0] for f in (factor, 1.0 / factor))
+        assert above - below == pytest.approx(0.0, abs=1e-3 * std)
 
 
 def test_very_steep_pushes_keep_the_evidence_of_a_size(fit: Fit) -> None:

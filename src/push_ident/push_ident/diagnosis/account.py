@@ -3,7 +3,8 @@
 A push that a fit did not use ends beside the prediction of that fit by more than the poses' noise: its maps are known only to within their
 posterior, and no model of pushing is exact. With draws of the first and the last pose (noise n), of the unknowns z of the posterior of the
 fit without the push, of the displacement s of the contact, and of the model discrepancy d, which grows with travel from the floor of the
-noise model (contact is not known better), the cell error e to expect is
+noise model (contact is not known better), the cell error e to expect is as follows. Where pushes set the size of s and d, both have the
+precision of a push that no fit has seen (`fitting/discrepancy.py`).
 
     A = E e(f(z_mean, x + n_first) + n_last)                  noise of the poses alone
     B = E e(f(z, x + n_first) + n_last)                       and maps that are not known yet
@@ -30,7 +31,7 @@ from push_ident.diagnosis.shares import removed_by_cause
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_errors
 from push_ident.identification.fitting.fit import Fit
-from push_ident.identification.fitting.problem import FitProblem
+from push_ident.identification.fitting.problem import TAILS, FitProblem
 from push_ident.identification.observing.observation import NoiseModel, Observation
 from push_ident.identification.predicting.next_push import end_derivative
 from push_ident.identification.results.posterior import lower_root
@@ -194,6 +195,9 @@ def _errors_of_fold(fit: Fit, pushes: Sequence[int], problem: FitProblem, policy
         discrepancy = discrepancy * np.sqrt(np.diag(floor) + observed.discrepancy[-1] ** 2)
         # The object that is touched is displaced from the one that is seen.
         displacement = np.random.default_rng([2, push]).normal(size=(policy.draws, 3)) * [observed.surface_std, observed.surface_std, 0.0]
+        if problem.noise is not None and problem.noise.discrepancy_modes:
+            tails = 1.0 / np.sqrt(np.random.default_rng([3, push]).gamma(TAILS / 2, 2 / TAILS, size=(policy.draws, 1)))
+            discrepancy, displacement = tails * discrepancy, tails * displacement
         end_of = _EndPoses(record, observed, problem.settings, mean)
         with_maps = last + [end_of(model, start) for model, start in zip(drawn, starts, strict=True)]
         displaced = with_maps

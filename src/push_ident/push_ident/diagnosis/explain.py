@@ -110,6 +110,8 @@ def _sentence(
         sentence += wording.sentence_of_unsupported(
             validation.unsupported.name, [state.source_of(push) for push in validation.unsupported.pushes]
         )
+    if validation.departing:
+        sentence += wording.sentence_of_departing({state.source_of(push): times for push, times in validation.departing.items()})
     if state.outliers:
         sentence += wording.sentence_of_outliers(state.outliers)
     return sentence

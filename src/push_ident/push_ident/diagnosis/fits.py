@@ -39,16 +39,18 @@ class _FitSettings:
     kinks, and its errors on held-out pushes are known to a few percent after as many."""
     coarse_tolerance: float = 0.05
     """Tolerance of fits that are only compared with each other, where whole units of log evidence decide [nat]."""
+    fine_tolerance: float = 5e-3
+    """Of others [nat]."""
     held_out_start: float = 0.8
     """Factor of the unknowns at which a fit to fewer pushes starts [-]; see `without_pushes`."""
     rough_iterations: int = 10
     """Of fits that only show the size of the discrepancy."""
     max_size_rounds: int = 4
     """Fits at most until the size of the discrepancy is that of the pushes."""
-    size_tolerance: float = 0.2
-    """Of the logarithm of that size [-]; the evidence is that at the best size in any case."""
     promised_by_size: float = 2.0
-    """Gain of log evidence that another size of the discrepancy may promise without being tried [nat]."""
+    """Gain of log evidence that another size of the discrepancy may promise a candidate without being tried [nat]."""
+    size_gain: float = 0.5
+    """The same where fits are repeated until there is none [nat]."""
     second_start_gain: float = 1.0
     """Expected gain of log evidence above which a fit that gains nothing gets a second start [nat]."""
     second_start: float = 0.4
@@ -121,18 +123,19 @@ def _roughly_sized(problem: FitProblem, start: Float64Array) -> tuple[FitProblem
     return rough.problem, rough.x
 
 
-def at_its_discrepancy(fit: Fit, max_iterations: int = _SETTINGS.max_iterations, *, sets_rest: bool = False) -> Fit:
+def at_its_discrepancy(
+    fit: Fit, max_iterations: int = _SETTINGS.max_iterations, *, tolerance: float = _SETTINGS.fine_tolerance, sets_rest: bool = False
+) -> Fit:
     """The fit repeated, with other contacts where they are better, until its discrepancy has the size that the pushes show; `sets_rest` as
     of `with_size`."""
     for _ in range(_SETTINGS.max_size_rounds):
         if (x := freed(fit.problem, fit.x)) is not fit.x:
             problem = fit.problem.of(fit.unknowns)
-            fit = Fit(problem, *minimise(problem, x, max_iterations, relative=True), fit.amplitude)
-        size = fit.discrepancy_size
-        if np.max(np.abs(np.log([*size.shared, size.frames]))) < _SETTINGS.size_tolerance:
+            fit = Fit(problem, *minimise(problem, x, max_iterations, tolerance=tolerance, relative=True), fit.amplitude)
+        if fit.discrepancy_size.log_evidence_gain < _SETTINGS.size_gain:
             break
-        problem, x = with_size(fit.problem.of(fit.unknowns), fit.x, size, sets_rest=sets_rest)
-        fit = Fit(problem, *minimise(problem, x, max_iterations, relative=True), fit.amplitude)
+        problem, x = with_size(fit.problem.of(fit.unknowns), fit.x, fit.discrepancy_size, sets_rest=sets_rest)
+        fit = Fit(problem, *minimise(problem, x, max_iterations, tolerance=tolerance, relative=True), fit.amplitude)
     return fit
 
 
@@ -154,7 +157,11 @@ def fit_effects(
         fits.append(_refit(base, unknowns, guess + _SETTINGS.second_start * (start - guess), needed_cost))
     best = max(fits, key=lambda fit: fit.log_evidence)
     # Another size of the discrepancy promises that gain in the linear range only.
-    return at_its_discrepancy(best) if best.discrepancy_size.log_evidence_gain > _SETTINGS.promised_by_size else best
+    return (
+        at_its_discrepancy(best, tolerance=_SETTINGS.coarse_tolerance)
+        if best.discrepancy_size.log_evidence_gain > _SETTINGS.promised_by_size
+        else best
+    )
 
 
 def with_another(fit: Fit, old: str, new: str, other: Fit) -> Fit:

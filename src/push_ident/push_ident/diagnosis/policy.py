@@ -101,6 +101,11 @@ class SelectionPolicy:
     discrepancy_something_else_share: float = 0.02
     """The same beside effects, at least this times their log Bayes factors [1/nat], as of a further effect: an outline that was 3 mm too
     small in Bullet, which rounds its corners in another way, left a structure of 4 nat beside the right name."""
+    relabellings: int = 200
+    """Draws of pushes that are called the changed ones: the quantile below is known to a percent [1]."""
+    chance_quantile: float = 0.975
+    """Share of these draws in which a change gains no more than what is taken from its evidence [1]: of 40 recordings without a change one
+    may have more."""
     min_promise_first: float = -2.0
     """Expected log Bayes factor below which a first effect is not refitted [nat]. The score test is of second order: the
     margin below `min_log_bayes_factor` is a judgement of its error."""

@@ -167,7 +167,8 @@ def _refitted_noise(fit: Fit, n_draws: int, rng: np.random.Generator) -> list[Fl
     """Draws of the whitened residuals of each push under the model, each of shape (n_draws, n_frames, 3)."""
     problem = fit.problem
     counts = [len(observation.time) for observation in problem.observations]
-    noise = np.hstack([draw_noise(observation, rng, n_draws).reshape(n_draws, -1) for observation in problem.observations])
+    pushes = zip(problem.observations, problem.precisions, strict=True)
+    noise = np.hstack([draw_noise(observation, rng, n_draws, precision).reshape(n_draws, -1) for observation, precision in pushes])
     linear = problem.linearise(fit.x)
     if linear is not None:
         # The first pose of a push is part of both: as an unknown, and as the frame that is its prior.
@@ -177,12 +178,12 @@ def _refitted_noise(fit: Fit, n_draws: int, rng: np.random.Generator) -> list[Fl
     return [np.asarray(part) for part in split]
 
 
-def draw_noise(observation: Observation, rng: np.random.Generator, n_draws: int) -> Float64Array:
+def draw_noise(observation: Observation, rng: np.random.Generator, n_draws: int, precision: float = 1.0) -> Float64Array:
     """Draws of the whitened errors of one push, shape (n_draws, n_frames, 3).
 
     Where errors of neighbouring frames are correlated, the whitening inflates each of them until their mean is as uncertain as it is; each
     whitened error by itself is then smaller than 1. The model discrepancy grows with the travel and is shared by the frames of a push: it
-    is negligible beside the noise of most cameras, and dominates that of a precise tracker.
+    is negligible beside the noise of most cameras, and dominates that of a precise tracker. `precision`: of `FitProblem.precisions`.
     """
     noise = rng.normal(size=(n_draws, len(observation.time), 3))
     rho, moving = observation.correlation, slice(1, len(observation.time) - 1)
@@ -191,7 +192,7 @@ def draw_noise(observation: Observation, rng: np.random.Generator, n_draws: int)
         for frame in range(1, motion.shape[1]):
             motion[:, frame] = rho * motion[:, frame - 1] + np.sqrt(1.0 - rho**2) * motion[:, frame]
         motion *= np.sqrt((1.0 - rho) / (1.0 + rho))
-    discrepancy = np.einsum("fim,dm->dfi", observation.shared, rng.normal(size=(n_draws, observation.shared.shape[2])))
+    discrepancy = np.einsum("fim,dm->dfi", observation.shared, rng.normal(size=(n_draws, observation.shared.shape[2])) / np.sqrt(precision))
     return np.asarray(noise + np.einsum("fij,dfj->dfi", observation.whitening, discrepancy))
 
 

@@ -43,6 +43,12 @@ class EffectScore:
     """S, of the unknowns beside everything that is fitted, shape (n_parameters, n_parameters)."""
     smallest_detectable: float
     """Size of its first parameter that would be detected on average, in its unit; infinite where no sensible size would."""
+    by_chance: float = 0.0
+    """What a change since a reference gains by chance, which is taken from its log Bayes factors [nat]."""
+
+    def beyond(self, by_chance: float) -> EffectScore:
+        """The score less what the effect gains by chance [nat]."""
+        return replace(self, expected_log_bayes_factor=self.expected_log_bayes_factor - by_chance, by_chance=by_chance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +96,8 @@ class LinearRange:
         for _ in range(_ROUNDS):
             weighted, before = linear.weighted(np.exp(-2.0 * log)), log
             logs = weighted.best(logs)
-            at = weighted.solve(logs)
+            linear = replace(linear, precisions=weighted.with_precisions(logs).precisions)
+            at = linear.weighted(np.exp(-2.0 * log)).solve(logs)
             moved = -self.x
             moved[chosen] += at.unknowns
             moved[n:] += at.of_push.ravel()
@@ -100,7 +107,9 @@ class LinearRange:
                 break
         group, factor = self.pushes.group, np.exp(-logs)
         of_pushes = at.of_push[:, group >= 0] * factor[group[group >= 0]]
-        size2 = float(np.sum(at.unknowns**2) + np.sum(of_pushes**2) + np.sum(((self.pushes.first + logs) / WIDTH) ** 2))
+        size2 = float(
+            np.sum(at.unknowns**2) + linear.precisions @ np.sum(of_pushes**2, axis=1) + np.sum(((self.pushes.first + logs) / WIDTH) ** 2)
+        )
         forces = self.forces + (self.by_forces @ moved).reshape(-1, 2)
         cost = self.errors.cost(residual, log) + self.errors.cost_of_first(residual) + FitProblem.weigh(forces)[0]
         cost += 0.5 * size2 + at.volume + linear.log_size(logs)

@@ -10,6 +10,7 @@ import numpy as np
 from push_ident.diagnosis.camera import OUTLINE_ERRORS
 from push_ident.diagnosis.fits import fit_effects, polished, with_another, with_shared
 from push_ident.diagnosis.policy import GatePolicy, SelectionPolicy
+from push_ident.diagnosis.relabelling import gains_by_chance
 from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
 from push_ident.diagnosis.settings import Progress
@@ -19,7 +20,7 @@ from push_ident.diagnosis.verdict import Gate
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
-from push_ident.types import SolveStatus
+from push_ident.types import Float64Array, SolveStatus
 
 
 def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
@@ -110,7 +111,9 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     fit = selection.fit
     report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
     information = effect_information(fit)
-    scores = tuple(score_effects(information, policy))
+    by_chance = gains_by_chance(fit, policy)
+    all_scores = [score.beyond(by_chance.get(score.name, 0.0)) for score in score_effects(information, policy)]
+    scores = sorted(all_scores, key=lambda score: -score.expected_log_bayes_factor)
     needed = required_log_bayes_factor(selection, policy)
     # Refits also free a fit that stopped before its optimum, where scores mean little.
     least = needed if fit.status is SolveStatus.CONVERGED else -np.inf
@@ -121,7 +124,7 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     required = needed - policy.tie_margin if selection.selected else -np.inf
     refits = map_in_threads(lambda score: _refit(fit, required, score, fit), chosen)
     candidates = _ranked(_freed_candidates(fit, refits, chosen, required, policy), policy.tie_margin)
-    return Step(fit, information, scores, tuple(candidates))
+    return Step(fit, information, tuple(scores), tuple(candidates))
 
 
 def _shared_instead(selection: Selection, step: Step, policy: SelectionPolicy) -> Fit | None:
@@ -146,28 +149,40 @@ def _refit(fit: Fit, required: float, score: EffectScore, maps: Fit) -> Candidat
     effect = EFFECTS[score.name]
     typical = np.array([(p.typical - p.nominal) / p.scale for p in effect.parameters])
     start = np.concatenate([fit.effect_unknowns, typical if effect.is_abrupt else score.start])
-    needed = required + fit.log_evidence - maps.log_evidence
-    refit = fit_effects(maps, (*fit.names, score.name), start, score.expected_log_bayes_factor, needed)
-    return Candidate(score.name, refit, refit.log_evidence - fit.log_evidence)
+    needed = required + score.by_chance + fit.log_evidence - maps.log_evidence
+    refit = fit_effects(maps, (*fit.names, score.name), start, score.expected_log_bayes_factor + score.by_chance, needed)
+    return Candidate(score.name, refit, refit.log_evidence - fit.log_evidence - score.by_chance)
 
 
 def _freed_candidates(
     fit: Fit, candidates: Sequence[Candidate], scores: Sequence[EffectScore], required: float, policy: SelectionPolicy
 ) -> list[Candidate]:
-    """The candidates, with those that fell short of their score fitted again from the maps beside the best one: they stopped at a kink of
-    the cost."""
+    """The candidates, with those that fell short of their score, or do nearly the same as the best one, fitted again from the maps beside
+    that: they stopped at a kink of the cost."""
     best = max(candidates, key=lambda candidate: candidate.log_bayes_factor, default=None)
     if best is None or best.log_bayes_factor <= 0.0:
         return list(candidates)
 
     def free(pair: tuple[Candidate, EffectScore]) -> Candidate:
         candidate, score = pair
-        if candidate is best or candidate.log_bayes_factor > score.expected_log_bayes_factor - policy.tie_margin:
+        twin = _twin_start(best, candidate.name)
+        if candidate is best or (twin is None and candidate.log_bayes_factor > score.expected_log_bayes_factor - policy.tie_margin):
             return candidate
-        again = _refit(fit, required, score, best.fit)
+        again = _refit(fit, required, score if twin is None else replace(score, start=twin), best.fit)
         return max(candidate, again, key=lambda one: one.log_bayes_factor)
 
     return map_in_threads(free, list(zip(candidates, scores, strict=True)))
+
+
+def _twin_start(best: Candidate, name: str) -> Float64Array | None:
+    """Unknowns of an effect that moves pushes as the best one does, of as many parameters of the same unit, at the values of that; else
+    None."""
+    effect, other = EFFECTS[name], EFFECTS[best.name]
+    if name not in other.refit_with or [p.unit for p in effect.parameters] != [p.unit for p in other.parameters]:
+        return None
+    effects = best.fit.fitted_effects
+    values, scales = effects.values[effects.slice_of(best.name)], np.array([p.scale for p in effect.parameters])
+    return np.asarray((values - [p.nominal for p in effect.parameters]) / scales)
 
 
 def _ranked(candidates: Sequence[Candidate], tie_margin: float) -> list[Candidate]:
@@ -192,7 +207,8 @@ def _freed(selection: Selection, best: Candidate, policy: SelectionPolicy) -> Se
 
 def _beside(step: Step, fit: Fit) -> Step:
     """The same step beside a better fit of the same effects."""
-    candidates = tuple(replace(c, log_bayes_factor=c.fit.log_evidence - fit.log_evidence) for c in step.candidates)
+    gained = fit.log_evidence - step.before.log_evidence
+    candidates = tuple(replace(c, log_bayes_factor=c.log_bayes_factor - gained) for c in step.candidates)
     return replace(step, before=fit, candidates=candidates)
 
 

@@ -20,7 +20,7 @@ class Candidate:
     name: str
     fit: Fit
     log_bayes_factor: float
-    """Over the fit without it [nat]."""
+    """Over the fit without it, less what it gains by chance [nat]; see `EffectScore.by_chance`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,6 +50,8 @@ class Validation:
     """Structure in the residuals; None where it could not be looked for."""
     unsupported: UnsupportedEffect | None = None
     held_out: HeldOutFits | None = None
+    departing: dict[int, float] = field(default_factory=dict)
+    """Pushes that depart from the model much further than the others, by their numbers: how many times as far."""
 
 
 @dataclass(frozen=True, slots=True)

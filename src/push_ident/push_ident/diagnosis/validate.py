@@ -18,7 +18,9 @@ from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.something_else.evidence import Pattern, SomethingElse, error_with_patterns, find_something_else
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
 from push_ident.diagnosis.threads import map_in_threads
+from push_ident.identification.fitting.discrepancy import departing_pushes
 from push_ident.identification.fitting.fit import Fit
+from push_ident.identification.fitting.problem import FitProblem
 from push_ident.physics.effect import Mechanism
 from push_ident.physics.effects import EFFECTS
 
@@ -72,8 +74,13 @@ def validate(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
         something_else=reported,
         unsupported=unsupported,
         held_out=held_out,
+        departing=_departing(selection.fit.problem, policy.validation),
     )
     return replace(state, validation=validation)
+
+
+def _departing(problem: FitProblem, policy: ValidationPolicy) -> dict[int, float]:
+    return departing_pushes(np.array(problem.precisions[: problem.n_pushes]), policy.max_p_value)
 
 
 def failed_tests(base: FrameResiduals, residuals: FrameResiduals, policy: UnknownPolicy, *, correlation_std: float) -> tuple[float, ...]:

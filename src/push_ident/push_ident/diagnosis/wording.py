@@ -141,6 +141,13 @@ def sentence_of_unsupported(name: str, pushes: Sequence[str]) -> str:
     return f" Only {' and '.join(pushes)} {support} {name}, so that it is not reported: repeat {those}."
 
 
+def sentence_of_departing(pushes: Mapping[str, float]) -> str:
+    """Added to the sentence where single pushes depart from the model much further than the others, at least one; by which factor."""
+    named = " and ".join(f"{push} ({times:.0f} times)" for push, times in pushes.items())
+    depart, those = ("departs", "that push") if len(pushes) == 1 else ("depart", "those pushes")
+    return f" {named[0].upper()}{named[1:]} {depart} from the model much further than the others and counts less: look at {those}."
+
+
 def sentence_of_negligible(effects: Sequence[FoundEffect]) -> str:
     """Added to the sentence where effects below the accuracy of a cell were detected, at least one."""
     detected = "; ".join(f"{_plain(e.name)} ({e.name}: {size_of(e)})" for e in effects)

@@ -257,7 +257,7 @@ def _of_smaller_discrepancy(fit: Fit, linear: _Linear) -> list[_Linear]:
 
     def of_size(size: float) -> _Linear:
         # The unknowns of the fit stay in their units, in which their prior is narrower then.
-        added = np.where(of_discrepancy, 1.0 / size**2 - 1.0, 0.0)
+        added = np.where(of_discrepancy, problem.prior_precision * (1.0 / size**2 - 1.0), 0.0)
         cost, gradient, hessian = linear.prior
         prior = (cost + 0.5 * float(added @ fit.x**2), gradient + added * fit.x, hessian + np.diag(added))
         contact, position, yaw = noise.discrepancy_factor
@@ -334,7 +334,8 @@ def _linear(fit: Fit) -> _Linear | None:
 def _noise(fit: Fit, linear: _Linear, n_draws: int) -> Float64Array:
     """Draws of what `_Linear.residual` is under noise alone, shape (n_rows, n_draws)."""
     rng, problem = np.random.default_rng(0), fit.problem
-    drawn = [draw_noise(observation, rng, n_draws) for observation in problem.observations]
+    pushes = zip(problem.observations, problem.precisions, strict=True)
+    drawn = [draw_noise(observation, rng, n_draws, precision) for observation, precision in pushes]
     forces = [mean for mean in problem.forces if mean is not None]
     drawn += [rng.normal(size=(n_draws, len(mean.force), 2)) * np.isfinite(mean.std)[:, None] for mean in forces]
     # The slope of the cost of a draw, by which it is judged, has the weights of the draw.

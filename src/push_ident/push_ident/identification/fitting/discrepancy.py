@@ -10,6 +10,13 @@ problem is
 
 (MacKay, "Bayesian interpolation", Neural Computation 1992), largest at the size that counts. A fourth factor, of the errors of the frames
 that nothing else explains, is that of largest density of the residuals.
+
+Some pushes are worse explained than others: one during which the pusher slips off a corner may err by ten times as much. The prior of a
+push has these standard deviations over the root of a precision w of its own, with a gamma prior of shape and rate t / 2: its displacements
+are Student's t, as the errors of a frame are. With the displacements d of the push in units of their prior and the number g of those that
+the push determines, MacKay's fixed point is
+
+    w = (t + g) / (t + |d|^2),    g = m - w tr Var(d),    t = `TAILS`
 """
 
 from __future__ import annotations
@@ -22,14 +29,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
+from scipy.special import gammainc
 
-from push_ident.identification.fitting.problem import Evaluation, FitProblem
+from push_ident.identification.fitting.problem import TAILS, Evaluation, FitProblem
 from push_ident.identification.observing.observation import NoiseModel
 from push_ident.types import Float64Array
 
 WIDTH: Final = 1.0
 """Standard deviation of the logarithm of a factor about that of the noise model [-]: a factor of 2.7 either way. Effect-free pushes of the
 simulators here have a third of the default to its double, recordings of others up to ten times as much."""
+_ROUNDS: Final = 5
+"""Of the size that all pushes share and the precision of each in turn."""
 _LARGEST: Final = 5.0
 """Of the logarithm of a factor [-]: of 150, where nothing is predicted any more."""
 OF_FRAME: Final = 2.5967
@@ -45,6 +55,8 @@ class DiscrepancySize:
     """On `NoiseModel.frame_factor`."""
     shared: Float64Array
     """On `NoiseModel.discrepancy_factor`, shape (3,)."""
+    precisions: Float64Array
+    """`FitProblem.precisions`, shape (n_pushes,)."""
     log_evidence_gain: float
     """Over the size of the fit [nat]; the prior of the factors is part of it."""
 
@@ -96,6 +108,8 @@ class LinearPushes:
     """Of each unknown of a push: number of its factor, -1 for the first pose, shape (m,)."""
     first: Float64Array
     """Logarithms of the factors of the noise model, shape (3,)."""
+    precisions: Float64Array
+    """Of the prior of each push, shape (n_pushes,)."""
 
     @classmethod
     def of(cls, problem: FitProblem, x: Float64Array, hessian: Float64Array, gradient: Float64Array) -> LinearPushes:
@@ -118,6 +132,7 @@ class LinearPushes:
             slope_of_push=slope[n:].reshape(n_pushes, m),
             group=groups_of(problem),
             first=np.log(problem.noise.discrepancy_factor),
+            precisions=np.array(problem.precisions),
         )
 
     def of_unknowns(self, chosen: NDArray[np.intp]) -> LinearPushes:
@@ -153,17 +168,25 @@ class LinearPushes:
         for k in range(3):
             chosen = self.group == k
             expected = np.exp(-2.0 * logs[k]) * (at.of_push[:, chosen] ** 2 + at.variance_of_push[:, chosen])
-            slope[k] += float(np.sum(1.0 - expected))
+            slope[k] += float(np.sum(1.0 - self.precisions[:, None] * expected))
         return at.cost + at.volume + self.log_size(logs) + 0.5 * float(prior @ prior), slope
 
+    def with_precisions(self, logs: Float64Array) -> LinearPushes:
+        """With those that follow from the displacements under factors with these logarithms, shape (3,)."""
+        at, displaced = self.solve(logs), self.group >= 0
+        by_factor = np.exp(-2.0 * logs)[self.group[displaced]]
+        determined = np.count_nonzero(displaced) - self.precisions * (at.variance_of_push[:, displaced] @ by_factor)
+        return replace(self, precisions=(TAILS + determined) / (TAILS + at.of_push[:, displaced] ** 2 @ by_factor))
+
     def log_size(self, logs: Float64Array) -> float:
-        """Logarithms of the standard deviations of all unknowns of the pushes together."""
-        return float(np.sum(logs[self.group[self.group >= 0]])) * len(self.at_push)
+        """Logarithms of the standard deviations of all unknowns of the pushes together, and the cost of the precisions [nat]."""
+        of_all = float(np.sum(logs[self.group[self.group >= 0]])) * len(self.at_push)
+        return of_all - log_density_of_precisions(self.precisions, int(np.count_nonzero(self.group >= 0)))
 
     def solve(self, logs: Float64Array) -> LinearMinimum:
         """The minimum under factors with these logarithms. Raises LinAlgError where rounding leaves none."""
-        precision = np.where(self.group < 0, 0.0, np.exp(-2.0 * logs)[self.group])
-        of_push = self.hessian_of_push + np.diag(precision)
+        precision = np.outer(self.precisions, np.where(self.group < 0, 0.0, np.exp(-2.0 * logs)[self.group]))
+        of_push = self.hessian_of_push + precision[:, :, None] * np.eye(len(self.group))
         pull_of_push = -(self.slope_of_push + precision * self.at_push)
         right = np.concatenate([self.cross.transpose(0, 2, 1), pull_of_push[:, :, None]], axis=2)
         # By Cholesky's roots: the difference below stays positive definite, where one by an inverse loses it to rounding.
@@ -235,21 +258,40 @@ def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> Disc
     """The size of largest evidence near a fit `x`, shape (size,), with its evaluation `end`; factors of 1 where none is estimated."""
     noise = problem.noise
     if noise is None or noise.discrepancy_modes == 0 or not np.isfinite(end.cost):
-        return DiscrepancySize(1.0, np.ones(3), 0.0)
+        return DiscrepancySize(1.0, np.ones(3), np.array(problem.precisions), 0.0)
     linear, errors = LinearPushes.of(problem, x, end.hessian, end.gradient), FrameErrors.of(problem, end)
+    sized, logs = linear, np.zeros(3)
     try:
-        logs = linear.best(np.zeros(3))
-        gain = linear.cost(np.zeros(3))[0] - linear.cost(logs)[0]
+        for _ in range(_ROUNDS):
+            logs = sized.best(logs)
+            sized = sized.with_precisions(logs)
+        gain = linear.cost(np.zeros(3))[0] - sized.cost(logs)[0]
         of_pushes = end.cost - problem.prior_at(x)[0]
         # A cost below zero is no cost: the size would have to be judged outside of the linear range.
-        in_range = linear.solve(logs).cost + of_pushes >= 0.0
+        in_range = sized.solve(logs).cost + of_pushes >= 0.0
     except np.linalg.LinAlgError:  # a Hessian with very steep and very flat directions
         in_range = False
     if not in_range:
-        logs, gain = np.zeros(3), 0.0
+        logs, sized, gain = np.zeros(3), linear, 0.0
     of_frames = errors.best(end.residual)
     gain += errors.cost(end.residual) - errors.cost(end.residual, of_frames)
-    return DiscrepancySize(float(np.exp(of_frames)), np.exp(logs), gain)
+    return DiscrepancySize(float(np.exp(of_frames)), np.exp(logs), sized.precisions, gain)
+
+
+def log_density_of_precisions(precisions: Float64Array, n: int) -> float:
+    """By which precisions of the pushes, shape (n_pushes,), change the prior density of their `n` displacements and have their own, up to a
+    constant [nat]."""
+    logs = np.log(precisions)
+    return 0.5 * float(np.sum(n * logs + TAILS * (logs - precisions)))
+
+
+def departing_pushes(precisions: Float64Array, max_p_value: float) -> dict[int, float]:
+    """Numbers of pushes that depart from the model by more than one of as many does by chance, and how many times as far as the others.
+
+    `precisions`: of `FitProblem.precisions`, shape (n_pushes,).
+    """
+    p_values = gammainc(TAILS / 2, TAILS / 2 * precisions)
+    return {int(push): float(precisions[push] ** -0.5) for push in np.flatnonzero(p_values * len(precisions) < max_p_value)}
 
 
 def log_prior_of_size(noise: NoiseModel | None) -> float:
@@ -269,7 +311,9 @@ def with_size(problem: FitProblem, x: Float64Array, size: DiscrepancySize, *, se
     contact, position, yaw = (float(value) for value in noise.discrepancy_factor * size.shared)
     frames = noise.frame_factor * size.frames
     rest = (position, yaw) if sets_rest else noise.rest_factor
-    other = problem.with_noise(replace(noise, discrepancy_factor=(contact, position, yaw), rest_factor=rest, frame_factor=frames))
+    other = problem.with_noise(
+        replace(noise, discrepancy_factor=(contact, position, yaw), rest_factor=rest, frame_factor=frames), size.precisions
+    )
     group = groups_of(problem)
     scale = np.where(group < 0, 1.0, size.shared[group])
     return other, x / np.r_[np.ones(problem.unknowns.size), np.tile(scale, len(problem.records))]

@@ -19,7 +19,13 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.identification.fitting.discrepancy import OF_FRAME, DiscrepancySize, estimate_size, log_prior_of_size
+from push_ident.identification.fitting.discrepancy import (
+    OF_FRAME,
+    DiscrepancySize,
+    estimate_size,
+    log_density_of_precisions,
+    log_prior_of_size,
+)
 from push_ident.identification.fitting.levenberg_marquardt import MAX_ITERATIONS, NeededCost, minimise, poorness
 from push_ident.identification.fitting.problem import Evaluation, FitProblem
 from push_ident.identification.observing.observation import NoiseModel
@@ -116,7 +122,9 @@ class Fit:
     def log_evidence(self) -> float:
         """Up to a constant of the pushes [nat], under the discrepancy of largest evidence: compare fits of the same pushes only."""
         at_size = -self.end.cost - self.end.log_volume - self._log_size_of_frames
-        return at_size + log_prior_of_size(self.problem.noise) + self.discrepancy_size.log_evidence_gain
+        n_displacements = self.problem.unknowns_of_push - 3
+        of_size = log_prior_of_size(self.problem.noise) + log_density_of_precisions(np.array(self.problem.precisions), n_displacements)
+        return at_size + of_size + self.discrepancy_size.log_evidence_gain
 
     @property
     def _log_size_of_frames(self) -> float:

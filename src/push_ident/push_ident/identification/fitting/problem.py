@@ -146,6 +146,8 @@ class FitProblem:
         self.steps: list[StepChoice | None] = list(steps) if steps is not None else [None] * len(self.records)
         """Time steps of each push; None until it is simulated."""
         self.first_scale = [np.linalg.cholesky(o.first_covariance) for o in self.observations]
+        self.precisions = [1.0] * len(self.records)
+        """Of the prior of the displacements of each push, relative to that of all [1]: small for one that the model explains badly."""
         self.unknowns_of_push = unknowns_of_push(unknowns.shape, noise)
         """Number of unknowns that each push has of its own."""
 
@@ -156,9 +158,10 @@ class FitProblem:
         other.steps = [None if choice is None else choice.at_most(_FIRST_LEVEL, self.settings) for choice in self.steps]
         return other
 
-    def with_noise(self, noise: NoiseModel) -> FitProblem:
+    def with_noise(self, noise: NoiseModel, precisions: Sequence[float] | None = None) -> FitProblem:
         """The same pushes and unknowns under another noise, with as many frames and displacements, and with an unlimited budget."""
         other = copy(self)
+        other.precisions = self.precisions if precisions is None else list(precisions)
         other.noise, other.meter = noise, _unlimited()
         other.observations = [observe_push(record, noise) for record in self.records]
         other.first_scale = [np.linalg.cholesky(o.first_covariance) for o in other.observations]
@@ -174,7 +177,7 @@ class FitProblem:
     def without(self, pushes: Collection[int]) -> FitProblem:
         """The same problem without some pushes, given by their numbers, and with an unlimited budget."""
         rest = copy(self)
-        for name in ("records", "observations", "forces", "first_scale", "steps"):
+        for name in ("records", "observations", "forces", "first_scale", "steps", "precisions"):
             setattr(rest, name, [value for i, value in enumerate(getattr(self, name)) if i not in pushes])
         rest.meter = _unlimited()
         rest.n_reference -= sum(push >= self.n_pushes for push in pushes)
@@ -230,9 +233,9 @@ class FitProblem:
 
     @property
     def prior_precision(self) -> Float64Array:
-        """Precision of the unit normal prior of all unknowns, shape (size,): 0 for first poses, whose prior counts as a measurement."""
+        """Precision of the normal prior of all unknowns, shape (size,): 0 for first poses, whose prior counts as a measurement."""
         of_push = np.r_[np.zeros(_POSE), np.ones(self.unknowns_of_push - _POSE)]
-        return np.r_[np.ones(self.unknowns.size), np.tile(of_push, len(self.records))]
+        return np.r_[np.ones(self.unknowns.size), np.outer(self.precisions, of_push).ravel()]
 
     def prior_at(self, x: Float64Array) -> tuple[float, Float64Array, Float64Array]:
         """Cost of the prior of all unknowns and of earlier pushes at `x`, shape (size,), its gradient and its Hessian, but for first poses,
@@ -397,7 +400,11 @@ class FitProblem:
         if self.uses_forces:
             bodies = self.mechanics_at(x)
             of_pushes += sum(self.weigh(self.force_residual(bodies[push], motion, push))[0] for push, motion in enumerate(motions))
-        return self._prior_cost(self.object_unknowns(x)) + of_pushes + 0.5 * float(np.sum(self.push_unknowns(x)[:, _POSE:] ** 2))
+        return (
+            self._prior_cost(self.object_unknowns(x))
+            + of_pushes
+            + 0.5 * float(self.precisions @ np.sum(self.push_unknowns(x)[:, _POSE:] ** 2, axis=1))
+        )
 
     def _prior_cost(self, z: Float64Array) -> float:
         """Cost of the unknowns of the object by their prior and by earlier pushes."""
@@ -467,9 +474,10 @@ class FitProblem:
             cost, gradient, hessian = cost + of_forces, gradient + weighted.T @ forces.ravel(), hessian + weighted.T @ by_forces
         displaced = np.arange(self.unknowns.size + _POSE, len(gradient))
         in_plane = x[self.slice_of_push(push)][_POSE:]
-        gradient[displaced] += in_plane
-        hessian[displaced, displaced] += 1.0
-        return Evaluation(cost + 0.5 * float(in_plane @ in_plane), gradient, hessian, residual)
+        precision = self.precisions[push]
+        gradient[displaced] += precision * in_plane
+        hessian[displaced, displaced] += precision
+        return Evaluation(cost + 0.5 * precision * float(in_plane @ in_plane), gradient, hessian, residual)
 
     def _force_jacobian(self, mechanics: Mechanics, x: Float64Array, motion: Motion, push: int) -> Float64Array:
         """Derivative of `force_residual` by the unknowns of the object and those of the push, shape (2 n_windows, unknowns.size +
