@@ -312,7 +312,7 @@ def with_size(problem: FitProblem, x: Float64Array, size: DiscrepancySize, *, se
     frames = noise.frame_factor * size.frames
     rest = (position, yaw) if sets_rest else noise.rest_factor
     other = problem.with_noise(
-        replace(noise, discrepancy_factor=(contact, position, yaw), rest_factor=rest, frame_factor=frames), size.precisions
+        replace(noise, discrepancy_factor=(contact, position, yaw), rest_factor=rest, frame_factor=frames), size.precisions.tolist()
     )
     group = groups_of(problem)
     scale = np.where(group < 0, 1.0, size.shared[group])
