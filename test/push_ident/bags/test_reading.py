@@ -97,12 +97,36 @@ def test_what_is_dropped_or_assumed_is_counted(tmp_path: Path) -> None:
     notes = " ".join(contents.notes)
     assert "`objects/7/pose`: 1 of 34 messages hold values that are not finite" in notes
     assert "`objects/7/pose`: 1 of 34 messages repeat a stamp" in notes
-    assert "`pusher/pose`: 1 of 33 messages were out of order" in notes
-    assert "`pusher/pose`: 1 of 33 messages have no stamp; their log time is used" in notes
-    assert contents.pusher.time[-1] == pytest.approx(1.1)
+    assert "`pusher/pose`: 1 of 32 messages were out of order" in notes
+    assert "`pusher/pose`: 1 of 33 messages have no stamp, where others have; dropped" in notes
     assert "1 of 32 poses lack a covariance" in notes
     np.testing.assert_array_equal(contents.objects["7"].covariance[-1], DEFAULT_COVARIANCE)
     np.testing.assert_allclose(contents.objects["7"].covariance[0], COVARIANCE)
+
+
+def test_log_times_count_where_nothing_has_a_stamp(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        for logged in (2.0, 2.1, 2.2):
+            pose = new("geometry_msgs/msg/PoseWithCovariance", pose_msg(0.1, 0.2), np.zeros(36))
+            write_raw(writer, Role.POSE.msgtype, "/objects/7/pose", round(1e9 * logged), header_msg(0.0, "table"), pose)
+            write_pusher_logged(writer, 0, round(1e9 * logged))
+    contents = read_bag(tmp_path / "bag")
+    np.testing.assert_allclose(contents.pusher.time, [0.0, 0.1, 0.2])
+    assert sum("none of 3 messages has a stamp; their log time is used" in note for note in contents.notes) == 2
+
+
+def test_the_frame_that_the_images_name_is_that_of_the_camera(tmp_path: Path) -> None:
+    camera, in_table = CameraIntrinsics(2, 2, 3.0, 3.0, 0.5, 0.5), np.eye(4)
+    for name in ("camera_depth_optical_frame", "camera_color_optical_frame"):
+        with BagWriter(tmp_path / name) as writer:
+            writer.write_extrinsics(1.0, in_table)
+            write_push(writer, 2.0)
+            writer.write_camera_info(2.0, camera)
+            fields = header_msg(2.0, name), 2, 2, "16UC1", 0, 4, np.full(8, 1, dtype=np.uint8)
+            write_raw(writer, Role.DEPTH.msgtype, "/depth/image_rect", 2 * 10**9, *fields)
+    assert read_bag(tmp_path / "camera_depth_optical_frame").camera_in_table is not None
+    other = read_bag(tmp_path / "camera_color_optical_frame")
+    assert other.camera_in_table is None and any("no frame 'camera_color_optical_frame'" in note for note in other.notes)
 
 
 def test_cells_follow_the_origin_and_yaw_of_their_grid(tmp_path: Path) -> None:

@@ -6,11 +6,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from push_ident.errors import BagError, FrameError
+from push_ident.errors import BagError
 from push_ident.geometry.outline import polygon_area
 from push_ident.geometry.se2 import transform_points, yaw_of_quaternion
 from push_ident.limits import LIMITS, check_coordinates
-from push_ident.perception.frame.depth_image import check_intrinsics, depth_from_buffer
+from push_ident.perception.frame.camera_info import check_image_size
+from push_ident.perception.frame.depth_image import depth_from_buffer
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array
 
 DEFAULT_COVARIANCE: Final = np.diag([1e-3**2, 1e-3**2, np.radians(0.5) ** 2])
@@ -129,20 +130,9 @@ def homogeneous_of(transform: Any) -> Float64Array:
     return matrix
 
 
-def intrinsics_of(info: Any) -> CameraIntrinsics:
-    """Pinhole intrinsics of a sensor_msgs/CameraInfo. Raises FrameError for an invalid camera matrix."""
-    k = info.k if hasattr(info, "k") else info.K
-    intrinsics = CameraIntrinsics(int(info.width), int(info.height), float(k[0]), float(k[4]), float(k[2]), float(k[5]))
-    check_intrinsics(intrinsics)
-    return intrinsics
-
-
 def depth_frame_of(image: Any, intrinsics: CameraIntrinsics, stamp: float) -> DepthFrame:
     """Depth frame of a sensor_msgs/Image. Raises FrameError for an unknown encoding or inconsistent sizes."""
     data = memoryview(image.data).cast("B")
     depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), data)
-    if depth.shape != (intrinsics.height, intrinsics.width):
-        raise FrameError(
-            f"depth image is {image.width} x {image.height}, its camera info {intrinsics.width} x {intrinsics.height}; they differ."
-        )
+    check_image_size(int(image.width), int(image.height), intrinsics)
     return DepthFrame(stamp, depth, intrinsics, str(image.header.frame_id))

@@ -13,11 +13,13 @@ import numpy as np
 from push_ident.bags import decode
 from push_ident.bags.contract import OBJECT_ROLES, Role, TopicRole, role_of
 from push_ident.bags.opening import Connection, OpenBag, open_bag
+from push_ident.bags.records import LATE
 from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.frames import CAMERA_FRAME, TABLE_FRAME
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS, plain_text
+from push_ident.perception.frame.camera_info import intrinsics_of
 from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
 
@@ -122,7 +124,8 @@ class _Recorded:
     messages: list[Any] = field(default_factory=list)
     """Messages of the other roles: all, or the last one of latched topics."""
     frames: set[str] = field(default_factory=set)
-    unstamped: int = 0
+    log_times: list[int] = field(default_factory=list)
+    """[ns]"""
 
 
 def read_bag(path: Path) -> BagContents:
@@ -137,9 +140,12 @@ def read_bag(path: Path) -> BagContents:
         topics = bag.counts()
         by_role = _connections_by_role(bag, notes)
         wanted = {role: connections for role, connections in by_role.items() if role.role not in _DEPTH}
+        camera_frame = _camera_frame(bag, by_role)
         n_depth = sum(c.msgcount for role, connections in by_role.items() if role.role is Role.DEPTH for c in connections)
         recorded = _read(bag, wanted)
-        return _contents(path, topics, recorded, sorted({role.object_id for role in by_role if role.role in OBJECT_ROLES}), n_depth, notes)
+        return _contents(
+            path, topics, recorded, sorted({role.object_id for role in by_role if role.role in OBJECT_ROLES}), n_depth, notes, camera_frame
+        )
 
 
 def read_depth(path: Path) -> DepthRecording:
@@ -154,7 +160,8 @@ def read_depth(path: Path) -> DepthRecording:
         if not sum(topic.msgcount for topic in by_role.get(TopicRole(Role.DEPTH), [])):
             _fail_for_missing(path, bag.counts(), [Role.DEPTH])
         static = {role: topics for role, topics in by_role.items() if role.role is Role.TF_STATIC}
-        return DepthRecording(path, _camera_in_table(_read(bag, static), notes) if static else None, notes)
+        camera_frame = _camera_frame(bag, by_role)
+        return DepthRecording(path, _camera_in_table(_read(bag, static), camera_frame, notes) if static else None, notes)
 
 
 _Stamped = tuple[np.ndarray[Any, np.dtype[np.int64]], Float64Array]
@@ -162,9 +169,18 @@ _NOTHING: Final[_Stamped] = (np.empty(0, dtype=np.int64), np.empty((0, 0)))
 
 
 def _contents(
-    path: Path, topics: dict[str, int], recorded: dict[TopicRole, _Recorded], object_ids: list[str], n_depth: int, notes: list[str]
+    path: Path,
+    topics: dict[str, int],
+    recorded: dict[TopicRole, _Recorded],
+    object_ids: list[str],
+    n_depth: int,
+    notes: list[str],
+    camera_frame: str,
 ) -> BagContents:
-    samples = {role: _clean(path, role, record, notes) for role, record in recorded.items() if role.role in _STAMPED}
+    stamped = {role: record for role, record in recorded.items() if role.role in _STAMPED}
+    # Log times are those of another clock where anything is stamped.
+    by_log_time = not any(any(record.stamps) for record in stamped.values())
+    samples = {role: _clean(path, role, record, notes, by_log_time=by_log_time) for role, record in stamped.items()}
     missing = [] if len(samples.get(TopicRole(Role.PUSHER), _NOTHING)[0]) else [Role.PUSHER]
     if not n_depth and not any(role.role is Role.POSE and len(stamps) for role, (stamps, _) in samples.items()):
         missing.append(Role.POSE)
@@ -181,7 +197,7 @@ def _contents(
         pusher_radius=_pusher_radius(path, recorded, notes),
         wrench=_samples(wrench, origin) if len(wrench[0]) else None,
         push_intervals=_push_intervals(recorded, origin, notes),
-        camera_in_table=_camera_in_table(recorded, notes),
+        camera_in_table=_camera_in_table(recorded, camera_frame, notes),
         camera_accuracy=_camera_accuracy(recorded, notes),
         n_depth=n_depth,
         topics=topics,
@@ -222,9 +238,8 @@ def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[Topic
     recorded: dict[TopicRole, _Recorded] = defaultdict(_Recorded)
     for connection, log_time, message in bag.messages(connections):
         record = recorded[role_by_topic[connection.topic]]
-        stamp = decode.stamp_ns(message.header.stamp) if hasattr(message, "header") else 0
-        record.unstamped += stamp == 0
-        record.stamps.append(stamp or log_time)
+        record.stamps.append(decode.stamp_ns(message.header.stamp) if hasattr(message, "header") else 0)
+        record.log_times.append(log_time)
         role = role_by_topic[connection.topic].role
         if role in _STAMPED:
             record.values.append(_planar(role, message))
@@ -240,23 +255,31 @@ def _read(bag: OpenBag, wanted: dict[TopicRole, list[Connection]]) -> dict[Topic
     return dict(recorded)
 
 
-def _clean(path: Path, role: TopicRole, record: _Recorded, notes: list[str]) -> _Stamped:
+def _clean(path: Path, role: TopicRole, record: _Recorded, notes: list[str], *, by_log_time: bool) -> _Stamped:
     """Stamps and planar values of a topic in order of time, without values that are not finite and repeated stamps.
 
-    Stamps may run backwards by less than a second (late delivery); a larger jump means that a clock was reset.
+    Log times count where nothing of the bag is stamped (`by_log_time`), else messages without a stamp are left out. Stamps may run
+    backwards by less than a second (late delivery); a larger jump means that a clock was reset.
     """
     stamps = np.array(record.stamps, dtype=np.int64)
-    back = int(np.min(np.diff(stamps), initial=0))
-    if back < -(10**9):
-        raise BagError(f"{path}: the time of `{role}` jumps back by {-back * 1e-9:.3g} s; the clock was reset, cut the bag there.")
     values = np.array(record.values)
+    if by_log_time:
+        stamps = np.array(record.log_times, dtype=np.int64)
+        notes.append(f"`{role}`: none of {len(stamps)} messages has a stamp; their log time is used.")
+    elif not np.all(stamps):
+        notes.append(f"`{role}`: {np.count_nonzero(stamps == 0)} of {len(stamps)} messages have no stamp, where others have; dropped.")
+        stamps, values = stamps[stamps != 0], values[stamps != 0]
+    if len(stamps) == 0:
+        return _NOTHING
+    back = int(np.min(np.diff(stamps), initial=0))
+    if back < -int(1e9 * LATE):
+        raise BagError(f"{path}: the time of `{role}` jumps back by {-back * 1e-9:.3g} s; the clock was reset, cut the bag there.")
     most = LIMITS.FORCE if role.role is Role.WRENCH else LIMITS.COORDINATE
     usable = np.asarray(np.isfinite(values).all(axis=1) & (np.abs(values[:, :2]) <= most.value).all(axis=1))
     order = np.argsort(stamps, kind="stable")
     order = order[usable[order]]
     first = np.append(True, np.diff(stamps[order]) > 0) if len(order) else np.empty(0, dtype=np.bool_)
     for count, what in (
-        (record.unstamped, "have no stamp; their log time is used"),
         (int(np.sum(np.diff(stamps) < 0)), "were out of order; sorted"),
         (int(np.sum(~usable)), f"hold values that are not finite or beyond {most.value} {most.unit}; dropped"),
         (int(np.sum(~first)), "repeat a stamp; dropped"),
@@ -350,21 +373,35 @@ def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: li
     return tuple(sorted(intervals, key=lambda interval: interval.start))
 
 
-def _camera_in_table(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> Float64Array | None:
-    """Pose of the camera from the chain of static transforms to the table, if there is one."""
+def _camera_frame(bag: OpenBag, by_role: dict[TopicRole, list[Connection]]) -> str:
+    """Frame that the depth images name, that of the contract where they name none."""
+    images = by_role.get(TopicRole(Role.DEPTH), [])
+    bag.register(images)
+    named = next((str(image.header.frame_id).strip("/") for _, _, image in bag.messages(images)), "") if images else ""
+    return named or CAMERA_FRAME
+
+
+def _camera_in_table(recorded: dict[TopicRole, _Recorded], camera_frame: str, notes: list[str]) -> Float64Array | None:
+    """Pose of the frame of the camera from the chain of static transforms to the table, if there is one."""
     parents = {}
     for message in _messages(recorded, Role.TF_STATIC):
         LIMITS.TRANSFORMS.check(len(message.transforms), "tf_static", error=BagError)
         for stamped in message.transforms:
             parents[stamped.child_frame_id.strip("/")] = (stamped.header.frame_id.strip("/"), stamped.transform)
-    if CAMERA_FRAME not in parents:
+    if camera_frame not in parents:
+        if parents:
+            notes.append(
+                f"static transforms have no frame {plain_text(camera_frame)!r}, which the depth images name; extrinsics are unknown."
+            )
         return None
-    frame, camera_in_frame = CAMERA_FRAME, np.eye(4)
+    frame, camera_in_frame = camera_frame, np.eye(4)
     while frame != TABLE_FRAME and frame in parents:
         frame, transform = parents.pop(frame)
         camera_in_frame = decode.homogeneous_of(transform) @ camera_in_frame
     if frame != TABLE_FRAME:
-        notes.append(f"static transforms lead from {CAMERA_FRAME} to {frame}, not to {TABLE_FRAME}; extrinsics are unknown.")
+        notes.append(
+            f"static transforms lead from {plain_text(camera_frame)} to {plain_text(frame)}, not to {TABLE_FRAME}; extrinsics are unknown."
+        )
         return None
     return camera_in_frame
 
@@ -385,18 +422,22 @@ def _depth_frames(bag: OpenBag, origin: int, notes: list[str]) -> Iterator[Depth
         absent = Role.CAMERA_INFO if images else Role.DEPTH
         raise BagError(f"{bag.path}: no `{absent.value.name}` ({absent.msgtype}); record depth images together with their camera info.")
     bag.register([*images, *infos])
-    intrinsics: CameraIntrinsics | None = next((decode.intrinsics_of(info) for _, _, info in bag.messages(infos)), None)
+    intrinsics: CameraIntrinsics | None = next((intrinsics_of(info) for _, _, info in bag.messages(infos)), None)
     refused: list[FrameError] = []
-    total = 0
+    total, is_stamped = 0, None
     for connection, log_time, message in bag.messages([*images, *infos]):
         try:
             if connection.msgtype == Role.CAMERA_INFO.msgtype:
-                intrinsics = decode.intrinsics_of(message)
+                intrinsics = intrinsics_of(message)
                 continue
             total += 1
             if intrinsics is None:
                 raise FrameError("no camera info was recorded.")
-            stamp = decode.stamp_ns(message.header.stamp) or log_time
+            stamp = decode.stamp_ns(message.header.stamp)
+            is_stamped = bool(stamp) if is_stamped is None else is_stamped
+            if is_stamped and not stamp:
+                raise FrameError("it has no stamp, others have.")
+            stamp = stamp if is_stamped else log_time
             yield decode.depth_frame_of(message, intrinsics, (stamp - origin) * 1e-9)
         except FrameError as error:
             refused.append(error)

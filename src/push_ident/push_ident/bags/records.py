@@ -12,6 +12,8 @@ from push_ident.bags.writer import BagWriter
 from push_ident.errors import InputError
 from push_ident.types import PushRecord
 
+LATE: Final = 1.0
+"""By which a message may come after later ones, as those of a network do [s]; more is another clock, or another recording."""
 FIRST_STAMP: Final = 1.0
 """Earliest stamp written [s]; a stamp of zero would mean that there is none."""
 

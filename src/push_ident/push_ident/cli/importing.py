@@ -88,6 +88,9 @@ AxesOption = Annotated[
     str, typer.Option(metavar="A,B,C", help="Axes of the poses that are x, y and z of the table; of a file with y up x,-z,y.")
 ]
 PusherAxesOption = Annotated[str, typer.Option(metavar="A,B,C", help="The same of the pusher.")]
+WrenchAxesOption = Annotated[
+    str, typer.Option(metavar="A,B,C", help="The same of the force, where it is not in the frame of the pusher.", show_default=False)
+]
 TimeOffsetOption = Annotated[
     float, typer.Option(callback=finite, help="Added to the times of pusher and force; above 0 where their clock is behind [s].")
 ]
@@ -298,6 +301,7 @@ def rosbag_command(
     log_time: Annotated[bool, typer.Option("--log-time", help="Take the times of recording, not the stamps.")] = False,
     time_offset: TimeOffsetOption = 0.0,
     pusher_frame: PusherFrameOption = "",
+    wrench_axes: WrenchAxesOption = "",
     wrench_on_sensor: Annotated[
         bool, typer.Option("--wrench-on-sensor", help="The force is that on the sensor, not on the object.")
     ] = False,
@@ -328,6 +332,7 @@ def rosbag_command(
         axes=parse_axes(axes, "--axes"),
         pusher_axes=parse_axes(pusher_axes, "--pusher-axes"),
         log_time=log_time,
+        wrench_axes=parse_axes(wrench_axes, "--wrench-axes") if wrench_axes else None,
         wrench_on_sensor=wrench_on_sensor,
     )
     run_import(lambda: import_rosbag(source, out), out, bag.name, page, json)

@@ -20,6 +20,7 @@ from push_ident.errors import FrameError, InputError, PushIdentError
 from push_ident.extras import need
 from push_ident.files import read_regular
 from push_ident.limits import LIMITS, plain_text
+from push_ident.perception.frame.camera_info import CameraInfoFields
 from push_ident.perception.frame.depth_image import check_intrinsics, check_size
 from push_ident.types import CameraIntrinsics, DepthFrame
 
@@ -123,20 +124,17 @@ def _read_camera_info(path: Path) -> CameraIntrinsics:
         get: Any = content.get
         width, height = int(get("image_width") or get("width")), int(get("image_height") or get("height"))
         projection, matrix = _numbers(get("projection_matrix") or get("p")), _numbers(get("camera_matrix") or get("k") or get("K"))
-        if len(projection) == 12 and projection[0] > 0:
-            fx, cx, fy, cy = projection[0], projection[2], projection[5], projection[6]
-        else:
-            if any(_numbers(get("distortion_coefficients") or get("d") or get("D"))):
-                raise ValueError("it has distortion and no projection_matrix; rectify the images")
-            fx, cx, fy, cy = matrix[0], matrix[2], matrix[4], matrix[5]
+        distortion = _numbers(get("distortion_coefficients") or get("d") or get("D"))
+        binning = (max(int(get("binning_x") or 1), 1), max(int(get("binning_y") or 1), 1))
+        part = get("roi") or {}
+        roi = [int(part.get(name) or 0) for name in ("x_offset", "y_offset", "width", "height")]
+        fields = CameraInfoFields(width, height, matrix, projection, distortion, binning, (roi[0], roi[1], roi[2], roi[3]))
     except (OSError, ValueError, TypeError, AttributeError, IndexError, RecursionError, yaml.YAMLError) as error:
         raise InputError(
             f"{path} gives no intrinsics ({plain_text(' '.join(str(error).split()))}); expected image_width, image_height and "
             "camera_matrix or projection_matrix, as camera_calibration writes them."
         ) from None
-    camera = CameraIntrinsics(width, height, fx, fy, cx, cy)
-    check_intrinsics(camera)
-    return camera
+    return fields.intrinsics()
 
 
 def _read_cloud(path: Path) -> tuple[NDArray[np.float32], CameraIntrinsics]:

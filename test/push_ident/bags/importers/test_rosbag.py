@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -84,6 +85,97 @@ def test_what_a_map_gets_wrong_ends_in_one_line(
 ) -> None:
     check_refused(reason, *arguments(foreign, tmp_path, pushed, *more))
     assert not (tmp_path / "own").exists()
+
+
+class Message(NamedTuple):
+    """A message of the object (x, y, yaw), of the tool (x, y), or of a force."""
+
+    topic: str
+    logged: float
+    """[s]"""
+    stamp: float
+    """[s]; 0: none."""
+    values: tuple[float, ...]
+
+
+def write_messages(bag: Path, messages: Sequence[Message], *, wrench_frame: str = "world") -> Path:
+    """Poses in `world`; a yaw of NaN stands for a quaternion of zeros."""
+    with BagWriter(bag) as writer:
+        for topic, logged, stamp, values in messages:
+            if topic == "/ft":
+                vectors = (new("geometry_msgs/msg/Vector3", *values, 0.0), new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0))
+                fields: tuple[Any, ...] = (header_msg(stamp, wrench_frame), new("geometry_msgs/msg/Wrench", *vectors))
+                write(writer, topic, "geometry_msgs/msg/WrenchStamped", logged, *fields)
+                continue
+            x, y, yaw = (*values, 0.0)[:3]
+            pose = pose_msg(x, y, 0.0, 0.0 if np.isnan(yaw) else yaw)
+            if np.isnan(yaw):
+                pose.orientation.w = 0.0
+            write(writer, topic, "geometry_msgs/msg/PoseStamped", logged, header_msg(stamp, "world"), pose)
+    return bag
+
+
+def messages_of(rows: tuple[Float64Array, Float64Array]) -> list[Message]:
+    poses, pusher = (np.add(table, [10.0, 0, 0, 0]) for table in rows)
+    body = [Message("/body", t, t, (x, y, yaw)) for t, x, y, yaw in poses.tolist()]
+    tool = [Message("/tool", t, t, (x, y)) for t, x, y, _ in pusher.tolist()]
+    return [*body, *tool, *(Message("/ft", t, t, (1.0, 0.0)) for t in pusher[:, 0].tolist())]
+
+
+OWN_MAP = ("--map", "/body=object", "--map", "/tool=pusher")
+WITH_FORCE = (*OWN_MAP, "--map", "/ft=wrench")
+
+
+def late(messages: list[Message]) -> list[Message]:
+    """Every tenth message comes after the next of its topic, unless the tool had paused."""
+    for at in range(0, len(messages) - 1, 10):
+        if messages[at].topic == messages[at + 1].topic and messages[at + 1].stamp - messages[at].stamp < 0.5:
+            one, next_one = messages[at], messages[at + 1]
+            messages[at : at + 2] = next_one._replace(logged=one.logged), one._replace(logged=next_one.logged)
+    return messages
+
+
+def unstamped(messages: list[Message]) -> list[Message]:
+    return [m._replace(stamp=0.0, logged=1.7e9) if at % 50 == 0 else m for at, m in enumerate(messages)]
+
+
+def lost(messages: list[Message]) -> list[Message]:
+    zeros = {"/body": (0.0, 0.0, np.nan), "/tool": (0.0, 0.0), "/ft": (1.0, 0.0)}
+    return [m._replace(values=zeros[m.topic]) if at % 40 == 5 else m for at, m in enumerate(messages)]
+
+
+@pytest.mark.parametrize(("change", "note"), [(late, "are sorted"), (unstamped, "have no stamp; left out"), (lost, "tracking was lost")])
+def test_messages_of_a_real_network_and_tracker_are_cleaned_with_a_note(
+    tmp_path: Path,
+    rows: tuple[Float64Array, Float64Array],
+    pushed: list[PushRecord],
+    change: Callable[[list[Message]], list[Message]],
+    note: str,
+) -> None:
+    bag = write_messages(tmp_path / "changed", change(messages_of(rows)))
+    done = run_here(*arguments(bag, tmp_path, pushed, *WITH_FORCE))
+    assert done.returncode == 0 and note in done.stderr + done.stdout, done.stderr
+    pushes = split_pushes(read_bag(tmp_path / "own"), "1")
+    assert len(pushes) == N
+    for push, record in zip(pushes, pushed, strict=True):
+        np.testing.assert_allclose(push.poses.pose[[0, -1], :2], record.poses.pose[[0, -1], :2], atol=2e-3)
+
+
+def test_a_force_in_a_frame_of_its_own_needs_its_axes(
+    tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord]
+) -> None:
+    bag = write_messages(tmp_path / "turned", messages_of(rows), wrench_frame="ft_sensor_link")
+    check_refused("--wrench-axes", *arguments(bag, tmp_path, pushed, *WITH_FORCE))
+    done = run_here(*arguments(bag, tmp_path, pushed, *WITH_FORCE, "--wrench-axes", "-y,x,z"))
+    assert done.returncode == 0, done.stderr
+    push = split_pushes(read_bag(tmp_path / "own"), "1")[0]
+    assert push.wrench is not None and (push.wrench.force == [0.0, 1.0]).all()
+
+
+def test_a_force_on_another_clock_is_refused(tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord]) -> None:
+    messages = [m._replace(stamp=0.0, logged=m.logged + 1.7e9) if m.topic == "/ft" else m for m in messages_of(rows)]
+    bag = write_messages(tmp_path / "clocks", messages)
+    check_refused("leave the force out", *arguments(bag, tmp_path, pushed, *WITH_FORCE))
 
 
 def test_roles_that_are_none_are_refused() -> None:

@@ -12,7 +12,7 @@ from push_ident.bags.importers.overlap import NOISE_FACTOR, Overlap, Streams, ov
 from push_ident.bags.importers.report import Contact, ImportReport, contact_of, contact_tolerance, contact_warnings
 from push_ident.bags.importers.shapes import pose_covariance
 from push_ident.bags.pushes import PAUSE
-from push_ident.bags.records import FIRST_STAMP
+from push_ident.bags.records import FIRST_STAMP, LATE
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError, InputError
 from push_ident.limits import LIMITS, check_object_id
@@ -133,11 +133,27 @@ def ascending(samples: Float64Array) -> Float64Array:
     return samples[np.append(True, np.diff(np.maximum.accumulate(samples[:, 0])) > 0)] if len(samples) else samples
 
 
-def without_gaps(rows: Float64Array, needed: Sequence[bool], places: Sequence[object], what: str, notes: list[str]) -> Float64Array:
-    """Rows with time [s] first, shape (n, n_columns), in order of time, without those that lack a number that is `needed` or repeat a time.
+def without_lost(rows: Float64Array, what: str, notes: list[str]) -> Float64Array:
+    """Rows with time [s] first and a position next, shape (n, n_columns), with NaN where tracking was lost.
 
-    `places`: where each row stands, `what`: file or topic, for messages; `notes` gets a line for what is left out. Raises BagError where
-    fewer than two rows are left, or time goes back.
+    Trackers write a lost body as zeros: all numbers after the time, all of a quaternion in the last four of eight columns, or the position
+    with no turn. A body that is always there is none.
+    """
+    values = rows[:, 1:]
+    is_lost: BoolArray = np.asarray(~values.any(axis=1))
+    if values.shape[1] == 7:
+        is_lost = is_lost | ~values[:, 3:].any(axis=1) | (~values[:, :3].any(axis=1) & (np.abs(values[:, 6]) == 1.0))
+    if is_lost.all() or not is_lost.any():
+        return rows
+    notes.append(f"{what.rsplit('/', 1)[-1]}: tracking was lost in {int(is_lost.sum())} of {len(rows)} rows, which are zero")
+    return np.where(is_lost[:, None] & (np.arange(rows.shape[1]) > 0), np.nan, rows)
+
+
+def without_gaps(rows: Float64Array, needed: Sequence[bool], places: Sequence[object], what: str, notes: list[str]) -> Float64Array:
+    """Rows with time [s] first, shape (n, n_columns), in order of time, without those that lack a `needed` number or repeat a time.
+
+    `places`: where each row stands, `what`: file or topic, for messages; `notes` gets a line for what is left out. Rows that come late, by
+    less than `records.LATE`, are sorted. Raises BagError where fewer than two rows are left, or time goes back by more.
     """
     whole: BoolArray = np.asarray(np.isfinite(rows[:, np.array(needed)]).all(axis=1))
     if int(whole.sum()) < 2:
@@ -147,9 +163,13 @@ def without_gaps(rows: Float64Array, needed: Sequence[bool], places: Sequence[ob
         notes.append(f"{name}: {lost} of {len(rows)} rows lack a number and are left out")
     left, rows = [place for place, good in zip(places, whole.tolist(), strict=True) if good], rows[whole]
     step = np.diff(rows[:, 0])
-    if (step < 0).any():
-        at = int(np.argmax(step < 0))
+    if (step < -LATE).any():
+        at = int(np.argmax(step < -LATE))
         raise BagError(f"{what}, {left[at + 1]}: time goes back by {-step[at]:.3g} s; sort the rows, or split the recording.")
+    if late := int(np.sum(step < 0)):
+        notes.append(f"{name}: {late} rows come after later ones and are sorted")
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        step = np.diff(rows[:, 0])
     if repeated := int(np.sum(step == 0)):
         notes.append(f"{name}: {repeated} rows repeat a time and are left out")
     return np.asarray(rows[np.append(True, step > 0)])
@@ -183,6 +203,12 @@ def _on_one_clock(recording: Recording, options: RecordingOptions) -> tuple[Floa
         raise BagError(
             f"{recording.names[0]} has times {of_poses}, {recording.names[1]} {of_pusher}, expected one clock; check the units of time. "
             f"Where both began together, --time-offset {options.time_offset + poses[0, 0] - pusher[0, 0]:.6f} brings them together."
+        )
+    if len(force) and (force[-1, 0] < pusher[0, 0] or pusher[-1, 0] < force[0, 0]):
+        of_force, of_pusher = (f"{rows[0, 0]:.10g} to {rows[-1, 0]:.10g} s" for rows in (force, pusher))
+        raise BagError(
+            f"the force has times {of_force}, {recording.names[1]} {of_pusher}, expected one clock; leave the force out, or stamp it by "
+            "the clock of the poses."
         )
     for rows in streams:
         rows[:, 0] += shift

@@ -11,7 +11,7 @@ import numpy as np
 
 from push_ident.bags.decode import stamp_ns
 from push_ident.bags.importers.axes import planar_of
-from push_ident.bags.importers.recording import Recording, RecordingOptions, import_recording, without_gaps
+from push_ident.bags.importers.recording import Recording, RecordingOptions, import_recording, without_gaps, without_lost
 from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.importers.shapes import CELL_SIZE
 from push_ident.bags.importers.tracked_poses import read_outline
@@ -44,7 +44,9 @@ class RosbagTopics:
     axes: Float64Array = field(default_factory=lambda: np.eye(3))
     """Rotation from the axes of the object's poses to those of `table`, shape (3, 3); see `parse_axes`."""
     pusher_axes: Float64Array = field(default_factory=lambda: np.eye(3))
-    """Likewise of the pusher and the force."""
+    """Likewise of the pusher."""
+    wrench_axes: Float64Array | None = None
+    """Likewise of the force; None: as of the pusher, in whose frame it then has to be."""
     log_time: bool = False
     """Whether the times of recording count instead of the stamps."""
     wrench_on_sensor: bool = False
@@ -76,7 +78,7 @@ def import_rosbag(source: RosbagTopics, out_bag: Path) -> ImportReport:
     shape = read_outline(source.outline, length=source.outline_length, cell_size=source.cell_size)
     notes: list[str] = []
     with open_bag(source.bag) as bag:
-        streams = {role: _read(bag, topic, source.log_time) for role, topic in source.topics.items()}
+        streams = {role: _read(bag, topic, source.log_time, notes) for role, topic in source.topics.items()}
     _check_frames(streams, source)
     body, tool = streams["object"], streams["pusher"]
     rows, names = _rows(body, notes), (f"{source.bag} {body.topic}", f"{source.bag} {tool.topic}")
@@ -96,14 +98,14 @@ class _Stream:
     frames: frozenset[str]
 
 
-def _read(bag: OpenBag, topic: str, log_time: bool) -> _Stream:
+def _read(bag: OpenBag, topic: str, log_time: bool, notes: list[str]) -> _Stream:
     name, _, child = topic.partition(_CHILD)
     found = [recorded for recorded in bag.topics if recorded.topic.strip("/") == name.strip("/")]
     if not sum(recorded.msgcount for recorded in found):
         present = ", ".join(f"{topic} ({count})" for topic, count in bag.counts().items() if count)[:500]
         raise BagError(f"{bag.path}: nothing on {plain_text(name)}; the bag has {present or 'no messages at all'}.")
     bag.register(found)
-    rows, frames, children = [], set(), set()
+    rows, stamped, frames, children = [], [], set(), set()
     for _, logged, message in bag.messages(found):
         for header, values, of_child in _samples(message, plain_text(topic)):
             children.add(of_child)
@@ -111,6 +113,7 @@ def _read(bag: OpenBag, topic: str, log_time: bool) -> _Stream:
                 continue
             stamp = stamp_ns(header.stamp) if header is not None and not log_time else 0
             rows.append([1e-9 * (stamp or logged), *values])
+            stamped.append(stamp != 0)
             frames.add(str(header.frame_id).strip("/") if header is not None else "")
     if not rows or (not child and len(children) > 1):
         listed = ", ".join(sorted(filter(None, children)))[:300]
@@ -118,6 +121,11 @@ def _read(bag: OpenBag, topic: str, log_time: bool) -> _Stream:
             f"{bag.path}: {plain_text(topic)} holds transforms of {listed}; name one of them as {plain_text(name)}{_CHILD}FRAME."
         )
     ordered = np.array(rows, dtype=np.float64)
+    if not log_time and not all(stamped):
+        # The log time is that of another clock where messages have stamps.
+        without, used = stamped.count(False), "left out" if any(stamped) else "their log time is used"
+        notes.append(f"{plain_text(topic)}: {without} of {len(stamped)} messages have no stamp; {used}")
+        ordered = ordered[stamped] if any(stamped) else ordered
     return _Stream(topic, ordered[np.argsort(ordered[:, 0], kind="stable")] if log_time else ordered, frozenset(frames - {""}))
 
 
@@ -156,16 +164,25 @@ def _check_frames(streams: Mapping[str, _Stream], source: RosbagTopics) -> None:
             f"{source.bag}: object poses are in `{plain_text(*ours)}`, the pusher in `{plain_text(*theirs)}`; say with "
             "--pusher-frame X,Y,YAW where the second lies in the first (0,0,0 where they are one)."
         )
+    felt = streams["wrench"].frames if "wrench" in streams else frozenset[str]()
+    if felt and theirs and felt != theirs and source.wrench_axes is None:
+        raise BagError(
+            f"{source.bag}: the force is in `{plain_text(*felt)}`, the pusher in `{plain_text(*theirs)}`; say with --wrench-axes which "
+            "axes of the sensor are x, y and z of the table (x,y,z where they are parallel; x,-y,-z for a sensor that looks down at yaw "
+            "0), or turn the force into the frame of the pusher before recording where the sensor turns."
+        )
 
 
 def _rows(stream: _Stream, notes: list[str]) -> Float64Array:
     places = [f"message {number}" for number in range(1, len(stream.rows) + 1)]
-    return without_gaps(stream.rows, [True] * stream.rows.shape[1], places, stream.topic, notes)
+    rows = stream.rows if stream.rows.shape[1] == 4 else without_lost(stream.rows, stream.topic, notes)
+    return without_gaps(rows, [True] * rows.shape[1], places, stream.topic, notes)
 
 
 def _force(stream: _Stream, source: RosbagTopics, notes: list[str]) -> Float64Array:
     """Rows (time, fx, fy) of the force on the object [s, N, N], shape (n, 3)."""
     rows = _rows(stream, notes)
-    force = (rows[:, 1:] @ source.pusher_axes.T)[:, :2] * (-1.0 if source.wrench_on_sensor else 1.0)
+    axes = source.pusher_axes if source.wrench_axes is None else source.wrench_axes
+    force = (rows[:, 1:] @ axes.T)[:, :2] * (-1.0 if source.wrench_on_sensor else 1.0)
     LIMITS.FORCE.check(float(np.abs(force).max()), stream.topic, error=BagError)
     return np.column_stack([rows[:, 0], force])

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from push_ident.bags.importers.axes import planar_of
-from push_ident.bags.importers.recording import Recording, RecordingOptions, import_recording, without_gaps
+from push_ident.bags.importers.recording import Recording, RecordingOptions, import_recording, without_gaps, without_lost
 from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.importers.shapes import CELL_SIZE, shape_of_outline
 from push_ident.bags.importers.tables import Table, TableFormat, read_table
@@ -82,10 +82,10 @@ def _read_poses(tables: TrackedPoses, notes: list[str]) -> Float64Array:
     has_z = table.has("z", form.columns)
     position = ("x", "y", *(("z",) if has_z else ()))
     if not table.has("yaw", form.columns) and any(table.has(role, form.columns) for role in _QUATERNION):
-        rows = _rows(table, ("time", *position, *_QUATERNION), form, notes)
+        rows = _rows(table, ("time", *position, *_QUATERNION), form, notes, is_pose=True)
         yaw = planar_of(rows[:, -4:], tables.axes, str(tables.poses), notes)
     else:
-        rows = _rows(table, ("time", *position, "yaw"), form, notes)
+        rows = _rows(table, ("time", *position, "yaw"), form, notes, is_pose=True)
         # Turned about the vertical axis of the file, which may point down.
         yaw = rows[:, -1] * tables.axes[2].sum()
     return np.column_stack([rows[:, 0], _turned(rows[:, 1 : 1 + len(position)], tables.axes, table)[:, :2], np.unwrap(yaw)])
@@ -107,7 +107,7 @@ def _read_pusher(tables: TrackedPoses, notes: list[str]) -> tuple[Float64Array, 
     if tables.lifted_above is not None and not has_z:
         raise BagError(f"{tables.pusher}: no column `z`, which --lifted-above needs; leave the option out, or name the column.")
     position = ("x", "y", *(("z",) if has_z else ()))
-    rows = _rows(table, ("time", *position, *(("push",) if has_push else ())), form, notes)
+    rows = _rows(table, ("time", *position, *(("push",) if has_push else ())), form, notes, is_pose=not has_push)
     return np.column_stack([rows[:, 0], _turned(rows[:, 1 : 1 + len(position)], tables.pusher_axes, table)]), (
         rows[:, -1] if has_push else None
     )
@@ -122,10 +122,12 @@ def _read_force(tables: TrackedPoses, notes: list[str]) -> Float64Array:
     return rows
 
 
-def _rows(table: Table, roles: tuple[str, ...], form: TableFormat, notes: list[str]) -> Float64Array:
+def _rows(table: Table, roles: tuple[str, ...], form: TableFormat, notes: list[str], *, is_pose: bool = False) -> Float64Array:
     """Columns of a table in metres, radians and seconds, shape (n, n_roles), in order of time, without rows that lack a number.
 
     A row in which tracking was lost is empty. Of the column `push` a cell may be empty.
     """
     rows = np.column_stack([form.factor(table, role) * table.column(role, form.columns) for role in roles])
+    if is_pose:
+        rows = without_lost(rows, str(table.file), notes)
     return without_gaps(rows, [role != "push" for role in roles], [f"line {line}" for line in table.lines], str(table.file), notes)

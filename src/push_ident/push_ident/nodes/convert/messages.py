@@ -28,7 +28,8 @@ from push_ident.geometry.se2 import quaternion_of_yaw, transform_points, yaw_of_
 from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
-from push_ident.perception.frame.depth_image import check_intrinsics, depth_from_buffer
+from push_ident.perception.frame.camera_info import check_image_size, intrinsics_of
+from push_ident.perception.frame.depth_image import depth_from_buffer
 from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
 from push_ident_msgs.msg import PushRecord
@@ -322,25 +323,8 @@ def occupancy_to_msg(
 
 
 def intrinsics_from_msg(info: CameraInfo) -> CameraIntrinsics:
-    """Pinhole camera of a rectified image: the left 3 x 3 of P, or K where P is empty.
-
-    Raises FrameError: zero, negative or not finite focal length, an empty size, or distortion that nothing has taken out.
-    """
-    projection = np.asarray(info.p, dtype=np.float64).reshape(3, 4)[:, :3]
-    rectified = bool(np.any(projection != 0))
-    matrix = projection if rectified else np.asarray(info.k, dtype=np.float64).reshape(3, 3)
-    if not rectified and np.any(np.abs(info.d) > 0):
-        raise FrameError(
-            f"Camera info has distortion {info.distortion_model} {[round(float(d), 4) for d in info.d]} and no projection matrix P, so the "
-            "depth image is not rectified; publish it through image_proc (rectify)."
-        )
-    if info.width == 0 or info.height == 0:
-        raise FrameError(f"Camera info is for {info.width} x {info.height} pixels; the camera driver has not filled it.")
-    intrinsics = CameraIntrinsics(
-        int(info.width), int(info.height), float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])
-    )
-    check_intrinsics(intrinsics)
-    return intrinsics
+    """Of a rectified image, binning and region of interest applied; as `CameraInfoFields.intrinsics`."""
+    return intrinsics_of(info)
 
 
 def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | None = 0.05) -> DepthFrame:
@@ -356,16 +340,14 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
     if image.header.frame_id != info.header.frame_id:
         frames = [plain_text(msg.header.frame_id) for msg in (image, info)]
         raise FrameError(f"Depth image is in frame {frames[0]!r}, its camera info in {frames[1]!r}; expected the same.")
-    if (image.width, image.height) != (info.width, info.height):
-        raise FrameError(
-            f"Depth image is {image.width} x {image.height}, camera info {info.width} x {info.height}; expected the same size."
-        )
+    intrinsics = intrinsics_from_msg(info)
+    check_image_size(int(image.width), int(image.height), intrinsics)
     stamp = stamp_from_msg(image.header.stamp)
     skew = stamp - stamp_from_msg(info.header.stamp)
     if max_skew is not None and abs(skew) > max_skew:
         raise FrameError(f"Depth image and camera info are {skew * 1e3:.0f} ms apart, expected at most {max_skew * 1e3:.0f} ms.")
     depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), memoryview(image.data))
-    return DepthFrame(stamp, depth, intrinsics_from_msg(info), image.header.frame_id)
+    return DepthFrame(stamp, depth, intrinsics, image.header.frame_id)
 
 
 def depth_frame_to_msgs(frame: DepthFrame, stamp: Time, *, encoding: str = "16UC1") -> tuple[Image, CameraInfo]:
