@@ -13,6 +13,7 @@ from helpers.commands import check_refused, run_here
 from helpers.recordings import PERIOD, table_file
 from push_ident.bags.importers import TableFormat, TrackedPoses, import_tracked_poses
 from push_ident.bags.importers.tables import read_table
+from push_ident.bags.importers.recording import without_lost
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
 from push_ident.errors import BagError, InputError, PushIdentError
@@ -182,3 +183,15 @@ def test_binary_huge_and_missing_files_and_other_options_are_refused(tmp_path: P
     no_poses = ("--pusher", files.pusher, "--outline", files.outline, "--radius", 0.008)
     check_refused("poses", "import", "csv", *no_poses, "--out", tmp_path / "bag")
     assert not (tmp_path / "bag").exists()
+
+
+def test_zeros_are_lost_tracking_where_a_body_jumps_there_and_a_place_where_it_starts() -> None:
+    rows = np.column_stack([np.arange(20.0), np.linspace(0.3, 0.4, 20), np.full(20, 0.2), np.zeros(20)])
+    lost = np.where(np.isin(np.arange(20), [4, 5, 11])[:, None] & (np.arange(4) > 0), 0.0, rows)
+    notes: list[str] = []
+    assert np.flatnonzero(np.isnan(without_lost(lost, "poses.csv", notes)).any(axis=1)).tolist() == [4, 5, 11]
+    assert notes == ["poses.csv: tracking was lost in 3 of 20 rows, which are zero"]
+    starts = np.column_stack([np.arange(20.0), np.maximum(np.arange(20) - 5, 0) * 0.005, np.zeros(20), np.zeros(20)])
+    np.testing.assert_array_equal(without_lost(starts, "poses.csv", notes), starts)
+    tracked = np.column_stack([np.arange(3.0), np.zeros((3, 3)), [[0, 0, 0, 1.0], [0, 0, 0, 0.0], [0, 0, 0, 1.0]]])
+    assert np.flatnonzero(np.isnan(without_lost(tracked, "poses.csv", notes)).any(axis=1)).tolist() == [1]

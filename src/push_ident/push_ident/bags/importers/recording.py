@@ -136,13 +136,18 @@ def ascending(samples: Float64Array) -> Float64Array:
 def without_lost(rows: Float64Array, what: str, notes: list[str]) -> Float64Array:
     """Rows with time [s] first and a position next, shape (n, n_columns), with NaN where tracking was lost.
 
-    Trackers write a lost body as zeros: all numbers after the time, all of a quaternion in the last four of eight columns, or the position
-    with no turn. A body that is always there is none.
+    Trackers write a lost body as zeros: all of a quaternion, the last four of eight columns, or the position without any turn. A body may
+    be at the origin: it is lost there where it gets there by a larger step than it makes anywhere else.
     """
     values = rows[:, 1:]
-    is_lost: BoolArray = np.asarray(~values.any(axis=1))
-    if values.shape[1] == 7:
-        is_lost = is_lost | ~values[:, 3:].any(axis=1) | (~values[:, :3].any(axis=1) & (np.abs(values[:, 6]) == 1.0))
+    has_turn = values.shape[1] == 7
+    is_lost: BoolArray = np.asarray(~values[:, 3:].any(axis=1)) if has_turn else np.zeros(len(rows), dtype=np.bool_)
+    at_origin = ~values.any(axis=1) if not has_turn else ~values[:, :6].any(axis=1) & (np.abs(values[:, 6]) == 1.0)
+    position = values[:, : 3 if has_turn else 2]
+    step = np.linalg.norm(np.diff(position[~is_lost], axis=0), axis=1)
+    leaves = np.diff(at_origin[~is_lost].astype(np.int8)) != 0
+    if leaves.any() and np.min(step[leaves]) > np.max(step[~leaves], initial=0.0):
+        is_lost = np.asarray(is_lost | at_origin)
     if is_lost.all() or not is_lost.any():
         return rows
     notes.append(f"{what.rsplit('/', 1)[-1]}: tracking was lost in {int(is_lost.sum())} of {len(rows)} rows, which are zero")
