@@ -12,8 +12,8 @@ import pytest
 from helpers.commands import check_refused, run_here
 from helpers.recordings import PERIOD, table_file
 from push_ident.bags.importers import TableFormat, TrackedPoses, import_tracked_poses
-from push_ident.bags.importers.tables import read_table
 from push_ident.bags.importers.recording import without_lost
+from push_ident.bags.importers.tables import read_table
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
 from push_ident.errors import BagError, InputError, PushIdentError
