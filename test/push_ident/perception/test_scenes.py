@@ -272,13 +272,38 @@ def test_joints_are_interpolated_between_states_and_held_outside(history: RobotH
         assert history.joints_at(9.0) == {"a": value, "b": -value}
     for stamp, value in ((0.0, 0.0), (1.75, 0.75), (2.0, 1.0), (2.25, 0.75)):
         assert history.joints_at(stamp) == pytest.approx({"a": value, "b": -value})
-    history.add_joints(4.0, ["a", "b", "c"], np.ones(3))  # other joints
-    assert history.joints_at(1.0) == {"a": 1.0, "b": 1.0, "c": 1.0}
-    history.add_joints(2.0, ["a", "b", "c"], np.zeros(3))  # time set back
+    history.add_joints(4.0, ["finger"], np.ones(1))  # of a gripper, in turn with the arm
+    assert history.joints_at(2.0) == {"a": 1.0, "b": -1.0, "finger": 1.0} and history.joints_age(5.0) == 2.0
+    history.add_joints(2.0, ["a", "b"], np.zeros(2))  # time set back
     for position in ([0.0], [0.0, np.nan]):
         with pytest.raises(InputError, match="positions for 2 joints"):
             history.add_joints(1.0, ["a", "b"], np.array(position))
-    assert history.joints_at(9.0) == {"a": 0.0, "b": 0.0, "c": 0.0}
+    assert history.joints_at(9.0) == {"a": 0.0, "b": 0.0, "finger": 1.0}
+
+
+CHAIN = """<robot name="r"><link name="table"/>{links}
+<joint name="turn" type="{kind}"><parent link="table"/><child link="a"/><origin xyz="0 0 0.1"/><axis xyz="0 0 1"/>{limit}</joint>
+<joint name="bend" type="{kind}"><parent link="a"/><child link="b"/><origin xyz="0.5 0 0"/><axis xyz="0 0 1"/>{limit}{mimic}</joint>
+</robot>"""
+LINK = """<link name="{}"><collision><origin xyz="0.25 0 0" rpy="0 1.570796 0"/><geometry><cylinder radius="0.05" length="0.5"/></geometry>
+</collision></link>"""
+LIMIT = '<limit lower="-3" upper="3" velocity="1" effort="10"/>'
+
+
+def test_links_behind_a_joint_without_a_state_are_not_placed_and_named() -> None:
+    links = LINK.format("a") + LINK.format("b")
+    for kind, limit in (("revolute", LIMIT), ("continuous", "")):
+        shape = ArmShape(CHAIN.format(links=links, kind=kind, limit=limit, mimic=""))
+        assert shape.at({}) == [] and shape.joints_without({}) == ["turn", "bend"]
+        (first,) = shape.at({"turn": np.pi / 2, "finger": 1.0})
+        np.testing.assert_allclose([first.start, first.end], [[0, 0, 0.1], [0, 0.5, 0.1]], atol=1e-4)
+        assert shape.joints_without({"turn": 0.0}) == ["bend"]
+        _, second = shape.at({"turn": np.pi / 2, "bend": np.pi / 2})
+        np.testing.assert_allclose([second.start, second.end], [[0, 0.5, 0.1], [-0.5, 0.5, 0.1]], atol=1e-4)
+    mimic = '<mimic joint="turn" multiplier="-1" offset="0.5"/>'
+    follows = ArmShape(CHAIN.format(links=links, kind="revolute", limit=LIMIT, mimic=mimic))
+    _, second = follows.at({"turn": 0.5})
+    np.testing.assert_allclose(second.end - second.start, [0.5 * np.cos(0.5), 0.5 * np.sin(0.5), 0.0], atol=1e-4)
 
 
 def test_links_of_the_arm_follow_the_joints_and_those_above_every_object_are_left_out(history: RobotHistory) -> None:
@@ -290,5 +315,8 @@ def test_links_of_the_arm_follow_the_joints_and_those_above_every_object_are_lef
     assert len(everything) == len(expected) > 3
     for rod, other in zip(everything, expected, strict=True):
         assert rod.start == pytest.approx(other.start) and rod.end == pytest.approx(other.end)
+    assert history.unknown_joints == []
+    history.add_joints(1.6, ["finger_joint"], np.zeros(1))
+    assert len(history.arm_at(1.5, 10.0)) == len(expected)
     low = history.arm_at(1.5, 0.12)
     assert 0 < len(low) < len(everything) and all(rod.lowest < 0.12 for rod in low)

@@ -28,33 +28,56 @@ class ArmShape:
         """
         try:
             self._model = pin.buildModelFromXML(urdf_xml)
-            links = ET.fromstring(urdf_xml).findall("link")
+            tree = ET.fromstring(urdf_xml)
+            links, joints = tree.findall("link"), tree.findall("joint")
         except (ValueError, RuntimeError, ET.ParseError) as error:
             raise InputError(f"The robot description is not a valid URDF: {str(error).strip()}") from None
         if TABLE_FRAME not in [link.get("name") for link in links]:
             raise InputError(f"The robot description has no link `{TABLE_FRAME}`; root it there, so that its poses are in the table frame.")
         self._data = self._model.createData()
-        self._index = {
-            name: self._model.joints[number].idx_q
-            for number, name in enumerate(self._model.names)
-            if number > 0 and self._model.joints[number].nq == 1
-        }
+        self._place = {name: self._model.joints[number] for number, name in enumerate(self._model.names) if number > 0}
+        self._mimicked = {joint.attrib["name"]: mimic for joint in joints if (mimic := joint.find("mimic")) is not None}
         self._rods = [
             (self._model.getFrameId(link.attrib["name"]), rod)
             for link in links
             for collision in link.iter("collision")
             for rod in self._solid(link.attrib["name"], collision, link_radius)
         ]
+        self._needed = {frame: self._joints_of(frame) for frame, _ in self._rods}
 
     def at(self, positions: Mapping[str, float]) -> list[Rod]:
-        """The solids in the table frame for joint positions by name [rad]; other joints are at zero."""
-        q = pin.neutral(self._model)
-        for name, value in positions.items():
-            if name in self._index:
-                q[self._index[name]] = value
+        """The solids in the table frame for joint positions by name [rad, m]; those behind a joint without one are left out."""
+        q, known = pin.neutral(self._model), self._with_mimics(positions)
+        for name, joint in self._place.items():
+            if name in known:
+                # A joint without limits is held as cosine and sine.
+                value = [known[name]] if joint.nq == 1 else [np.cos(known[name]), np.sin(known[name])]
+                q[joint.idx_q : joint.idx_q + joint.nq] = value
         pin.forwardKinematics(self._model, self._data, q)
         pin.updateFramePlacements(self._model, self._data)
-        return [rod.moved(np.array(self._data.oMf[frame].homogeneous)) for frame, rod in self._rods]
+        placed = [(frame, rod) for frame, rod in self._rods if self._needed[frame] <= known.keys()]
+        return [rod.moved(np.array(self._data.oMf[frame].homogeneous)) for frame, rod in placed]
+
+    def joints_without(self, positions: Mapping[str, float]) -> list[str]:
+        """Joints that place some solid and have no position, in the order of the description."""
+        known, needed = self._with_mimics(positions), frozenset[str]().union(*self._needed.values())
+        return [name for name in self._place if name in needed - known.keys()]
+
+    def _with_mimics(self, positions: Mapping[str, float]) -> dict[str, float]:
+        """Positions, and those of the joints that follow others, as those of a gripper do."""
+        known = {name: value for name, value in positions.items() if name in self._place}
+        for name, mimic in self._mimicked.items():
+            if name not in known and mimic.get("joint", "") in known:
+                known[name] = float(mimic.get("multiplier", "1")) * known[mimic.attrib["joint"]] + float(mimic.get("offset", "0"))
+        return known
+
+    def _joints_of(self, frame: int) -> frozenset[str]:
+        """Names of the joints between the table and a frame."""
+        joint, names = self._model.frames[frame].parentJoint, set()
+        while joint > 0:
+            names.add(self._model.names[joint])
+            joint = self._model.parents[joint]
+        return frozenset(names)
 
     def _solid(self, link: str, collision: ET.Element, link_radius: float) -> list[Rod]:
         """The rods of one collision element, frame of its link."""

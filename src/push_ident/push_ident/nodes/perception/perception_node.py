@@ -344,6 +344,8 @@ class _Perception(Component):
             self._notes["arm"] = f"nothing on {' and '.join(missing)}: the links of the arm are not masked"
         else:
             self._notes["arm"] = f"joint states are {joints_age:.2f} s older than the image" if joints_age > IMAGE_TIMES.stale else ""
+            if unknown := self._robot.unknown_joints:
+                self._notes["arm"] = f"no state of {', '.join(unknown)}: the links behind them are not masked"
         reach = self._configured["max_object_height"] + self._configured["mask_margin"]
         return self._robot.tool_at(stamp, self._configured["hand_radius"]) + self._robot.arm_at(stamp, reach)
 

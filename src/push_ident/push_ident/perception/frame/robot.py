@@ -45,8 +45,7 @@ class RobotHistory:
         self.arm_shape: ArmShape | None = None
         """Links of the arm; None until its description is known."""
         self._tool: deque[tuple[float, Float64Array]] = deque(maxlen=200)  # 3 s at 60 Hz
-        self._joints: deque[tuple[float, Float64Array]] = deque(maxlen=400)  # 4 s at 100 Hz
-        self._joint_names: tuple[str, ...] = ()
+        self._joints: dict[str, deque[tuple[float, float]]] = {}
 
     def add_tool(self, stamp: float, position: Float64Array) -> None:
         """Position of the tip at `stamp` [s], shape (3,), table frame [m]; an older stamp begins anew."""
@@ -55,24 +54,31 @@ class RobotHistory:
         self._tool.append((stamp, position))
 
     def add_joints(self, stamp: float, names: Sequence[str], position: Float64Array) -> None:
-        """Joint positions [rad] at `stamp` [s]; an older stamp, or other joints, begin anew.
+        """Joint positions [rad, m] at `stamp` [s], of all joints or, as of arm and gripper in turn, of some; an older stamp of a joint
+        begins that one anew.
 
         Raises InputError for numbers that are not finite, or not one for each name.
         """
         if len(position) != len(names) or not np.isfinite(position).all():
             raise InputError(f"{len(position)} positions for {len(names)} joints, or not finite")
-        if self._joints and (stamp < self._joints[-1][0] or tuple(names) != self._joint_names):
-            self._joints.clear()
-        self._joint_names = tuple(names)
-        self._joints.append((stamp, position))
+        for name, value in zip(names, position.tolist(), strict=True):
+            states = self._joints.setdefault(name, deque(maxlen=400))  # 4 s at 100 Hz
+            if states and stamp < states[-1][0]:
+                states.clear()
+            states.append((stamp, value))
 
     def tool_age(self, stamp: float) -> float | None:
         """How much older than `stamp` the latest tool pose is [s]; None where there is none."""
         return stamp - self._tool[-1][0] if self._tool else None
 
     def joints_age(self, stamp: float) -> float | None:
-        """How much older than `stamp` the latest joint state is [s]; None where there is none."""
-        return stamp - self._joints[-1][0] if self._joints else None
+        """How much older than `stamp` the latest state of the joint is which is silent for longest [s]; None where there is none."""
+        return max((stamp - states[-1][0] for states in self._joints.values()), default=None)
+
+    @property
+    def unknown_joints(self) -> list[str]:
+        """Joints of the arm of which no state has come: links behind them are not placed."""
+        return [] if self.arm_shape is None else self.arm_shape.joints_without(dict.fromkeys(self._joints, 0.0))
 
     def tool_at(self, stamp: float, hand_radius: float) -> tuple[RobotPart, ...]:
         """Tool and hand at `stamp` [s]; nothing without tool poses. `hand_radius` [m] is that of the hand above the tool."""
@@ -84,16 +90,8 @@ class RobotHistory:
         return Cylinder(x, y, self.tool_radius, z), Cylinder(x, y, hand_radius, z + self.tool_length)
 
     def joints_at(self, stamp: float) -> dict[str, float]:
-        """Joint positions at `stamp` [rad] by name, linear between the states around it, held outside; empty without joint states."""
-        if not self._joints:
-            return {}
-        times = np.array([time for time, _ in self._joints])
-        after = int(np.searchsorted(times, stamp).clip(1, len(times) - 1)) if len(times) > 1 else 0
-        position = self._joints[after][1]
-        if after:
-            share = float(np.clip((stamp - times[after - 1]) / max(times[after] - times[after - 1], 1e-9), 0.0, 1.0))
-            position = (1.0 - share) * self._joints[after - 1][1] + share * position
-        return dict(zip(self._joint_names, position.tolist(), strict=True))
+        """Joint positions at `stamp` [rad, m] by name, linear between the states around it, held outside; empty without joint states."""
+        return {name: float(np.interp(stamp, *np.array(states).T)) for name, states in self._joints.items()}
 
     def arm_at(self, stamp: float, reach: float) -> tuple[RobotPart, ...]:
         """Links of the arm at `stamp` [s] that come below the height `reach` [m]; nothing without description or joint states.

@@ -252,7 +252,8 @@ def _camera(robot: Robot, shape: ArmShape) -> Iterator[Finding]:
         yield Finding(
             "camera", Level.OK, f"all of the workspace in view, {np.min(in_camera[:, 2]):.2f} to {np.max(in_camera[:, 2]):.2f} m away"
         )
-    rods = shape.at(dict(zip(robot.file.joints.names, robot.file.joints.home, strict=True)))
+    home = dict(zip(robot.file.joints.names, robot.file.joints.home, strict=True))
+    rods = shape.at(home | dict.fromkeys(shape.joints_without(home), 0.0))  # a hand at zero
     hidden = float(np.mean(_hidden(pose[:3, 3], points, rods)))
     if hidden > 0:
         what = f"the arm at home hides {100 * hidden:.0f} % of the workspace from the camera"
