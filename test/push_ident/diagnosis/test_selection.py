@@ -41,6 +41,13 @@ def test_evidence_of_an_effect_is_that_of_the_step_in_which_it_was_added() -> No
     assert added == {"wear": (0, 35.0), "tether": (1, 15.0)}
 
 
+def test_an_effect_that_was_replaced_and_added_again_has_the_step_in_which_it_came_back() -> None:
+    steps = (step_of(table_tilt=40.0, wear=35.0), step_of(tether=15.0), step_of(table_tilt=12.0))
+    selection = Selection(stub_fit(), stub_fit("wear", "tether", "table_tilt"), steps)
+    added = {name: (steps.index(step), c.log_bayes_factor) for name, (step, c) in selection.added.items()}
+    assert added == {"wear": (0, 35.0), "tether": (1, 15.0), "table_tilt": (2, 12.0)}
+
+
 @pytest.mark.parametrize(
     ("rival", "found", "tied", "excluded"),
     [

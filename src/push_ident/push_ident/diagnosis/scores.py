@@ -164,6 +164,27 @@ def score_effects(information: EffectInformation | None, policy: SelectionPolicy
     return sorted(scores, key=lambda score: -score.expected_log_bayes_factor)
 
 
+def score_in_place(fit: Fit, name: str, policy: SelectionPolicy) -> list[EffectScore]:
+    """Scores of absent effects in the place of one that a fit has, relative to it; none where the pushes have no linear range.
+
+    Errors of tool, camera, clock and outline move the contact alike. Near a fit that has one of them, the others need not move it first.
+    """
+    information = effect_information(fit)
+    if information is None or information.linear is None:
+        return []
+    taken = fit.unknowns.slice_of_effect(name)
+    linear = information.linear
+    # Its columns keep their places: those of absent effects follow.
+    others = replace(linear, fitted=np.setdiff1d(linear.fitted, np.arange(taken.start, taken.stop)))
+    try:
+        with_it = linear.log_evidence(np.zeros(0, dtype=np.intp))[0]
+    except np.linalg.LinAlgError:
+        return []
+    scores = score_effects(replace(information, linear=None), policy)
+    unscored = [replace(score, expected_log_bayes_factor=-np.inf) for score in scores]
+    return map_in_threads(lambda score: _in_range(score, others, information.indices[score.name], with_it, policy), unscored)
+
+
 def clipped_start(start: Float64Array, max_start: float) -> Float64Array:
     """A one-step estimate, shortened to `max_start` prior standard deviations where it is longer: the linear range ends there."""
     size = float(np.linalg.norm(start))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from push_ident.diagnosis.camera import OUTLINE_ERRORS
 from push_ident.diagnosis.fits import fit_effects, polished, with_another, with_shared
 from push_ident.diagnosis.policy import GatePolicy, SelectionPolicy
 from push_ident.diagnosis.relabelling import gains_by_chance
-from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects
+from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects, score_in_place
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
 from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.state import DiagnosisState
@@ -20,7 +20,7 @@ from push_ident.diagnosis.verdict import Gate
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
-from push_ident.types import Float64Array, SolveStatus
+from push_ident.types import SolveStatus
 
 
 def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
@@ -123,7 +123,7 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     # All refits of a first effect are completed, since the ranking shows them; later ones end where they cannot matter any more.
     required = needed - policy.tie_margin if selection.selected else -np.inf
     refits = map_in_threads(lambda score: _refit(fit, required, score, fit), chosen)
-    candidates = _ranked(_freed_candidates(fit, refits, chosen, required, policy), policy.tie_margin)
+    candidates = _ranked(_freed_candidates(fit, refits, by_chance, required, policy), policy.tie_margin)
     return Step(fit, information, tuple(scores), tuple(candidates))
 
 
@@ -155,34 +155,28 @@ def _refit(fit: Fit, required: float, score: EffectScore, maps: Fit) -> Candidat
 
 
 def _freed_candidates(
-    fit: Fit, candidates: Sequence[Candidate], scores: Sequence[EffectScore], required: float, policy: SelectionPolicy
+    fit: Fit, candidates: Sequence[Candidate], by_chance: Mapping[str, float], required: float, policy: SelectionPolicy
 ) -> list[Candidate]:
-    """The candidates, with those that fell short of their score, or do nearly the same as the best one, fitted again from the maps beside
-    that: they stopped at a kink of the cost."""
+    """The candidates, with those fitted again from the maps and contacts beside the best one that promise more there than they had: they
+    stopped at a kink of the cost, or were not tried, as what the best one moves lay beyond their linear range."""
     best = max(candidates, key=lambda candidate: candidate.log_bayes_factor, default=None)
     if best is None or best.log_bayes_factor <= 0.0:
         return list(candidates)
+    found = {candidate.name: candidate for candidate in candidates}
+    least = policy.promise_share * best.log_bayes_factor
 
-    def free(pair: tuple[Candidate, EffectScore]) -> Candidate:
-        candidate, score = pair
-        twin = _twin_start(best, candidate.name)
-        if candidate is best or (twin is None and candidate.log_bayes_factor > score.expected_log_bayes_factor - policy.tie_margin):
-            return candidate
-        again = _refit(fit, required, score if twin is None else replace(score, start=twin), best.fit)
-        return max(candidate, again, key=lambda one: one.log_bayes_factor)
+    def falls_short(score: EffectScore) -> bool:
+        known = found[score.name].log_bayes_factor if score.name in found else -np.inf
+        return score.expected_log_bayes_factor > max(least, known + policy.tie_margin)
 
-    return map_in_threads(free, list(zip(candidates, scores, strict=True)))
-
-
-def _twin_start(best: Candidate, name: str) -> Float64Array | None:
-    """Unknowns of an effect that moves pushes as the best one does, of as many parameters of the same unit, at the values of that; else
-    None."""
-    effect, other = EFFECTS[name], EFFECTS[best.name]
-    if name not in other.refit_with or [p.unit for p in effect.parameters] != [p.unit for p in other.parameters]:
-        return None
-    effects = best.fit.fitted_effects
-    values, scales = effects.values[effects.slice_of(best.name)], np.array([p.scale for p in effect.parameters])
-    return np.asarray((values - [p.nominal for p in effect.parameters]) / scales)
+    scores = [score.beyond(by_chance.get(score.name, 0.0)) for score in score_in_place(best.fit, best.name, policy)]
+    of_best = best.fit.log_evidence - fit.log_evidence
+    promising = [replace(score, expected_log_bayes_factor=of_best + score.expected_log_bayes_factor) for score in scores]
+    first = sorted(promising, key=lambda score: -score.expected_log_bayes_factor)[: policy.max_refits]
+    again = map_in_threads(lambda score: _refit(fit, required, score, best.fit), [score for score in first if falls_short(score)])
+    for candidate in again:
+        found[candidate.name] = max(candidate, found.get(candidate.name, candidate), key=lambda one: one.log_bayes_factor)
+    return list(found.values())
 
 
 def _ranked(candidates: Sequence[Candidate], tie_margin: float) -> list[Candidate]:

@@ -82,12 +82,15 @@ class Selection:
 
         An effect that took the place of another one has that one's step.
         """
-        chosen = {number: step.best for number, step in enumerate(self.steps) if step.best and step.best.name in self.selected}
+        numbered = [(number, candidate) for number, step in enumerate(self.steps) for candidate in step.candidates]
+        # The last step counts of which an effect is the best: it may have been replaced, and added again.
+        chosen = {c.name: (n, c) for n, c in numbered if c is self.steps[n].best and c.name in self.selected}
         for name in self.selected:
-            if name not in {candidate.name for candidate in chosen.values()}:
-                free = ((n, c) for n, step in enumerate(self.steps) for c in step.candidates if c.name == name and n not in chosen)
-                chosen.update([next(free)])
-        return {candidate.name: (self.steps[number], candidate) for number, candidate in sorted(chosen.items())}
+            if name not in chosen:
+                taken = {number for number, _ in chosen.values()}
+                refitted = [(n, c) for n, c in numbered if c.name == name]
+                chosen[name] = next((found for found in refitted if found[0] not in taken), refitted[-1])
+        return {name: (self.steps[number], candidate) for name, (number, candidate) in sorted(chosen.items(), key=lambda item: item[1][0])}
 
     @property
     def smallest_detectable(self) -> dict[str, float]:
