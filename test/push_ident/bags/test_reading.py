@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer as McapWriter
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -32,6 +33,7 @@ from push_ident.bags.pushes import split_pushes
 from push_ident.bags.raw import raw_messages
 from push_ident.bags.reader import read_bag
 from push_ident.bags.records import write_records
+from push_ident.bags.typestore import jazzy_typestore
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError, FrameError, InputError
 from push_ident.geometry.outline import polygon_area
@@ -127,6 +129,39 @@ def test_the_frame_that_the_images_name_is_that_of_the_camera(tmp_path: Path) ->
     assert read_bag(tmp_path / "camera_depth_optical_frame").camera_in_table is not None
     other = read_bag(tmp_path / "camera_color_optical_frame")
     assert other.camera_in_table is None and any("no frame 'camera_color_optical_frame'" in note for note in other.notes)
+
+
+@pytest.mark.parametrize(("encoding", "schema"), [("json", b"{}"), ("protobuf", b"\x0a\xff\xfe")])
+def test_channels_of_other_programs_do_no_harm(tmp_path: Path, encoding: str, schema: bytes) -> None:
+    with (tmp_path / "mixed.mcap").open("wb") as file:
+        mcap = McapWriter(file)
+        mcap.start(profile="ros2", library="test")
+        other = mcap.register_channel("/status", encoding, mcap.register_schema("Status", f"{encoding}schema", schema))
+        for topic, fields in (
+            ("/pusher/pose", (pose_msg(0.1, 0.2),)),
+            ("/objects/7/pose", (new("geometry_msgs/msg/PoseWithCovariance", pose_msg(0.3, 0.2), np.eye(6).ravel()),)),
+        ):
+            msgtype = Role.PUSHER.msgtype if topic == "/pusher/pose" else Role.POSE.msgtype
+            text, _ = jazzy_typestore().generate_msgdef(msgtype)
+            channel = mcap.register_channel(topic, "cdr", mcap.register_schema(msgtype, "ros2msg", text.encode()))
+            for stamp in (2.0, 2.1):
+                data = jazzy_typestore().serialize_cdr(new(msgtype, header_msg(stamp, "table"), *fields), msgtype)
+                mcap.add_message(channel, round(1e9 * stamp), bytes(data), round(1e9 * stamp))
+                mcap.add_message(other, round(1e9 * stamp), b"{}", round(1e9 * stamp))
+        mcap.finish()
+    np.testing.assert_allclose(read_bag(tmp_path / "mixed.mcap").pusher.time, [0.0, 0.1])
+
+
+def test_files_of_a_split_recording_are_read_in_order_of_time(tmp_path: Path) -> None:
+    """As a script lists them, 10 before 2, and without a list."""
+    for number in (0, 1, 2, 10):
+        with BagWriter(tmp_path / f"part_{number}.mcap") as writer:
+            write_push(writer, 2.0 + 3.0 * number)
+    times = read_bag(tmp_path).pusher.time
+    assert len(times) > 100 and np.all(np.diff(times) > 0)
+    (tmp_path / "other.mcap").write_bytes((tmp_path / "part_0.mcap").read_bytes())
+    with pytest.raises(BagError, match="name one of them"):
+        read_bag(tmp_path)
 
 
 def test_cells_follow_the_origin_and_yaw_of_their_grid(tmp_path: Path) -> None:

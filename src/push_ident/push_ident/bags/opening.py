@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 from urllib.parse import quote
 
-from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Nodetype
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat, Nodetype
 from rosbags.rosbag1 import Reader as Rosbag1Reader
 from rosbags.rosbag2 import Reader as Rosbag2Reader
+from rosbags.rosbag2 import storage_mcap
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -32,7 +33,27 @@ from push_ident.limits import LIMITS
 
 SUFFIXES: Final = (".mcap", ".db3", ".bag")
 """Of the files of a bag."""
+_SPLIT: Final = re.compile(r"_\d+$")
+"""Number at the end of the names of the files of one recording."""
 _CAPITAL_PACKAGE: Final = re.compile(r"\b[A-Z]\w*(?=/\w)")
+
+_KNOWN_DEFINITION: Final = storage_mcap.get_msgdef
+
+
+def _definition_of(schema: Any) -> MessageDefinition:
+    """As rosbags has it; none for the schema of a channel that is no ROS message, as JSON or protobuf, for which it refuses the file."""
+    try:
+        return _KNOWN_DEFINITION(schema)
+    except KeyError:
+        return MessageDefinition(MessageDefinitionFormat.NONE, "")
+
+
+def _text_of(bio: BinaryIO) -> str:
+    """As rosbags has it, but for the schema of a protobuf channel, which is no text and which nobody reads."""
+    return storage_mcap.read_bytes(bio).decode(errors="replace")
+
+
+storage_mcap.get_msgdef, storage_mcap.read_string = _definition_of, _text_of
 
 _Reader = Rosbag1Reader | Rosbag2Reader
 _Decompressor = Callable[[bytes], bytes]
@@ -73,6 +94,7 @@ class OpenBag:
         Only these types are registered, so that an unknown type elsewhere in the bag does no harm.
         """
         for topic in topics:
+            _check_serialisation(topic)
             if _lower_package(topic.msgtype) not in self._store.fielddefs:
                 types = _definitions(topic, self._store)
                 _check_definitions({**self._store.fielddefs, **types}, topic.topic)
@@ -92,6 +114,8 @@ class OpenBag:
         """
         if self._is_ros1:
             raise BagError(f"{self.path}: a ROS 1 bag cannot be played directly; convert it first, with `rosbags-convert`.")
+        for topic in self.topics:
+            _check_serialisation(topic)
         migrations = {(topic.msgtype, topic.msgdef): _migration(topic) for topic in self.topics}
         for topic, log_time, raw in self._raw(self.topics):
             migrate = migrations[topic.msgtype, topic.msgdef]
@@ -115,11 +139,13 @@ def _checked(reader: _Reader) -> list[Connection]:
         for name, what in ((topic.topic, "a topic"), (topic.msgtype, "a message type")):
             LIMITS.STRING.check(len(name), what, error=BagError)
         LIMITS.SCHEMA.check(len(topic.msgdef.data), topic.topic, error=BagError)
-        if isinstance(topic.ext, ConnectionExtRosbag2) and topic.ext.serialization_format != "cdr":
-            raise BagError(
-                f"topic {topic.topic} is serialised as {topic.ext.serialization_format[:40]!r}, expected 'cdr'; record with ROS 2."
-            )
     return reader.connections
+
+
+def _check_serialisation(topic: Connection) -> None:
+    """Raise BagError for a topic that is to be read and is not CDR; others may be anything."""
+    if isinstance(topic.ext, ConnectionExtRosbag2) and topic.ext.serialization_format != "cdr":
+        raise BagError(f"topic {topic.topic} is serialised as {topic.ext.serialization_format[:40]!r}, expected 'cdr'; record with ROS 2.")
 
 
 def _messages(reader: _Reader, topics: list[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
@@ -201,7 +227,7 @@ def _field_size(kind: Any, types: dict[str, Any], sizes: dict[str, int], depth: 
 
 
 def _storage_of(path: Path) -> Path:
-    """A bag folder with metadata, or a storage file. Raises BagError when there is no bag at `path`."""
+    """A bag folder with metadata or with the files of one split recording, or a storage file. Raises BagError for no bag at `path`."""
     if not os.path.exists(path):  # unlike that of Path it raises for no name
         raise BagError(f"{path}: there is no such bag; give a bag folder or a {', '.join(SUFFIXES)} file.")
     if path.name == "metadata.yaml":
@@ -212,8 +238,10 @@ def _storage_of(path: Path) -> Path:
         files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES)
         if not files:
             raise BagError(f"{path}: the folder holds no bag (no metadata.yaml, no {', '.join(SUFFIXES)} file).")
-        if len(files) > 1:
+        if len(files) > 1 and len({_SPLIT.sub("", file.stem) for file in files}) > 1:
             raise BagError(f"{path}: the folder holds {len(files)} storage files and no metadata.yaml; name one of them.")
+        if len(files) > 1:
+            return path
         path = files[0]
     if path.suffix not in SUFFIXES:
         raise BagError(f"{path}: not the name of a bag; expected a bag folder or a {', '.join(SUFFIXES)} file.")
@@ -224,6 +252,9 @@ def _opened(path: Path, stack: ExitStack) -> OpenBag:
     storage = _storage_of(path)
     if not storage.is_dir():
         return OpenBag(path, [_reader(storage, stack)], {}, None)
+    if not (storage / "metadata.yaml").exists():
+        split = [file for file in storage.iterdir() if file.suffix in SUFFIXES]
+        return OpenBag(path, _in_time([_reader(file, stack) for file in split]), {}, None)
     folder = read_folder(storage)
     files = folder.files
     if folder.compression == "file":
@@ -232,7 +263,12 @@ def _opened(path: Path, stack: ExitStack) -> OpenBag:
         for compressed, file in zip(folder.files, files, strict=True):
             uncompress_file(compressed, file)
     decompress = uncompressed_message if folder.compression == "message" else None
-    return OpenBag(path, [_reader(file, stack) for file in files], folder.promised, decompress)
+    return OpenBag(path, _in_time([_reader(file, stack) for file in files]), folder.promised, decompress)
+
+
+def _in_time(readers: list[_Reader]) -> list[_Reader]:
+    """Readers of the files of one recording in order of time: scripts that write metadata.yaml sort 10 before 2."""
+    return sorted(readers, key=lambda reader: reader.start_time)
 
 
 def _reader(file: Path, stack: ExitStack) -> _Reader:

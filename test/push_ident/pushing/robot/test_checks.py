@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,15 @@ def test_joint_without_end_needs_limits_in_the_file(tmp_path: Path) -> None:
     assert any("meshes are no files" in finding.what and finding.level is Level.WARNING for finding in findings)
 
 
+def test_a_velocity_of_zero_is_none_and_that_of_the_file_counts(tmp_path: Path) -> None:
+    unknown = lambda text: re.sub('velocity="[^"]*"', 'velocity="0"', text)  # noqa: E731
+    findings, _ = check_robot(read_robot(with_urdf(tmp_path, unknown)))
+    assert not [finding.text for finding in findings if finding.about == "limits" and finding.level is Level.WRONG]
+    without = lambda content: content["joints"].pop("velocity")  # noqa: E731
+    findings, _ = check_robot(read_robot(with_urdf(tmp_path, unknown, without)))
+    assert any("no velocity limit" in finding.text and "data sheet" in finding.text for finding in findings)
+
+
 def test_places_that_the_arm_cannot_push_at_are_told_and_drawn_and_a_smaller_workspace_is_proposed(tmp_path: Path) -> None:
     robot, reach, findings = reach_of(changed(tmp_path, lambda c: c.update(workspace=[0.0, 0.45, -0.15, 0.15])), 0.15)
     assert reach.outcome.shape == (2, 4, 3)
@@ -153,7 +163,14 @@ def test_joint_that_turns_without_end_gets_the_limits_of_the_file_and_foreign_pr
 
 def test_description_that_is_no_urdf_or_not_there_is_refused(tmp_path: Path) -> None:
     entities = '<!DOCTYPE robot [<!ENTITY a "b">]><robot name="a"><link name="b"/></robot>'
-    for text, why in ((entities, "declares entities"), ("<robot", "cannot be read"), ("<world/>", "no element `robot`")):
+    xacro = '<robot name="a" xmlns:xacro="http://wiki.ros.org/xacro"><link name="b"/><xacro:arm parent="b"/></robot>'
+    refused = (
+        (entities, "declares entities"),
+        ("<robot", "cannot be read"),
+        ("<world/>", "no element `robot`"),
+        (xacro, "Expand it first"),
+    )
+    for text, why in refused:
         with pytest.raises(InputError, match=why):
             read_urdf(read_robot(with_urdf(tmp_path, lambda _, text=text: text)))
     for package, why in (

@@ -142,7 +142,9 @@ def without_lost(rows: Float64Array, what: str, notes: list[str]) -> Float64Arra
     values = rows[:, 1:]
     has_turn = values.shape[1] == 7
     is_lost: BoolArray = np.asarray(~values[:, 3:].any(axis=1)) if has_turn else np.zeros(len(rows), dtype=np.bool_)
-    at_origin = ~values.any(axis=1) if not has_turn else ~values[:, :6].any(axis=1) & (np.abs(values[:, 6]) == 1.0)
+    at_origin: BoolArray = np.asarray(~values[:, : 6 if has_turn else None].any(axis=1))
+    if has_turn:
+        at_origin = at_origin & (np.abs(values[:, 6]) == 1.0)
     position = values[:, : 3 if has_turn else 2]
     step = np.linalg.norm(np.diff(position[~is_lost], axis=0), axis=1)
     leaves = np.diff(at_origin[~is_lost].astype(np.int8)) != 0

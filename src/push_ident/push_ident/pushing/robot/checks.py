@@ -149,6 +149,8 @@ def _limits(robot: Robot, urdf: Urdf) -> Iterator[Finding]:
         given = {key: _number(limit.get(key, "")) for key in ("lower", "upper", "velocity")} if limit is not None else {}
         if urdf.joints[name].get("type") == "continuous":
             given |= {"lower": -np.inf, "upper": np.inf}
+        if given.get("velocity") == 0.0:  # as exporters write it that know none
+            given["velocity"] = np.nan
         of_urdf = [given.get(key, np.nan) for key in ("lower", "upper", "velocity")]
         of_file = [values[index] if values else None for values in (joints.lower, joints.upper, joints.velocity)]
         for finding in _limits_of(name, of_urdf, of_file):
@@ -187,7 +189,8 @@ def _limits_of(name: str, of_urdf: list[float], of_file: list[float | None]) -> 
     speed = velocity if file_velocity is None else file_velocity
     if not speed > 0:
         remedy = "give joints.velocity from the data sheet"
-        yield _wrong("limits", f"{name} has a velocity limit of {speed} rad/s", "more than 0", remedy)
+        stated = "no velocity limit" if np.isnan(speed) else f"a velocity limit of {speed} rad/s"
+        yield _wrong("limits", f"{name} has {stated}", "more than 0", remedy)
 
 
 def check_posture(kinematics: ArmKinematics, name: str, posture: Float64Array, settings: MotionSettings) -> Iterator[Finding]:

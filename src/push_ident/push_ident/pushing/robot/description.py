@@ -83,6 +83,8 @@ def read_urdf(robot: Robot) -> Urdf:
         reason = plain_text(" ".join(str(error).split()))[:150]
         remedy = " Expand it first: `xacro FILE > robot.urdf`." if path.suffix == ".xacro" else ""
         raise InputError(f"description: {path} cannot be read ({reason}), expected a URDF.{remedy}") from None
+    if b"<xacro:" in content:
+        raise InputError(f"description: {path} is xacro, expected a URDF. Expand it first: `xacro FILE > robot.urdf`.")
     if root.tag != "robot" or root.find("link") is None:
         raise InputError(f"description: {path} has no element `robot` with links, expected a URDF.")
     for mesh in root.iter("mesh"):
