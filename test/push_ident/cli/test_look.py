@@ -122,7 +122,7 @@ UNORGANISED = b"VERSION 0.7\nWIDTH 320\nHEIGHT 1\nPOINTS 320\nDATA ascii\n"
         ("none/", None, (), "has no depth image"),
         ("camera_info.yaml", None, (), "no camera_info.yaml beside it"),
         ("camera_info.yaml", b"a: [\n", (), "gives no intrinsics"),
-        ("camera_info.yaml", DISTORTED, (), "distortion and no projection_matrix"),
+        ("camera_info.yaml", DISTORTED, (), "no projection matrix P"),
         ("camera_info.yaml", INFO | {"image_width": 640}, (), "belong to different cameras"),
         ("8.png", np.full((240, 320), 9, np.uint8), (), "8 bits hold no depth"),
         ("0.png", np.zeros((240, 320), np.uint16), (), "0 valid of 76800 pixels"),
