@@ -125,7 +125,7 @@ def test_depth_frames_come_back(encoding):
     ("change", "text"),
     [
         (lambda image, info: setattr(image, "encoding", "mono16"), "'mono16', expected one of 16UC1, 32FC1"),
-        (lambda image, info: setattr(image, "height", 3), "3 x 3, camera info 3 x 2"),
+        (lambda image, info: setattr(image, "height", 3), "3 x 3 pixels, its camera info is for 3 x 2"),
         (lambda image, info: setattr(image, "step", 7), "step is 7"),
         (lambda image, info: (setattr(info, "p", [0.0] * 12), setattr(info, "d", [0.1] * 5)), "not rectified"),
         (lambda image, info: setattr(info, "header", Header(frame_id="elsewhere")), "its camera info in 'elsewhere'"),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,7 +88,8 @@ def test_what_a_map_gets_wrong_ends_in_one_line(
     assert not (tmp_path / "own").exists()
 
 
-class Message(NamedTuple):
+@dataclass(frozen=True)
+class Message:
     """A message of the object (x, y, yaw), of the tool (x, y), or of a force."""
 
     topic: str
@@ -101,7 +103,8 @@ class Message(NamedTuple):
 def write_messages(bag: Path, messages: Sequence[Message], *, wrench_frame: str = "world") -> Path:
     """Poses in `world`; a yaw of NaN stands for a quaternion of zeros."""
     with BagWriter(bag) as writer:
-        for topic, logged, stamp, values in messages:
+        for message in messages:
+            topic, logged, stamp, values = message.topic, message.logged, message.stamp, message.values
             if topic == "/ft":
                 vectors = (new("geometry_msgs/msg/Vector3", *values, 0.0), new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0))
                 fields: tuple[Any, ...] = (header_msg(stamp, wrench_frame), new("geometry_msgs/msg/Wrench", *vectors))
@@ -131,17 +134,17 @@ def late(messages: list[Message]) -> list[Message]:
     for at in range(0, len(messages) - 1, 10):
         if messages[at].topic == messages[at + 1].topic and messages[at + 1].stamp - messages[at].stamp < 0.5:
             one, next_one = messages[at], messages[at + 1]
-            messages[at : at + 2] = next_one._replace(logged=one.logged), one._replace(logged=next_one.logged)
+            messages[at : at + 2] = replace(next_one, logged=one.logged), replace(one, logged=next_one.logged)
     return messages
 
 
 def unstamped(messages: list[Message]) -> list[Message]:
-    return [m._replace(stamp=0.0, logged=1.7e9) if at % 50 == 0 else m for at, m in enumerate(messages)]
+    return [replace(m, stamp=0.0, logged=1.7e9) if at % 50 == 0 else m for at, m in enumerate(messages)]
 
 
 def lost(messages: list[Message]) -> list[Message]:
     zeros = {"/body": (0.0, 0.0, np.nan), "/tool": (0.0, 0.0), "/ft": (1.0, 0.0)}
-    return [m._replace(values=zeros[m.topic]) if at % 40 == 5 else m for at, m in enumerate(messages)]
+    return [replace(m, values=zeros[m.topic]) if at % 40 == 5 else m for at, m in enumerate(messages)]
 
 
 @pytest.mark.parametrize(("change", "note"), [(late, "are sorted"), (unstamped, "have no stamp; left out"), (lost, "tracking was lost")])
@@ -173,7 +176,7 @@ def test_a_force_in_a_frame_of_its_own_needs_its_axes(
 
 
 def test_a_force_on_another_clock_is_refused(tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord]) -> None:
-    messages = [m._replace(stamp=0.0, logged=m.logged + 1.7e9) if m.topic == "/ft" else m for m in messages_of(rows)]
+    messages = [replace(m, stamp=0.0, logged=m.logged + 1.7e9) if m.topic == "/ft" else m for m in messages_of(rows)]
     bag = write_messages(tmp_path / "clocks", messages)
     check_refused("leave the force out", *arguments(bag, tmp_path, pushed, *WITH_FORCE))
 

@@ -279,10 +279,10 @@ def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> Disc
 
 
 def log_density_of_precisions(precisions: Float64Array, n: int) -> float:
-    """By which precisions of the pushes, shape (n_pushes,), change the prior density of their `n` displacements and have their own, up to a
-    constant [nat]."""
+    """By which precisions of the pushes, shape (n_pushes,), change the prior density of their `n` displacements and have their own, over
+    precisions of 1 [nat]."""
     logs = np.log(precisions)
-    return 0.5 * float(np.sum(n * logs + TAILS * (logs - precisions)))
+    return 0.5 * float(np.sum(n * logs + TAILS * (logs - precisions + 1.0)))
 
 
 def departing_pushes(precisions: Float64Array, max_p_value: float) -> dict[int, float]:
