@@ -21,6 +21,8 @@ def test_the_rectified_image_has_the_projection_matrix_and_a_raw_one_without_dis
     assert RAW.intrinsics() == CameraIntrinsics(640, 480, 600.0, 600.0, 320.0, 240.0)
     with pytest.raises(FrameError, match="distortion.*rectify"):
         replace(RAW, d=[0.1, -0.2]).intrinsics()
+    with pytest.raises(FrameError, match="matrix of 4 numbers, expected 9"):
+        replace(RAW, k=K[:4]).intrinsics()
     with pytest.raises(FrameError, match="not filled"):
         replace(RAW, width=0).intrinsics()
 

@@ -269,8 +269,6 @@ def _clean(path: Path, role: TopicRole, record: _Recorded, notes: list[str], *, 
     elif not np.all(stamps):
         notes.append(f"`{role}`: {np.count_nonzero(stamps == 0)} of {len(stamps)} messages have no stamp, where others have; dropped.")
         stamps, values = stamps[stamps != 0], values[stamps != 0]
-    if len(stamps) == 0:
-        return _NOTHING
     back = int(np.min(np.diff(stamps), initial=0))
     if back < -int(1e9 * LATE):
         raise BagError(f"{path}: the time of `{role}` jumps back by {-back * 1e-9:.3g} s; the clock was reset, cut the bag there.")
@@ -374,11 +372,12 @@ def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: li
 
 
 def _camera_frame(bag: OpenBag, by_role: dict[TopicRole, list[Connection]]) -> str:
-    """Frame that the depth images name, that of the contract where they name none."""
+    """Frame that the depth images name, where there are transforms to look for it; empty where they name none."""
     images = by_role.get(TopicRole(Role.DEPTH), [])
+    if not images or TopicRole(Role.TF_STATIC) not in by_role:
+        return ""
     bag.register(images)
-    named = next((str(image.header.frame_id).strip("/") for _, _, image in bag.messages(images)), "") if images else ""
-    return named or CAMERA_FRAME
+    return next((str(image.header.frame_id).strip("/") for _, _, image in bag.messages(images)), "")
 
 
 def _camera_in_table(recorded: dict[TopicRole, _Recorded], camera_frame: str, notes: list[str]) -> Float64Array | None:
@@ -388,19 +387,19 @@ def _camera_in_table(recorded: dict[TopicRole, _Recorded], camera_frame: str, no
         LIMITS.TRANSFORMS.check(len(message.transforms), "tf_static", error=BagError)
         for stamped in message.transforms:
             parents[stamped.child_frame_id.strip("/")] = (stamped.header.frame_id.strip("/"), stamped.transform)
-    if camera_frame not in parents:
-        if parents:
+    frame, camera_in_frame = camera_frame or CAMERA_FRAME, np.eye(4)
+    if frame not in parents:
+        if parents and camera_frame:
             notes.append(
                 f"static transforms have no frame {plain_text(camera_frame)!r}, which the depth images name; extrinsics are unknown."
             )
         return None
-    frame, camera_in_frame = camera_frame, np.eye(4)
     while frame != TABLE_FRAME and frame in parents:
         frame, transform = parents.pop(frame)
         camera_in_frame = decode.homogeneous_of(transform) @ camera_in_frame
     if frame != TABLE_FRAME:
         notes.append(
-            f"static transforms lead from {plain_text(camera_frame)} to {plain_text(frame)}, not to {TABLE_FRAME}; extrinsics are unknown."
+            f"static transforms lead from {plain_text(camera_frame or CAMERA_FRAME)} to {plain_text(frame)}, not to {TABLE_FRAME}; extrinsics are unknown."
         )
         return None
     return camera_in_frame

@@ -30,7 +30,7 @@ from push_ident.types import Float64Array
 
 def gains_by_chance(fit: Fit, policy: SelectionPolicy) -> dict[str, float]:
     """Log Bayes factor of each change that the fit does not have, which a share `chance_quantile` of relabellings does not exceed [nat], at
-    least 0; none without a reference, or where a push cannot be simulated."""
+    least 0; none without a reference, or where a push cannot be simulated or is unstable."""
     before, n_reference = fit.unknowns, fit.problem.n_reference
     if before.shared is None or n_reference == 0:
         return {}
@@ -44,11 +44,14 @@ def gains_by_chance(fit: Fit, policy: SelectionPolicy) -> dict[str, float]:
     if linear is None:
         return {}
     fitted = np.delete(np.arange(problem.size), first + n_known + np.arange(n_new))
-    pushes = _Pushes.of(problem, x, linear, fitted, first + np.arange(len(shared)))
     rng, n_pushes = np.random.default_rng(0), len(problem.records)
     drawn = [rng.choice(n_pushes, problem.n_pushes, replace=False) for _ in range(policy.relabellings)]
     columns = {name: np.r_[shared.slice_of(name)] for name in visible if name not in before.effects.names}
-    gains = {name: [pushes.gain(push, index) for push in drawn] for name, index in columns.items()}
+    try:
+        pushes = _Pushes.of(problem, x, linear, fitted, first + np.arange(len(shared)))
+        gains = {name: [pushes.gain(push, index) for push in drawn] for name, index in columns.items()}
+    except np.linalg.LinAlgError:  # an unstable push, beside whose Hessian rounding hides all others
+        return {}
     return {name: max(0.0, float(np.quantile(values, policy.chance_quantile))) for name, values in gains.items()}
 
 

@@ -162,11 +162,11 @@ def _freed_candidates(
     best = max(candidates, key=lambda candidate: candidate.log_bayes_factor, default=None)
     if best is None or best.log_bayes_factor <= 0.0:
         return list(candidates)
-    found = {candidate.name: candidate for candidate in candidates}
+    refitted = {candidate.name: candidate for candidate in candidates}
     least = policy.promise_share * best.log_bayes_factor
 
     def falls_short(score: EffectScore) -> bool:
-        known = found[score.name].log_bayes_factor if score.name in found else -np.inf
+        known = refitted[score.name].log_bayes_factor if score.name in refitted else -np.inf
         return score.expected_log_bayes_factor > max(least, known + policy.tie_margin)
 
     scores = [score.beyond(by_chance.get(score.name, 0.0)) for score in score_in_place(best.fit, best.name, policy)]
@@ -175,8 +175,8 @@ def _freed_candidates(
     first = sorted(promising, key=lambda score: -score.expected_log_bayes_factor)[: policy.max_refits]
     again = map_in_threads(lambda score: _refit(fit, required, score, best.fit), [score for score in first if falls_short(score)])
     for candidate in again:
-        found[candidate.name] = max(candidate, found.get(candidate.name, candidate), key=lambda one: one.log_bayes_factor)
-    return list(found.values())
+        refitted[candidate.name] = max(candidate, refitted.get(candidate.name, candidate), key=lambda one: one.log_bayes_factor)
+    return list(refitted.values())
 
 
 def _ranked(candidates: Sequence[Candidate], tie_margin: float) -> list[Candidate]:

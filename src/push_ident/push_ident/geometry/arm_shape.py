@@ -35,8 +35,10 @@ class ArmShape:
         if TABLE_FRAME not in [link.get("name") for link in links]:
             raise InputError(f"The robot description has no link `{TABLE_FRAME}`; root it there, so that its poses are in the table frame.")
         self._data = self._model.createData()
-        self._place = {name: self._model.joints[number] for number, name in enumerate(self._model.names) if number > 0}
-        self._mimicked = {joint.attrib["name"]: mimic for joint in joints if (mimic := joint.find("mimic")) is not None}
+        # A joint with more numbers, which floats or slides in a plane, has no single position, and is never known.
+        single = [(name, self._model.joints[number]) for number, name in enumerate(self._model.names) if number > 0]
+        self._place = {name: joint for name, joint in single if joint.nq <= 2}
+        self._mimicked = {joint.attrib["name"]: _followed(mimic) for joint in joints if (mimic := joint.find("mimic")) is not None}
         self._rods = [
             (self._model.getFrameId(link.attrib["name"]), rod)
             for link in links
@@ -61,14 +63,14 @@ class ArmShape:
     def joints_without(self, positions: Mapping[str, float]) -> list[str]:
         """Joints that place some solid and have no position, in the order of the description."""
         known, needed = self._with_mimics(positions), frozenset[str]().union(*self._needed.values())
-        return [name for name in self._place if name in needed - known.keys()]
+        return [name for name in self._model.names if name in needed - known.keys()]
 
     def _with_mimics(self, positions: Mapping[str, float]) -> dict[str, float]:
         """Positions, and those of the joints that follow others, as those of a gripper do."""
         known = {name: value for name, value in positions.items() if name in self._place}
-        for name, mimic in self._mimicked.items():
-            if name not in known and mimic.get("joint", "") in known:
-                known[name] = float(mimic.get("multiplier", "1")) * known[mimic.attrib["joint"]] + float(mimic.get("offset", "0"))
+        for name, (followed, multiplier, offset) in self._mimicked.items():
+            if name in self._place and name not in known and followed in known:
+                known[name] = multiplier * known[followed] + offset
         return known
 
     def _joints_of(self, frame: int) -> frozenset[str]:
@@ -115,6 +117,14 @@ class ArmShape:
             direction = (end - start) / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
             rods.append(Rod(start - radius * direction, end + radius * direction, radius))
         return rods
+
+
+def _followed(mimic: ET.Element) -> tuple[str, float, float]:
+    """Name of the joint that another one follows, multiplier and offset. Raises InputError for what is no number."""
+    try:
+        return mimic.get("joint", ""), float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0"))
+    except ValueError as error:
+        raise InputError(f"The robot description has a mimic joint that is none: {error}") from None
 
 
 def _numbers(text: str) -> Float64Array:

@@ -146,9 +146,9 @@ def without_lost(rows: Float64Array, what: str, notes: list[str]) -> Float64Arra
     if has_turn:
         at_origin = at_origin & (np.abs(values[:, 6]) == 1.0)
     position = values[:, : 3 if has_turn else 2]
-    seen = ~is_lost & (np.abs(position) < LIMITS.COORDINATE.value).all(axis=1)
-    step = np.linalg.norm(np.diff(position[seen], axis=0), axis=1)
-    leaves = np.diff(at_origin[seen].astype(np.int8)) != 0
+    is_usable = ~is_lost & (np.abs(position) < LIMITS.COORDINATE.value).all(axis=1)
+    step = np.linalg.norm(np.diff(position[is_usable], axis=0), axis=1)
+    leaves = np.diff(at_origin[is_usable].astype(np.int8)) != 0
     if leaves.any() and np.min(step[leaves]) > np.max(step[~leaves], initial=0.0):
         is_lost = np.asarray(is_lost | at_origin)
     if is_lost.all() or not is_lost.any():

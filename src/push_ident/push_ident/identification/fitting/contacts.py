@@ -67,7 +67,7 @@ def freed(problem: FitProblem, x: Float64Array) -> Float64Array:
         if before.cost < FRAME_COST * len(before.residual):
             continue
         ends = [minimise_roughly(one, start, _FREEING_STEPS)[:2] for start in _contacts(problem, push)]
-        of_push, end = min(ends, key=lambda found: found[1].cost)
+        of_push, end = min(ends, key=lambda result: result[1].cost)
         if end.cost < before.cost - _GAIN:
             better = np.array(better)
             better[problem.slice_of_push(push)] = of_push

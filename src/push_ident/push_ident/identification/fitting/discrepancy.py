@@ -175,7 +175,8 @@ class LinearPushes:
         """With those that follow from the displacements under factors with these logarithms, shape (3,)."""
         at, displaced = self.solve(logs), self.group >= 0
         by_factor = np.exp(-2.0 * logs)[self.group[displaced]]
-        determined = np.count_nonzero(displaced) - self.precisions * (at.variance_of_push[:, displaced] @ by_factor)
+        n = np.count_nonzero(displaced)
+        determined = np.clip(n - self.precisions * (at.variance_of_push[:, displaced] @ by_factor), 0.0, n)  # but for rounding
         return replace(self, precisions=(TAILS + determined) / (TAILS + at.of_push[:, displaced] ** 2 @ by_factor))
 
     def log_size(self, logs: Float64Array) -> float:

@@ -60,6 +60,8 @@ class CameraInfoFields:
                 f"Camera info has distortion {[round(float(d), 4) for d in self.d]} and no projection matrix P, so the depth image is not "
                 "rectified; publish or record it through image_proc (rectify)."
             )
+        if not is_rectified and len(self.k) != 9:
+            raise FrameError(f"Camera info has a camera matrix of {len(self.k)} numbers, expected 9 by rows; calibrate the camera.")
         matrix = np.asarray(self.p).reshape(3, 4) if is_rectified else np.asarray(self.k).reshape(3, 3)
         x_offset, y_offset, roi_width, roi_height = self.roi
         width, height = (roi_width, roi_height) if roi_width and roi_height else (self.width, self.height)

@@ -11,6 +11,7 @@ import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.geometry.rod import Rod
+from push_ident.limits import LIMITS
 from push_ident.types import Float64Array
 
 if TYPE_CHECKING:  # it needs pinocchio, which a wheel without ROS has not
@@ -57,10 +58,11 @@ class RobotHistory:
         """Joint positions [rad, m] at `stamp` [s], of all joints or, as of arm and gripper in turn, of some; an older stamp of a joint
         begins that one anew.
 
-        Raises InputError for numbers that are not finite, or not one for each name.
+        Raises InputError for numbers that are not finite, or not one for each name, or more joints than any cell has.
         """
         if len(position) != len(names) or not np.isfinite(position).all():
             raise InputError(f"{len(position)} positions for {len(names)} joints, or not finite")
+        LIMITS.JOINTS.check(len(self._joints.keys() | set(names)), "Joint states, all together,")
         for name, value in zip(names, position.tolist(), strict=True):
             states = self._joints.setdefault(name, deque(maxlen=400))  # 4 s at 100 Hz
             if states and stamp < states[-1][0]:
@@ -72,8 +74,10 @@ class RobotHistory:
         return stamp - self._tool[-1][0] if self._tool else None
 
     def joints_age(self, stamp: float) -> float | None:
-        """How much older than `stamp` the latest state of the joint is which is silent for longest [s]; None where there is none."""
-        return max((stamp - states[-1][0] for states in self._joints.values()), default=None)
+        """How much older than `stamp` the latest state is of the joint, of those that place links of the arm, which is silent for longest
+        [s]; None where there is none."""
+        placing = self._joints.keys() if self.arm_shape is None else self.arm_shape.joints_without({})
+        return max((stamp - self._joints[name][-1][0] for name in placing if name in self._joints), default=None)
 
     @property
     def unknown_joints(self) -> list[str]:
