@@ -398,9 +398,8 @@ def _camera_in_table(recorded: dict[TopicRole, _Recorded], camera_frame: str, no
         frame, transform = parents.pop(frame)
         camera_in_frame = decode.homogeneous_of(transform) @ camera_in_frame
     if frame != TABLE_FRAME:
-        notes.append(
-            f"static transforms lead from {plain_text(camera_frame or CAMERA_FRAME)} to {plain_text(frame)}, not to {TABLE_FRAME}; extrinsics are unknown."
-        )
+        start = plain_text(camera_frame or CAMERA_FRAME)
+        notes.append(f"static transforms lead from {start} to {plain_text(frame)}, not to {TABLE_FRAME}; extrinsics are unknown.")
         return None
     return camera_in_frame
 

@@ -120,11 +120,8 @@ class ArmShape:
 
 
 def _followed(mimic: ET.Element) -> tuple[str, float, float]:
-    """Name of the joint that another one follows, multiplier and offset. Raises InputError for what is no number."""
-    try:
-        return mimic.get("joint", ""), float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0"))
-    except ValueError as error:
-        raise InputError(f"The robot description has a mimic joint that is none: {error}") from None
+    """Name of the joint that another one follows, multiplier and offset: numbers, or the parser would have refused the description."""
+    return mimic.get("joint", ""), float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0"))
 
 
 def _numbers(text: str) -> Float64Array:
