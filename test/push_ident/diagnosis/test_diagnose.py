@@ -243,7 +243,7 @@ def test_outlier_push_of_a_traced_object_is_set_aside() -> None:
 
 def test_too_few_pushes_to_know_are_told_from_no_gap(tmp_path: Path) -> None:
     few = diagnose(simulated_pushes(4, 1, noise=NOISE / 3), QUICK)
-    assert few.account is not None and few.account.maps_are_open and few.first_push is not None
+    assert few.account is not None and few.account.maps_are_open and few.next_push is not None
     title = re.findall("<title>(.*)</title>", page_of(few, tmp_path))[0]
     assert few.verdict is Verdict.NO_GAP and "too few pushes" in title
 

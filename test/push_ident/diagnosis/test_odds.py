@@ -101,23 +101,25 @@ def test_free_law_of_the_mechanism_of_an_effect_is_another_law_of_it_and_one_of_
     assert beside.beyond_effects > 0.99 and beside.something_else < 0.5 and not is_outside(beside, POLICY)
 
 
-def families(*acting: tuple[Acts, VariesWith, float], without: Sequence[Sequence[float]] = ()) -> SomethingElse:
+def families(
+    *acting: tuple[Acts, VariesWith, float], without: Sequence[Sequence[float]] = (), of_discrepancy: float = -math.inf
+) -> SomethingElse:
     """What was found of some families, each with its log Bayes factor, and without each fold."""
     nothing = np.zeros(1)
     patterns = tuple(
         Pattern(Family(acts, varies, np.zeros((1, 1)), (Member(None, None),), (1.0,)), Member(None, None), 1.0, value, 0.0, nothing, 0.0)
         for acts, varies, value in acting
     )
-    return SomethingElse(0.0, 0.002, patterns, np.array(without).reshape(-1, len(patterns)))
+    return SomethingElse(0.0, 0.002, patterns, of_discrepancy, np.array(without).reshape(-1, len(patterns)))
 
 
 def test_families_of_a_mechanism_are_its_free_laws_and_each_has_the_same_prior() -> None:
-    by_speed, by_push = (Acts.FORCE_ON_MOTION, VariesWith.SPEED, 20.0), (Acts.FORCE, VariesWith.PUSH, 12.0)
+    by_speed, by_push = (Acts.FORCE_ON_MOTION, VariesWith.SPEED, 20.0), (Acts.FORCE, VariesWith.TIME, 12.0)
     found = families(by_speed, (Acts.FRICTION, VariesWith.SPEED, 20.0), by_push, (Acts.PUSHER, VariesWith.TIME, -3.0))
     evidence = OutsideEvidence.of(found, None, [], POLICY)
     assert evidence.in_place.keys() == {"friction_by_speed", SOMETHING_ELSE}
-    assert evidence.in_place["friction_by_speed"] == pytest.approx(20.0 + math.log(2 / 5))
-    assert evidence.in_place[SOMETHING_ELSE] == pytest.approx(12.0 - math.log(5), abs=1e-3)
+    assert evidence.in_place["friction_by_speed"] == pytest.approx(20.0 + math.log(2 / 8))
+    assert evidence.in_place[SOMETHING_ELSE] == pytest.approx(12.0 - math.log(8), abs=1e-3)
 
 
 def test_failed_tests_of_residuals_are_worth_what_their_p_value_allows() -> None:
@@ -127,7 +129,14 @@ def test_failed_tests_of_residuals_are_worth_what_their_p_value_allows() -> None
     assert failed.in_place[SOMETHING_ELSE] == failed.in_addition[SOMETHING_ELSE] == pytest.approx(worth)
 
 
-EACH_PUSH = (Acts.FORCE, VariesWith.PUSH)
+def test_discrepancy_larger_than_usual_is_as_probable_beforehand_as_all_patterns() -> None:
+    for value in (9.0, -3.0):
+        found = families((Acts.FORCE, VariesWith.TIME, -5.0), of_discrepancy=value)
+        expected = float(np.logaddexp(-5.0, value)) - math.log(2)
+        assert OutsideEvidence.of(found, found, [], POLICY).in_place[SOMETHING_ELSE] == pytest.approx(expected, abs=1e-9)
+
+
+EACH_PUSH = (Acts.FORCE, VariesWith.TIME)
 
 
 def test_structure_that_goes_with_a_fold_is_no_alarm_and_still_leaves_a_name_open() -> None:

@@ -12,11 +12,10 @@ import pytest
 from helpers.diagnosis import account_of_parts, frame_residuals, simulated_pushes, step_of, stub_fit
 from push_ident.diagnosis.decide import confusion_sets, decide, verdict_of
 from push_ident.diagnosis.explain import explain
-from push_ident.diagnosis.fits import fit_base, fit_effects
+from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.held_out import Gap
-from push_ident.diagnosis.next_push import NO_EFFECT, competing_explanations, separating_push
 from push_ident.diagnosis.odds import Probabilities
-from push_ident.diagnosis.policy import NextPushPolicy, SelectionPolicy, UnknownPolicy, ValidationPolicy
+from push_ident.diagnosis.policy import SelectionPolicy, UnknownPolicy, ValidationPolicy
 from push_ident.diagnosis.scores import EffectInformation, EffectScore, score_effects
 from push_ident.diagnosis.select import choose_refits, required_log_bayes_factor, select, select_effects
 from push_ident.diagnosis.selection import RivalFit, Selection, Step
@@ -27,7 +26,6 @@ from push_ident.diagnosis.verdict import Gate, Verdict
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect_values import effect_values
 from push_ident.physics.effects import EFFECTS
-from push_ident.pushing.push import PushSettings
 from push_ident.types import SolveStatus
 
 POLICY = SelectionPolicy()
@@ -64,15 +62,28 @@ def test_rivals_are_tied_within_a_margin_that_is_a_share_for_approximate_laws(
         assert [each.name for each in selection.tied_rivals(POLICY)] == names
 
 
+def test_rival_is_tied_while_its_deficit_differs_as_much_from_push_to_push() -> None:
+    """Of 9 pushes, all but one prefer the effect by 1 nat each, and one by 32: its standard error is 31 nat."""
+    found, rival = stub_fit("pusher_lag"), stub_fit("pose_latency")
+    found.push_log_densities = np.array([*[1.0] * 8, 32.0])
+    rival.push_log_densities = np.zeros(9)
+    one = RivalFit.of("pose_latency", "pusher_lag", rival, found, 40.0)
+    assert one.deficit_std == pytest.approx(3.0 * np.std([*[1.0] * 8, 32.0], ddof=1))
+    steps = (step_of(pusher_lag=100.0, pose_latency=60.0),)
+    for pushes, tied in ((one.deficit_std, True), (0.0, False)):
+        swaps = (replace(one, deficit_std=pushes, name="outline_error"),)
+        selection = Selection(stub_fit(), stub_fit("pusher_lag"), steps, swaps)
+        assert ("outline_error" in [each.name for each in selection.tied_rivals(replace(POLICY, cost_wrong_name=20.0))]) is tied
+
+
 def test_rivals_of_an_earlier_effect_come_from_fits_beside_all_others() -> None:
     """In the first step latency is far behind; beside the second effect it is near, and outline_error is not."""
     base, fit = stub_fit(), stub_fit("pusher_lag", "camera_rotation")
     steps = (step_of(pusher_lag=100.0, pose_latency=80.0, outline_error=70.0), step_of(camera_rotation=50.0, camera_scale=20.0))
-    swaps = (RivalFit("pose_latency", "pusher_lag", fit, 2.0), RivalFit("outline_error", "pusher_lag", fit, 30.0))
+    swaps = (RivalFit("pose_latency", "pusher_lag", fit, 2.0, 0.0), RivalFit("outline_error", "pusher_lag", fit, 30.0, 0.0))
     selection = Selection(base, fit, steps, swaps)
     assert [(rival.replaces, rival.name) for rival in selection.tied_rivals(POLICY)] == [("pusher_lag", "pose_latency")]
     assert confusion_sets(selection, POLICY) == {"pusher_lag": ("pose_latency",)}
-    assert list(competing_explanations(selection, POLICY)) == ["pusher_lag", "pose_latency"]
 
 
 def test_effect_that_contains_the_found_one_is_its_general_case_and_no_rival() -> None:
@@ -157,35 +168,6 @@ def test_smallest_detectable_size_brings_the_threshold_on_average() -> None:
     assert found.expected_log_bayes_factor == pytest.approx(POLICY.min_log_bayes_factor)
     (nothing,) = score_effects(information_of(pose_latency=(1.0, 0.0)), POLICY)
     assert nothing.smallest_detectable == np.inf
-
-
-def test_no_push_distinguishes_an_error_of_the_tool_from_one_of_the_camera() -> None:
-    """The object lies where it is reported, and with an error of the camera elsewhere: exact twins then predict the same of every push."""
-    base = fit_base(simulated_pushes(3, 1, {"tool_offset": [0.003, 0.001]}), DiagnosisSettings())
-    fits = {name: fit_effects(base, (name,)) for name in ("tool_offset", "camera_translation")}
-    pairs = fits, {"nothing": base, "tool_offset": fits["tool_offset"]}, {"nothing": base, **fits}
-    limits, policy = PushSettings(workspace=(-1.0, 1.0, -1.0, 1.0)), NextPushPolicy(candidates=24)
-    twins, other, three = (separating_push(each, np.zeros(3), limits, policy, needed=1.0) for each in pairs)
-    assert twins is None and other is not None and other.mahalanobis2 > 8.0 and other.n_pushes == 1
-    assert three is not None and "nothing" in three.between and three.n_pushes == 1
-    # A push brings half the distance on average, and less by a standard deviation of its root in one of six draws.
-    enough = replace(policy, success=0.8413)
-    for n in (1, 2):
-        brings = n * other.mahalanobis2 / 2.0 - np.sqrt(n * other.mahalanobis2)
-        just = separating_push(pairs[1], np.zeros(3), limits, enough, needed=0.999 * brings)
-        assert just is not None and just.n_pushes == n and just.mahalanobis2 == other.mahalanobis2
-    assert separating_push(pairs[1], np.zeros(3), limits, enough, needed=1.001 * brings) is None
-
-
-def test_explanations_compete_with_no_effect_with_rivals_or_with_absence() -> None:
-    def names(found: tuple[str, ...], **log_bayes_factors: float) -> list[str]:
-        return list(competing_explanations(Selection(stub_fit(), stub_fit(*found), (step_of(**log_bayes_factors),)), POLICY))
-
-    assert names((), wear=2.0, tether=1.0, restitution=0.5) == [NO_EFFECT, "wear", "tether"]
-    assert names(("wear",), wear=50.0, tether=48.0) == ["wear", "tether"]
-    assert names(("wear",), wear=50.0, tether=10.0) == ["without wear", "wear"]
-    # No push distinguishes exact twins.
-    assert names(("tool_offset",), tool_offset=50.0, camera_translation=50.0) == ["without tool_offset", "tool_offset"]
 
 
 # --- stages: gates, what held-out pushes confirm, when the cause is unknown, and the verdict

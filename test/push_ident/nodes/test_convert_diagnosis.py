@@ -28,18 +28,18 @@ def test_account_arrives_with_parts_that_add_up_and_the_push_to_make_first() -> 
     account = account_of_parts(gap, 1e-3, 6e-4, 1e-4, more_pushes=3)
     plan = PushPlan2D(np.array([0.05, -0.02]), np.array([0.05, -0.035]), 1.5, 0.08, 0.12)
     push = PlannedPush(np.zeros(3), PusherPath(np.array([0.0, 1.0]), np.zeros((2, 2)), 0.015), plan)
-    msg = as_received(Diagnosis(Verdict.NAMED, "", (), gap=gap, account=account, first_push=push))
+    msg = as_received(Diagnosis(Verdict.NAMED, "", (), gap=gap, account=account, next_push=push))
     assert [part.name for part in msg.account] == ["noise", "maps", "model", "table_tilt", "unexplained"]
     assert sum(part.mean for part in msg.account) == pytest.approx(msg.before) == pytest.approx(5e-3)
     tilt = msg.account[3]
     assert 0.0 < tilt.low < tilt.mean < tilt.high and tilt.mean == pytest.approx(3e-3)
-    assert msg.more_pushes == 3 and msg.has_first_push
-    assert (msg.first_contact_point.x, msg.first_contact_point.y) == (0.05, -0.02)
-    assert (msg.first_direction, msg.first_distance, msg.first_speed) == (1.5, 0.08, 0.12)
+    assert msg.more_pushes == 3 and msg.has_next_push
+    assert (msg.contact_point.x, msg.contact_point.y) == (0.05, -0.02)
+    assert (msg.direction, msg.distance, msg.speed) == (1.5, 0.08, 0.12)
 
 
 def test_unknown_number_of_pushes_and_abstention_are_no_numbers() -> None:
     gap = gap_of([2e-3] * 4, [2e-3] * 4, 1e-3)
     assert as_received(Diagnosis(Verdict.NO_GAP, "", (), gap=gap, account=account_of_parts(gap, 1e-3, 1e-3, 0.0, None))).more_pushes == -1
     abstained = as_received(Diagnosis(Verdict.NOT_TRUSTWORTHY, "", ()))
-    assert list(abstained.account) == [] and abstained.more_pushes == -1 and not abstained.has_first_push and math.isnan(abstained.before)
+    assert list(abstained.account) == [] and abstained.more_pushes == -1 and not abstained.has_next_push and math.isnan(abstained.before)

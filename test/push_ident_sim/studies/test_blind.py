@@ -12,13 +12,10 @@ import pytest
 
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
-from push_ident.identification.observing.observation import observe_push
-from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.effects import CAUSES
-from push_ident.pushing.sampling import sample_push
 from push_ident_sim.injected import INJECTED, InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
-from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, path_of_plan
+from push_ident_sim.recordings.truth import CameraNoise
 from push_ident_sim.studies.blind import cases as sealing
 from push_ident_sim.studies.blind.cases import (
     CAMERA,
@@ -28,7 +25,6 @@ from push_ident_sim.studies.blind.cases import (
     Truth,
     draw_truth,
     make_records,
-    make_requested_record,
     n_pushes_of_null,
 )
 from push_ident_sim.studies.blind.scoring import score_case
@@ -88,19 +84,6 @@ def test_truth_is_sealed_before_scoring_and_scored_by_one_policy_and_one_code(tm
         sealing.seal_cases([*cases(0, 1), *chosen], tmp_path)
 
 
-def test_proposed_push_starts_at_the_pose_that_the_diagnosis_asked_for() -> None:
-    model = 1
-    truth, pose = draw_truth("book", model), np.array([0.1, -0.05, 0.7])
-    plan = sample_push(make_records(truth, "book", model, 1, NOISE)[0].shape, pose, np.random.default_rng(1), TruthSettings().pushes)
-    asked = PlannedPush(pose, path_of_plan(plan, TruthSettings()), plan)
-    record = make_requested_record(truth, "book", model, asked, 8, NOISE)
-    assert record is not None and record.order == 8
-    before = record.poses.time < 0.3
-    assert np.abs(record.poses.pose[before].mean(axis=0) - pose).max() < 0.02
-    assert observe_push(record).touched
-    assert make_requested_record(draw_truth("book", model, CAMERA), "book", model, asked, 8, NOISE) is None
-
-
 # --- figures
 
 
@@ -138,20 +121,16 @@ def outcome(
     return CaseResult(Case("book", 0, "14-pushes"), values | more)
 
 
-def asked(n: int, named: str) -> dict[str, Any]:
-    return {"n": n, "named": [named], "resolved": True}
-
-
 def test_figures_count_what_they_say() -> None:
     results = [
         outcome("null", "", "no_gap"),
         outcome("null", "", "one_of", "wear", "tether"),
         outcome("single", "outline_error", "named", "outline_error", "", 30, 20),
-        outcome("single", "pusher_lag", "one_of", "pose_latency", "pusher_lag", 8, 4, requested=asked(1, "pusher_lag")),
+        outcome("single", "pusher_lag", "one_of", "pose_latency", "pusher_lag", 8, 4),
         outcome("single", "wear", "named", "table_tilt", "", 9, 3),
         outcome("single", "wear", "no_gap", "", "", -1, 0.5),
         # Twins that no push can tell apart.
-        outcome("single", "tool_offset", "one_of", "camera_translation", "tool_offset", 40, 30, requested=asked(0, "wear")),
+        outcome("single", "tool_offset", "one_of", "camera_translation", "tool_offset", 40, 30),
         outcome("pair", "pusher_lag wear", "several", "wear table_tilt", "", 20, 40),
         outcome("foreign", "viscous_film", "named", "friction_by_speed", visibility=80.0),
         outcome("foreign", "viscous_film", "named", "stribeck_friction", visibility=80.0),
@@ -164,7 +143,7 @@ def test_figures_count_what_they_say() -> None:
     shares = {name: (round(f["share"] * f["n"]), f["n"]) for name, f in counted.items() if f.get("share") is not None}
     expected = {
         "false_alarms": (1, 2), "top1_detectable": (2, 4), "top1_surely": (2, 2), "wrong_names": (1, 5), "in_set": (3, 4),
-        "ties_resolved": (1, 1), "ties_beyond_pushes": (1, 2), "silent_undetectable": (1, 1), "pairs_both": (0, 1), "pairs_one": (1, 1),
+        "silent_undetectable": (1, 1), "pairs_both": (0, 1), "pairs_one": (1, 1),
         "unknown_flagged": (1, 2), "unknown_misnamed": (1, 3), "size_intervals": (1, 1),
         "mechanism_detectable": (2, 4), "mechanism_foreign": (2, 2), "wrong_foreign": (1, 3),
     }  # fmt: skip

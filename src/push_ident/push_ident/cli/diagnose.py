@@ -26,7 +26,7 @@ from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.wording import describe_push, detectable_size, in_pushes
+from push_ident.diagnosis.wording import describe_push, detectable_size
 from push_ident.extras import need
 from push_ident.identification.results.model_file import save_model
 from push_ident.identification.unknowns.prior import Prior
@@ -100,12 +100,9 @@ def _show(diagnosis: Diagnosis) -> None:
             warn(f"! {gate.finding}: {gate.remedy}")
     say(f"{diagnosis.verdict.value}: {diagnosis.sentence}")
     if diagnosis.check:
-        say(f"Without a push: {diagnosis.check}")
-    if diagnosis.next_push is not None and diagnosis.next_push.push.plan is not None:
-        proposal = diagnosis.next_push
-        say(f"The push that {proposal.aim}: {describe_push(proposal.push)}. {in_pushes(proposal.n_pushes)}")
-    elif diagnosis.confusion_set:
-        say("No push within its limits would resolve what is still open.")
+        say(f"To check: {diagnosis.check}")
+    if diagnosis.next_push is not None and (push := describe_push(diagnosis.next_push)) not in diagnosis.sentence:
+        say(f"The push that teaches most: {push}.")
     if diagnosis.selection is not None:
         console.print(_ranking(diagnosis.selection))
 

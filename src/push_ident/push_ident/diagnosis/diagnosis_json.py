@@ -9,7 +9,6 @@ import numpy as np
 from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.fits import BASE_WITH_FORCES
 from push_ident.diagnosis.held_out import Gap, MotionGap
-from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.residuals import ResidualGroup
 from push_ident.diagnosis.result import Diagnosis
@@ -40,10 +39,10 @@ def to_json(diagnosis: Diagnosis) -> Json:
         "shared_with_reference": _shared(diagnosis.selection),
         "remainder_m": _remainder_m(diagnosis.gap),
         "motion": diagnosis.gap and diagnosis.gap.motion and _motion(diagnosis.gap.motion),
-        "account": _account(diagnosis.account, diagnosis.first_push),
+        "account": _account(diagnosis.account),
         "where": {by: [_group(group) for group in groups] for by, groups in diagnosis.where.items()},
         "ranking": _ranking(diagnosis.selection),
-        "next_push": _next_push(diagnosis.next_push),
+        "next_push": None if diagnosis.next_push is None else _push(diagnosis.next_push),
         "check": diagnosis.check,
         "unknown": _unknown(diagnosis.something_else),
         "probabilities": p and {**p.effects, SOMETHING_ELSE: p.something_else, "nothing": p.nothing},
@@ -174,12 +173,12 @@ def _remainder_m(gap: Gap | None) -> float | None:
     return None if gap is None else float(np.mean(gap.after - gap.noise))
 
 
-def _account(account: Account | None, first_push: PlannedPush | None) -> Json:
+def _account(account: Account | None) -> Json:
     """Parts of the error on held-out pushes, which add up to `before_m` of the gap."""
     if account is None:
         nan = float("nan")
         parts, intervals = dict.fromkeys(_PARTS, nan), {key: [nan, nan] for key in _PARTS}
-        nothing: Json = {"per_push_m": {}, "more_pushes": None, "first_push": None}
+        nothing: Json = {"per_push_m": {}, "more_pushes": None}
         return {**parts, "effects": {}, "intervals": {**intervals, "effects": {}}, **nothing}
     means = {part.name: part.mean for part in account.parts}
     intervals = {part.name: list(part.interval) for part in account.parts}
@@ -190,7 +189,6 @@ def _account(account: Account | None, first_push: PlannedPush | None) -> Json:
         "intervals": {**{key: intervals[name] for key, name in _PARTS.items()}, "effects": {name: intervals[name] for name in effects}},
         "per_push_m": {name: values.tolist() for name, values in account.per_push.items()},
         "more_pushes": account.more_pushes,
-        "first_push": None if first_push is None else _push(first_push),
     }
 
 
@@ -215,12 +213,6 @@ def _ranking(selection: Selection | None) -> list[Json]:
         }
         for score in first.scores
     ]
-
-
-def _next_push(proposal: SeparatingPush | None) -> Json | None:
-    if proposal is None or proposal.push.plan is None:
-        return None
-    return {**_push(proposal.push), "between": list(proposal.between), "distance2": proposal.mahalanobis2}
 
 
 def _push(push: PlannedPush) -> Json:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from push_ident.diagnosis import wording
-from push_ident.diagnosis.next_push import competing_explanations, most_informative_push, needed_evidence, separating_push
+from push_ident.diagnosis.next_push import most_informative_push
 from push_ident.diagnosis.odds import SOMETHING_ELSE
 from push_ident.diagnosis.residuals import group_residuals
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import Progress
-from push_ident.diagnosis.something_else.words import PatternWords, describe_pattern
+from push_ident.diagnosis.something_else.words import DISCREPANCY, PatternWords, describe_pattern
 from push_ident.diagnosis.state import Decision, DiagnosisState, Validation
 from push_ident.diagnosis.verdict import Verdict
 from push_ident.identification.predicting.next_push import PlannedPush
@@ -32,20 +32,18 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
     on_progress("looking for the next push")
     last = state.records[-1]
     pose, limits = np.array(last.poses.pose[-1]), push_settings or PushSettings(pusher_radius=last.pusher.radius, workspace=_ANYWHERE)
-    first_push = next_push = None
+    next_push = None
     if validation.account.more_pushes != 0:
-        first_push = most_informative_push(validation.selection.fit, pose, limits, policy.next_push)
-    explanations = competing_explanations(validation.selection, policy.selection)
-    if len(explanations) > 1 and decision.free_law is None:
-        needed = needed_evidence(explanations, policy.selection)
-        next_push = separating_push(explanations, pose, limits, policy.next_push, needed=needed)
+        next_push = most_informative_push(validation.selection.fit, pose, limits, policy.next_push)
     something_else = validation.something_else
     sources = [state.source_of(push) for push in range(len(state.records) + len(state.reference))]
     pattern = validation.free_law or (None if something_else is None else something_else.best)
     words = None if pattern is None else describe_pattern(pattern, sources)
+    if something_else is not None and validation.free_law is None and something_else.of_discrepancy > something_else.log_bayes_factor:
+        words = DISCREPANCY
     return Diagnosis(
         verdict=decision.verdict,
-        sentence=_sentence(state, validation, decision, first_push, words),
+        sentence=_sentence(state, validation, decision, next_push, words),
         gates=state.gates,
         policy=policy,
         effects=decision.effects,
@@ -53,7 +51,6 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         confusion_sets=decision.confusion_sets,
         gap=validation.gap,
         account=validation.account,
-        first_push=first_push,
         selection=validation.selection,
         held_out=validation.held_out,
         where=group_residuals(validation.base_residuals, policy.residuals),
@@ -83,7 +80,7 @@ def _check(decision: Decision, words: PatternWords | None) -> str:
 
 
 def _sentence(
-    state: DiagnosisState, validation: Validation, decision: Decision, first_push: PlannedPush | None, words: PatternWords | None
+    state: DiagnosisState, validation: Validation, decision: Decision, next_push: PlannedPush | None, words: PatternWords | None
 ) -> str:
     account = validation.account
     if decision.free_law and words is not None:
@@ -101,7 +98,7 @@ def _sentence(
     elif state.reference:
         sentence = wording.sentence_of_no_change(account)
     else:
-        sentence = wording.sentence_of_nothing(account, [state.source_of(push) for push in range(len(state.records))], first_push)
+        sentence = wording.sentence_of_nothing(account, [state.source_of(push) for push in range(len(state.records))], next_push)
         if validation.probabilities.nothing < state.settings.policy.selection.max_probability_of_nothing:
             sentence += wording.sentence_of_suspicion(validation.probabilities)
     if decision.negligible:

@@ -12,7 +12,7 @@ from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.contacts import freed, in_contact
-from push_ident.identification.fitting.discrepancy import with_size
+from push_ident.identification.fitting.discrepancy import usual_size, with_size
 from push_ident.identification.fitting.fit import AMPLITUDES, Fit, fit_amplitudes
 from push_ident.identification.fitting.levenberg_marquardt import minimise
 from push_ident.identification.fitting.problem import FitProblem
@@ -140,17 +140,28 @@ def at_its_discrepancy(
 
 
 def fit_effects(
-    base: Fit, names: Sequence[str], start: Float64Array | None = None, expected: float = np.inf, required: float = -np.inf
+    base: Fit,
+    names: Sequence[str],
+    start: Float64Array | None = None,
+    expected: float = np.inf,
+    required: float = -np.inf,
+    *,
+    under_usual: bool = False,
 ) -> Fit:
     """Fit other effects to the same pushes under the same prior, precisely enough for a comparison with other fits; see `polished`.
 
     The maps start at those of `base`; the effects, all `names`, at `start`, shape (n_values,), else at those of `base`, else at zero.
     `expected`: gain of log evidence [nat]; a second start, nearer to zero, is tried where the first gains nothing although it should.
     `required`: least gain at which the fit matters [nat]; a fit that cannot reach it ends early.
+    `under_usual`: start under a discrepancy of the usual size: what these effects do has become discrepancy in the fit without them, and
+    while that is as large, little is left for them.
     """
     unknowns = base.unknowns.with_effects(names)
     guess = _effects_of({name: base for name in names if name in base.names}, unknowns.effects)
     first = guess if start is None else start
+    if under_usual:
+        rough = _under_usual(base, unknowns, first)
+        return at_its_discrepancy(rough, _SETTINGS.rough_iterations, tolerance=_SETTINGS.coarse_tolerance)
     needed_cost = base.end.cost - required
     fits = [_refit(base, unknowns, first, needed_cost)]
     if start is not None and expected > _SETTINGS.second_start_gain and fits[0].end.cost > base.end.cost - 1.0:
@@ -162,6 +173,11 @@ def fit_effects(
         if best.discrepancy_size.log_evidence_gain > _SETTINGS.promised_by_size
         else best
     )
+
+
+def under_usual_discrepancy(fit: Fit) -> Fit:
+    """A rough fit of the same effects under a discrepancy of the usual size, which leaves to absent ones what they do."""
+    return _under_usual(fit, fit.unknowns, fit.effect_unknowns)
 
 
 def with_another(fit: Fit, old: str, new: str, other: Fit) -> Fit:
@@ -204,6 +220,18 @@ def _effects_of(sources: dict[str, Fit], effects: EffectValues) -> Float64Array:
     for name, fit in sources.items():
         start[effects.slice_of(name)] = fit.z[fit.unknowns.slice_of_effect(name)]
     return start
+
+
+def _under_usual(base: Fit, unknowns: UnknownsSpec, effects: Float64Array) -> Fit:
+    """A rough fit from the maps and scales of `base` under a discrepancy of the usual size."""
+    problem, noise = base.problem.of(unknowns), base.problem.noise
+    assert noise is not None, "its discrepancy has a size"
+    x0 = base.problem.layout.moved(base.x, problem.layout)
+    x0[problem.layout.slices["effects"]] = effects
+    x0[unknowns.size :] = 0.0
+    usual, x0 = with_size(problem, x0, usual_size(noise, len(problem.records)))
+    end = minimise(usual, x0, _SETTINGS.rough_iterations, tolerance=_SETTINGS.coarse_tolerance, relative=True)
+    return Fit(usual, *end, base.amplitude)
 
 
 def _refit(base: Fit, unknowns: UnknownsSpec, effects: Float64Array, needed_cost: float = np.inf) -> Fit:

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from push_ident.diagnosis.policy import SelectionPolicy
-from push_ident.diagnosis.selection import RivalFit, Selection
+from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.something_else.evidence import SomethingElse
 from push_ident.physics.effect import Law, Mechanism, Subsystem
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
@@ -66,19 +66,19 @@ class OutsideEvidence:
         *,
         named: float = 0.0,
     ) -> OutsideEvidence:
-        """From the search for patterns, and from residuals that are too large without one.
+        """From the search for patterns, and from residuals or a discrepancy that are too large without one.
 
         Args:
             in_place: structure in the residuals of the base model; None where it could not be looked for.
             in_addition: the same in the residuals of the fit with all selected effects.
             residuals: p-values of failed tests of the residuals of the fit with all selected effects: a structure that follows none of the
-                patterns, one family more. A p-value p is worth at most the Bayes factor -1 / (e p log p) (Sellke, Bayarri & Berger,
+                patterns. A p-value p is worth at most the Bayes factor -1 / (e p log p) (Sellke, Bayarri & Berger,
                 Calibration of p values, The American Statistician 2001).
             policy: discrepancy of the evidence.
             named: log Bayes factors of all effects that were found together [nat]: the error of their laws looks like something else, and
                 grows with them.
         """
-        bound = max((-math.log(-math.e * p * math.log(p)) for p in residuals if p < 1.0 / math.e), default=0.0)
+        bound = max((-math.log(-math.e * p * math.log(p)) for p in residuals if p < 1.0 / math.e), default=-math.inf)
         discrepancy = policy.discrepancy_something_else
         discrepancy_in_addition = max(discrepancy, policy.discrepancy_something_else_share * named)
         kept = int(in_place is not None and not _is_probable_without_each_fold(in_place, policy))
@@ -94,16 +94,16 @@ def _evidence(
 ) -> dict[str, float]:
     """Of every mechanism that has a free law, and of something else [nat]; `bound`: of the latter, from the size of the residuals."""
     if found is None:
-        return {SOMETHING_ELSE: bound}
-    n = len(found.patterns)
+        return {SOMETHING_ELSE: max(bound, 0.0)}
 
     def among_all(mechanism: Mechanism | None) -> float:
         # Errors of laws and of noise bring evidence for a structure, and take none away.
         value = of(found, mechanism)
-        return (value / discrepancy if value > 0.0 else value) + math.log(n / (n + 1))
+        return (value / discrepancy if value > 0.0 else value) - math.log(2)
 
     laws = {mechanism.value: among_all(mechanism) for mechanism in found.mechanisms}
-    return {**laws, SOMETHING_ELSE: float(np.logaddexp(among_all(None), bound - math.log(n + 1)))}
+    of_none = max(bound, found.of_discrepancy) - math.log(2)
+    return {**laws, SOMETHING_ELSE: float(np.logaddexp(among_all(None), of_none))}
 
 
 def _is_probable_without_each_fold(found: SomethingElse, policy: SelectionPolicy) -> bool:
@@ -165,7 +165,7 @@ def explanations_of(
         named.append(Explanation(frozenset(names), weight))
     for rival in selection.rivals:
         causes = frozenset(name for name in names if name != rival.replaces) | {rival.name}
-        named.append(Explanation(causes, weight - rival.deficit / _rivalry(rival, selection, policy)))
+        named.append(Explanation(causes, weight - rival.deficit * policy.log_cost_wrong_name / selection.margin(rival, policy)))
     named += _twins(names, weight, named)
     law_of = {mechanism: frozenset(n for n in names if EFFECTS[n].mechanism == mechanism) for mechanism in outside.in_place}
     in_place = [
@@ -270,13 +270,6 @@ def _discrepancy(names: Sequence[str], selection: Selection, policy: SelectionPo
     added = selection.added
     approximate = sum(added[name][1].log_bayes_factor for name in names if EFFECTS[name].law is Law.APPROXIMATE)
     return max(policy.discrepancy_next, policy.discrepancy_next_share * approximate)
-
-
-def _rivalry(rival: RivalFit, selection: Selection, policy: SelectionPolicy) -> float:
-    """Discrepancy of the difference of evidence between a rival and the effect that was found."""
-    if EFFECTS[rival.name].law is Law.EXACT:
-        return policy.discrepancy_rivals
-    return max(policy.discrepancy_rivals, policy.discrepancy_rivals_share * selection.added[rival.replaces][1].log_bayes_factor)
 
 
 def _not_added(selection: Selection, weight: float, policy: SelectionPolicy, rejected: Mapping[str, float]) -> list[Explanation]:

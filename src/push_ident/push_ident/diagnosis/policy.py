@@ -264,20 +264,14 @@ class ResidualPolicy:
 
 @dataclass(frozen=True, slots=True)
 class NextPushPolicy:
-    """Which push is proposed, and when one is expected to resolve a tie."""
+    """Which push is proposed."""
 
-    candidates: int = 120
+    candidates: int = 39
     """Candidate pushes, spread evenly over `speeds`. A limit of time."""
     speeds: tuple[float, ...] = (0.04, 0.12, 0.25)
     """Of the candidates [m/s]; some effects differ only in their dependence on speed. From the catalogue's signatures."""
     references: int = 20
     """Random pushes whose predictions decide which push teaches most of the maps. As many as on the page of an identification."""
-    first_pose_std: tuple[float, float, float] = (0.01, 0.01, 0.1)
-    """Standard deviation of the first pose beside what the frames show [m, m, rad]: a fit may place it anywhere. A wide prior."""
-    success: float = 0.8
-    """Probability with which the proposed pushes decide [1]. Judgement."""
-    max_pushes: int = 2
-    """Pushes of the same kind that a person makes for one answer: where more would be needed, none is proposed. Judgement."""
 
 
 @dataclass(frozen=True, slots=True)

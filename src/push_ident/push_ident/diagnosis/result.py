@@ -8,7 +8,6 @@ import numpy as np
 
 from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.held_out import Gap, HeldOutFits
-from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.odds import Probabilities
 from push_ident.diagnosis.policy import DecisionPolicy
 from push_ident.diagnosis.residuals import FrameResiduals, ResidualGroup
@@ -55,15 +54,13 @@ class Diagnosis:
     """On held-out pushes; None where the diagnosis abstains, as the following."""
     account: Account | None = None
     """What the error on held-out pushes is made of."""
-    first_push: PlannedPush | None = None
-    """Of the pushes that would make the maps known, where they are not (`Account.more_pushes`): the one that predictions gain most from."""
     selection: Selection | None = None
     held_out: HeldOutFits | None = None
     """Fits without some pushes, at which a diagnosis of these pushes and more may start."""
     where: dict[str, list[ResidualGroup]] = field(default_factory=dict)
     """Residuals of the base model in groups."""
-    next_push: SeparatingPush | None = None
-    """The push that would resolve what is open; None where no safe push would."""
+    next_push: PlannedPush | None = None
+    """Of the pushes that would make the maps known, where they are not (`Account.more_pushes`): the one that predictions gain most from."""
     check: str = ""
     """What would resolve it without a push."""
     probabilities: Probabilities | None = None

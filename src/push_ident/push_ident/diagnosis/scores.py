@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fitting.discrepancy import WIDTH, FrameErrors, LinearPushes
+from push_ident.identification.fitting.discrepancy import WIDTH, FrameErrors, LinearPushes, is_larger_than_usual
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.physics.effect_values import effect_values
@@ -43,6 +43,8 @@ class EffectScore:
     """S, of the unknowns beside everything that is fitted, shape (n_parameters, n_parameters)."""
     smallest_detectable: float
     """Size of its first parameter that would be detected on average, in its unit; infinite where no sensible size would."""
+    under_usual: bool = False
+    """Whether it is that near a fit with a discrepancy of the usual size."""
     by_chance: float = 0.0
     """What a change since a reference gains by chance, which is taken from its log Bayes factors [nat]."""
 
@@ -91,8 +93,15 @@ class LinearRange:
 
     def log_evidence(self, effect: NDArray[np.intp]) -> tuple[float, Float64Array]:
         """With some of the new unknowns, up to a constant [nat], and the unknowns of the object of largest density."""
-        chosen, n = np.r_[self.fitted, self.new[effect]], len(self.pushes.at)
-        linear, logs, log = self.pushes.of_unknowns(chosen), np.zeros(3), 0.0
+        chosen = np.r_[self.fitted, self.new[effect]]
+        starts = [np.zeros(3)]
+        if is_larger_than_usual(np.exp(self.pushes.first)):  # as it may be what the effect does
+            starts.append(-self.pushes.first)
+        return max((self._log_evidence_from(chosen, logs) for logs in starts), key=lambda found: found[0])
+
+    def _log_evidence_from(self, chosen: NDArray[np.intp], logs: Float64Array) -> tuple[float, Float64Array]:
+        """With some unknowns of the object; `logs`: logarithms of the factors of the discrepancy at the start, shape (3,)."""
+        n, linear, log = len(self.pushes.at), self.pushes.of_unknowns(chosen), 0.0
         for _ in range(_ROUNDS):
             weighted, before = linear.weighted(np.exp(-2.0 * log)), log
             logs = weighted.best(logs)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from push_ident.diagnosis.camera import OUTLINE_ERRORS
-from push_ident.diagnosis.fits import fit_effects, polished, with_another, with_shared
+from push_ident.diagnosis.fits import fit_effects, polished, under_usual_discrepancy, with_another, with_shared
 from push_ident.diagnosis.policy import GatePolicy, SelectionPolicy
 from push_ident.diagnosis.relabelling import gains_by_chance
 from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects, score_in_place
@@ -112,7 +112,10 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
     information = effect_information(fit)
     by_chance = gains_by_chance(fit, policy)
-    all_scores = [score.beyond(by_chance.get(score.name, 0.0)) for score in score_effects(information, policy)]
+    found = score_effects(information, policy)
+    if fit.has_larger_discrepancy:
+        found = _with_hidden(found, score_effects(effect_information(under_usual_discrepancy(fit)), policy), policy)
+    all_scores = [score.beyond(by_chance.get(score.name, 0.0)) for score in found]
     scores = sorted(all_scores, key=lambda score: -score.expected_log_bayes_factor)
     needed = required_log_bayes_factor(selection, policy)
     # Refits also free a fit that stopped before its optimum, where scores mean little.
@@ -125,6 +128,19 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     refits = map_in_threads(lambda score: _refit(fit, required, score, fit), chosen)
     candidates = _ranked(_freed_candidates(fit, refits, by_chance, required, policy), policy.tie_margin)
     return Step(fit, information, tuple(scores), tuple(candidates))
+
+
+def _with_hidden(scores: Sequence[EffectScore], under_usual: Sequence[EffectScore], policy: SelectionPolicy) -> list[EffectScore]:
+    """The scores near a fit, with those under a discrepancy of the usual size where these promise much more: what an effect does has then
+    become discrepancy."""
+    hidden = {score.name: replace(score, under_usual=True) for score in under_usual}
+
+    def better(score: EffectScore) -> EffectScore:
+        other = hidden.get(score.name, score)
+        promised = policy.promise_share * other.expected_log_bayes_factor
+        return other if promised > max(score.expected_log_bayes_factor, policy.tie_margin) else score
+
+    return [better(score) for score in scores]
 
 
 def _shared_instead(selection: Selection, step: Step, policy: SelectionPolicy) -> Fit | None:
@@ -150,7 +166,8 @@ def _refit(fit: Fit, required: float, score: EffectScore, maps: Fit) -> Candidat
     typical = np.array([(p.typical - p.nominal) / p.scale for p in effect.parameters])
     start = np.concatenate([fit.effect_unknowns, typical if effect.is_abrupt else score.start])
     needed = required + score.by_chance + fit.log_evidence - maps.log_evidence
-    refit = fit_effects(maps, (*fit.names, score.name), start, score.expected_log_bayes_factor + score.by_chance, needed)
+    expected = score.expected_log_bayes_factor + score.by_chance
+    refit = fit_effects(maps, (*fit.names, score.name), start, expected, needed, under_usual=score.under_usual)
     return Candidate(score.name, refit, refit.log_evidence - fit.log_evidence - score.by_chance)
 
 
@@ -250,7 +267,7 @@ def _swapped(fit: Fit, steps: Sequence[Step], policy: SelectionPolicy) -> tuple[
         # Rivals of other effects were not fitted beside the one that is there now.
         others = [(name, replaced, fit), *((name, n, other) for p, n, other in others if p == replaced and other is not best)]
         fit = polished(best)
-    return fit, tuple(RivalFit(n, p, other, fit.log_evidence - other.log_evidence) for p, n, other in others)
+    return fit, tuple(RivalFit.of(n, p, other, fit, fit.log_evidence - other.log_evidence) for p, n, other in others)
 
 
 def _without_needless(base: Fit, fit: Fit, policy: SelectionPolicy) -> Fit:

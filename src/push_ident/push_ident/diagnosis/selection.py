@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import ndtri
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.scores import EffectInformation, EffectScore
@@ -57,6 +58,16 @@ class RivalFit:
     """With the rival in its place."""
     deficit: float
     """Log evidence by which it is behind [nat]."""
+    deficit_std: float
+    """Standard error of that, by how much it differs from push to push [nat]: laws and discrepancy are not exactly those of the world, so
+    that on as many other pushes it would be another one (Vuong, Likelihood ratio tests for model selection and non-nested hypotheses,
+    Econometrica 1989)."""
+
+    @classmethod
+    def of(cls, name: str, replaces: str, fit: Fit, found: Fit, deficit: float) -> RivalFit:
+        """Beside the fit that has the effect which was found."""
+        difference = found.push_log_densities - fit.push_log_densities
+        return cls(name, replaces, fit, deficit, float(np.std(difference, ddof=1)) * len(difference) ** 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,24 +131,28 @@ class Selection:
         if not self.selected:
             return ()
         step, last = list(self.added.values())[-1]
-        of_last = [RivalFit(c.name, last.name, c.fit, last.log_bayes_factor - c.log_bayes_factor) for c in step.candidates if c is not last]
+        of_last = [
+            RivalFit.of(c.name, last.name, c.fit, last.fit, last.log_bayes_factor - c.log_bayes_factor)
+            for c in step.candidates
+            if c is not last
+        ]
         return tuple(
             r for r in (*of_last, *self.swaps) if r.name not in self.selected and r.name not in EFFECTS[r.replaces].special_case_of
         )
 
     def tied_rivals(self, policy: SelectionPolicy) -> tuple[RivalFit, ...]:
-        """Rivals that explain the pushes nearly as well.
+        """Rivals that explain the pushes nearly as well."""
+        return tuple(rival for rival in self.rivals if rival.deficit < self.margin(rival, policy))
 
-        The margin of a rival with an approximate law grows with the evidence: where it is the true effect, its law still differs from the
-        world's.
+    def margin(self, rival: RivalFit, policy: SelectionPolicy) -> float:
+        """Deficit at which a rival is excluded [nat].
+
+        It grows with the evidence for a rival with an approximate law: where it is the true effect, its law still differs from the world's.
+        And it is such that other pushes would hardly turn the deficit round.
         """
-        log_bayes_factors = {name: candidate.log_bayes_factor for name, (_, candidate) in self.added.items()}
-
-        def margin(rival: RivalFit) -> float:
-            share = 0.0 if EFFECTS[rival.name].law is Law.EXACT else policy.discrepancy_rivals_share * policy.log_cost_wrong_name
-            return max(policy.tie_margin, share * log_bayes_factors[rival.replaces])
-
-        return tuple(rival for rival in self.rivals if rival.deficit < margin(rival))
+        share = 0.0 if EFFECTS[rival.name].law is Law.EXACT else policy.discrepancy_rivals_share * policy.log_cost_wrong_name
+        of_law = share * self.added[rival.replaces][1].log_bayes_factor
+        return max(policy.tie_margin, of_law, -float(ndtri(policy.max_probability_of_error)) * rival.deficit_std)
 
     def special_cases(self, tie_margin: float) -> dict[str, str]:
         """Of effects that were found: one that contains it as a special case and explains the pushes no better."""

@@ -161,11 +161,6 @@ def sentence_of_outliers(pushes: Sequence[str]) -> str:
     return f" {named[0].upper()}{named[1:]} {disagree} set aside: compare the traced outline with the object where {they} touched it."
 
 
-def in_pushes(n: int) -> str:
-    """How many pushes of a kind are expected to be enough."""
-    return "One such push is expected to be enough." if n == 1 else f"{n} such pushes are expected to be enough."
-
-
 def size_of(effect: FoundEffect) -> str:
     """Sizes with their standard deviation, in everyday units."""
     parts = []

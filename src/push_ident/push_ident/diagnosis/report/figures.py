@@ -10,11 +10,11 @@ import numpy as np
 
 from push_ident.diagnosis.account import Account
 from push_ident.diagnosis.held_out import Gap, MotionGap
-from push_ident.diagnosis.next_push import SeparatingPush
 from push_ident.diagnosis.residuals import N_SECTORS, FrameResiduals, ResidualGroup
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.wording import detectable_size, in_mm
 from push_ident.geometry.se2 import transform_points
+from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.pages.chart import HEAT, Arrow, CellPanel, cell_panel, field_panel, shade, text_on
 from push_ident.types import ObjectShape
 
@@ -173,12 +173,12 @@ def shrink_bars(gap: Gap, selected: Sequence[str]) -> list[Bar]:
     ]
 
 
-def draw_proposal(proposal: SeparatingPush, shape: ObjectShape) -> str:
+def draw_proposal(proposal: PlannedPush, shape: ObjectShape) -> str:
     """The push on the object where it lies."""
-    plan = proposal.push.plan
+    plan = proposal.plan
     arrow = None
     if plan is not None:
         start = plan.tool_start(0.0)
-        arrow = Arrow(start, start + plan.distance * plan.heading, proposal.push.pusher.radius)
-    outline = transform_points(proposal.push.pose_object_in_table, shape.outline)
+        arrow = Arrow(start, start + plan.distance * plan.heading, proposal.pusher.radius)
+    outline = transform_points(proposal.pose_object_in_table, shape.outline)
     return cell_panel(CellPanel("Next push on the table", np.empty((0, 2)), shape.cells.size, outline, np.empty(0), "", arrow=arrow))

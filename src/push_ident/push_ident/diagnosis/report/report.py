@@ -24,7 +24,7 @@ from push_ident.diagnosis.report.figures import (
 )  # fmt: skip
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.verdict import Verdict
-from push_ident.diagnosis.wording import amplitude_of, in_mm, in_pushes, sentence_of_more_pushes, size_of
+from push_ident.diagnosis.wording import amplitude_of, in_mm, sentence_of_more_pushes, size_of
 from push_ident.pages.page import write_page
 from push_ident.physics.effects import EFFECTS
 
@@ -91,7 +91,7 @@ def _findings(diagnosis: Diagnosis) -> dict[str, Any]:
     no_rival = "No other effect of the catalogue explains these pushes nearly as well."
     return {
         "account": account_bar(account),
-        "more_pushes": sentence_of_more_pushes(account, diagnosis.first_push).strip(),
+        "more_pushes": sentence_of_more_pushes(account, None).strip(),
         "heat_of_pushes": heat_of_pushes(diagnosis.where["push"]),
         "heat_of_headings": heat_of_headings(frames),
         "held_out": [] if gap.motion is None else draw_held_out(gap.motion),
@@ -194,19 +194,17 @@ def _motion_text(gap: Gap, selected: tuple[str, ...]) -> str:
 
 def _proposal(diagnosis: Diagnosis) -> dict[str, Any] | None:
     proposal = diagnosis.next_push
-    if proposal is None or proposal.push.plan is None or diagnosis.selection is None:
+    if proposal is None or proposal.plan is None or diagnosis.selection is None:
         return None
-    plan = proposal.push.plan
+    plan = proposal.plan
     x, y = map(float, plan.contact_point)
     return {
         "figure": draw_proposal(proposal, diagnosis.selection.base.unknowns.shape),
-        "aim": proposal.aim,
         "x": x,
         "y": y,
         "heading": float(np.degrees(plan.direction)),
         "distance": plan.distance,
         "speed": plan.speed,
-        "expectation": in_pushes(proposal.n_pushes),
         "command": (
             f"push-ident push --at={x:.4f},{y:.4f} --direction={plan.direction:.4f} --distance {plan.distance:.4f} --speed {plan.speed:.3f}"
         ),

@@ -34,7 +34,7 @@ from push_ident.diagnosis.something_else.patterns import pattern_families
 from push_ident.diagnosis.something_else.precision import AmplitudePrecision
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_displacement
-from push_ident.identification.fitting.discrepancy import groups_of, log_prior_of_size
+from push_ident.identification.fitting.discrepancy import groups_of, log_prior_of_size, unusual
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Mechanism
 from push_ident.types import BoolArray, Float64Array
@@ -68,6 +68,8 @@ class SomethingElse:
     """Probability of as large a log Bayes factor under noise alone."""
     patterns: tuple[Pattern, ...]
     """Of each family, the most probable first."""
+    of_discrepancy: float
+    """Log Bayes factor of a discrepancy between pushes and model that is larger than usual, in each push in another way [nat]."""
     without: Float64Array
     """Log Bayes factors of the patterns without each fold of the pushes [nat], shape (n_folds, n_patterns); of no folds where none were
     asked for, or nothing was found."""
@@ -245,7 +247,8 @@ def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequenc
         size = next(k for k, one in enumerate(sized) if one is best_of[order[0]])
         in_order = [all_families[k] for k in order]
         without = map_in_threads(partial(_evidence_without, sized, size, in_order, _Layout.of(fit)), folds)
-    return SomethingElse(total, p_value, tuple(patterns), np.array(without).reshape(-1, len(patterns)))
+    of_discrepancy = unusual(fit.problem, fit.x, fit.end)
+    return SomethingElse(total, p_value, tuple(patterns), of_discrepancy, np.array(without).reshape(-1, len(patterns)))
 
 
 def _of_smaller_discrepancy(fit: Fit, linear: _Linear) -> list[_Linear]:

@@ -37,9 +37,6 @@ class VariesWith(Enum):
     POSITION = "place"
     FROM_PUSH = "from push"
     """The same from one push on."""
-    ONE_PUSH = "one push"
-    PUSH = "push"
-    """Each push on its own."""
     SINCE_CONTACT = "time since contact"
     TRAVEL = "way slid"
     SPEED = "speed"
@@ -147,8 +144,3 @@ def parts(keys: Sequence[float], n_each: int) -> tuple[Member, ...]:
 def from_push(n_pushes: int, n_each: int) -> tuple[Member, ...]:
     """The same in all pushes from one of them on, whatever the first one is."""
     return tuple(Member(k, np.kron((np.arange(n_pushes) >= k)[:, None], np.eye(n_each)).astype(np.float64)) for k in range(1, n_pushes))
-
-
-def one_push(n_pushes: int, n_each: int) -> tuple[Member, ...]:
-    """Something in one push, whichever it is."""
-    return tuple(Member(k, np.kron((np.arange(n_pushes) == k)[:, None], np.eye(n_each)).astype(np.float64)) for k in range(n_pushes))

@@ -26,7 +26,6 @@ from push_ident.diagnosis.something_else.family import (
     VariesWith,
     all_of,
     from_push,
-    one_push,
     parts,
     separate,
     shared,
@@ -350,9 +349,6 @@ def _families(responses: Sequence[dict[str, Rows]], positions: Float64Array, kno
         Family(Acts.FORCE, VariesWith.FROM_PUSH, by_table, from_push(n, 3), PATTERNS.force_stds, columns_of_push=of_3),
         Family(Acts.FORCE_ON_MOTION, VariesWith.FROM_PUSH, by_motion, from_push(n, 3), PATTERNS.force_stds, columns_of_push=of_3),
         Family(Acts.PUSHER, VariesWith.FROM_PUSH, by_tool, from_push(n, 2), PATTERNS.length_stds, columns_of_push=of_2),
-        Family(Acts.FORCE, VariesWith.ONE_PUSH, by_table, one_push(n, 3), PATTERNS.force_stds, columns_of_push=of_3),
-        Family(Acts.PUSHER, VariesWith.ONE_PUSH, by_tool, one_push(n, 2), PATTERNS.length_stds, columns_of_push=of_2),
-        Family(Acts.FORCE, VariesWith.PUSH, by_table, all_of(), PATTERNS.force_stds, columns_of_push=of_3),
         Family(Acts.FORCE_ON_MOTION, VariesWith.SINCE_CONTACT, since, parts(PATTERNS.decay_times, n_acting), PATTERNS.force_stds),
         Family(Acts.FORCE_ON_MOTION, VariesWith.TRAVEL, travel, parts(PATTERNS.decay_lengths, n_acting), PATTERNS.force_stds),
         Family(Acts.FORCE_ON_MOTION, VariesWith.SPEED, speed, all_of(), PATTERNS.force_stds, speeds),
@@ -367,7 +363,6 @@ def _families(responses: Sequence[dict[str, Rows]], positions: Float64Array, kno
         since, travel, speed = (shared(responses, name) for name in ("friction_since", "friction_travel", "friction_speed"))
         families += [
             Family(Acts.FRICTION, VariesWith.FROM_PUSH, by_push, from_push(n, 1), PATTERNS.friction_stds, columns_of_push=columns),
-            Family(Acts.FRICTION, VariesWith.ONE_PUSH, by_push, one_push(n, 1), PATTERNS.friction_stds, columns_of_push=columns),
             Family(Acts.FRICTION, VariesWith.SINCE_CONTACT, since, parts(PATTERNS.decay_times, 1), PATTERNS.friction_stds),
             Family(Acts.FRICTION, VariesWith.TRAVEL, travel, parts(PATTERNS.decay_lengths, 1), PATTERNS.friction_stds),
             Family(Acts.FRICTION, VariesWith.SPEED, speed, all_of(), PATTERNS.friction_stds, np.array(PATTERNS.speeds)[:, None]),

@@ -19,15 +19,12 @@ _LOOK_FOR: Final = {
     (Acts.FORCE, VariesWith.POINT): "a magnet, a dent or a bump, an air stream or a cable at that place",
     (Acts.FORCE, VariesWith.POSITION): "slopes and dents of the table, magnets, air streams, cables",
     (Acts.PUSHER, VariesWith.FROM_PUSH): "a tool that came loose or was bent before that push, or an arm that lost its reference",
-    (Acts.PUSHER, VariesWith.ONE_PUSH): "a collision, a slipped tool or lost frames in that push; repeat it",
     (Acts.PUSHER, VariesWith.SIDE): "a bump, a seam, a label or a soft part of that side, or a wrong outline there",
     (Acts.PUSHER, VariesWith.TIME): "a vibrating or wobbling tool, play in the arm, or poses that jump",
 }
 """By what acts and what it follows."""
 _LOOK_FOR_BY_COORDINATE: Final = {
     VariesWith.FROM_PUSH: "what changed before that push: something spilled, worn, warmed up, moved or switched on",
-    VariesWith.ONE_PUSH: "what touched or hindered the object in that push; repeat it",
-    VariesWith.PUSH: "what differs from push to push: how the object was put down, a cable, loose contents",
     VariesWith.SINCE_CONTACT: "contents that shift or slosh, a soft contact, or friction that changes after breaking away",
     VariesWith.TRAVEL: "friction that changes while sliding: a film that is wiped away, a soft or sticky surface",
     VariesWith.SPEED: "a film of liquid, air under the object, or friction that depends on the speed by another law",
@@ -48,6 +45,14 @@ class PatternWords:
     """Where and when it acts, to continue "it acts"."""
     look_for: str
     """To continue "look for"."""
+
+
+DISCREPANCY: Final = PatternWords(
+    "a departure from the model larger than usual",
+    "in each push in another way",
+    "what differs from push to push: how the object was put down, a cable, loose contents, a base that is not flat",
+)
+"""Of a discrepancy that follows none of the patterns."""
 
 
 def describe_pattern(pattern: Pattern, sources: Sequence[str]) -> PatternWords:
@@ -78,10 +83,9 @@ def _where(pattern: Pattern, sources: Sequence[str]) -> str:
     decayed = 3.0  # decay times or lengths after which a pattern has faded to a twentieth
     if isinstance(key, tuple):
         return f"on everything within {1e3 * PATTERNS.radius:.0f} mm of ({1e3 * key[0]:.0f}, {1e3 * key[1]:.0f}) mm of the table"
-    if varies in (VariesWith.FROM_PUSH, VariesWith.ONE_PUSH):
-        assert key is not None, "these have a push"
-        source = sources[int(key)]
-        return f"from {source} on" if varies is VariesWith.FROM_PUSH else f"in {source} only"
+    if varies is VariesWith.FROM_PUSH:
+        assert key is not None, "this has a push"
+        return f"from {sources[int(key)]} on"
     if varies is VariesWith.SINCE_CONTACT and key is not None:
         return f"in the first {decayed * key:.1f} s after contact"
     if varies is VariesWith.TRAVEL and key is not None:
@@ -93,8 +97,6 @@ def _by_amplitude(pattern: Pattern) -> str:
     """Where a function of a coordinate is largest."""
     family, amplitude = pattern.family, pattern.amplitude
     varies = family.varies_with
-    if varies is VariesWith.PUSH:
-        return "in each push in another way"
     if varies in (VariesWith.HEADING, VariesWith.HEADING_IN_OBJECT):
         frame = "table" if varies is VariesWith.HEADING else "object"
         return f"by the direction of motion in the {frame}, most towards {np.degrees(_largest_heading(amplitude)):.0f}°"

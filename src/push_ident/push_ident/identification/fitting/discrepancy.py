@@ -27,9 +27,9 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize, minimize_scalar
-from scipy.special import gammainc
+from scipy.special import gammainc, logsumexp
 
 from push_ident.identification.fitting.problem import TAILS, Evaluation, FitProblem
 from push_ident.identification.observing.observation import NoiseModel
@@ -38,6 +38,10 @@ from push_ident.types import Float64Array
 WIDTH: Final = 1.0
 """Standard deviation of the logarithm of a factor about that of the noise model [-]: a factor of 2.7 either way. Effect-free pushes of the
 simulators here have a third of the default to its double, recordings of others up to ten times as much."""
+USUAL: Final = 0.7
+"""The same of the sizes of one kind of pushes [-]: a third to the double lie within one and a half of it."""
+LARGER: Final = 5.0
+"""Factor by which the sizes are larger where something is left out [-]: recordings of others had up to ten times the default."""
 _ROUNDS: Final = 5
 """Of the size that all pushes share and the precision of each in turn."""
 _LARGEST: Final = 5.0
@@ -159,12 +163,13 @@ class LinearPushes:
             hessian_of_push=weight * self.hessian_of_push, slope_of_push=weight * self.slope_of_push,
         )  # fmt: skip
 
-    def cost(self, logs: Float64Array) -> tuple[float, Float64Array]:
+    def cost(self, logs: Float64Array, width: float = WIDTH, middle: Float64Array | float = 0.0) -> tuple[float, Float64Array]:
         """Negative log evidence under factors with these logarithms on those of the noise model, shape (3,), up to a constant [nat], and
-        its derivative."""
+        its derivative. `width` and `middle`: standard deviation and mean of the logarithms of the sizes beforehand [-], the
+        latter a number or of shape (3,)."""
         at = self.solve(logs)
-        prior = (self.first + logs) / WIDTH
-        slope = prior / WIDTH
+        prior = (self.first + logs - middle) / width
+        slope = prior / width
         for k in range(3):
             chosen = self.group == k
             expected = np.exp(-2.0 * logs[k]) * (at.of_push[:, chosen] ** 2 + at.variance_of_push[:, chosen])
@@ -207,11 +212,20 @@ class LinearPushes:
         variance = np.sum(half**2, axis=1) + np.sum((follows @ covariance) * follows, axis=2)
         return LinearMinimum(self.at + moved, self.at_push + eliminated[:, :, -1] - follows @ moved, variance, volume, cost)
 
-    def best(self, start: Float64Array) -> Float64Array:
+    def best(self, start: Float64Array, width: float = WIDTH, middle: Float64Array | float = 0.0) -> Float64Array:
         """Logarithms of the factors of largest evidence, shape (3,), from a start."""
         bounds = [(-_LARGEST - value, _LARGEST - value) for value in self.first]
         options = {"maxiter": 30, "ftol": 1e-7}
-        return np.asarray(minimize(self.cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x)
+        return np.asarray(minimize(self.cost, start, args=(width, middle), jac=True, method="L-BFGS-B", bounds=bounds, options=options).x)
+
+    def log_evidence_about(self, middle: Float64Array | float) -> float:
+        """Of sizes whose logarithms have this mean and the standard deviation `USUAL`, by Laplace's approximation, up to a constant
+        [nat]."""
+        logs, step = self.best(np.zeros(3), USUAL, middle), 0.05
+        slopes = [[self.cost(logs + sign * step * axis, USUAL, middle)[1] for sign in (1.0, -1.0)] for axis in np.eye(3)]
+        hessian = np.array([(above - below) / (2.0 * step) for above, below in slopes])
+        curvature = np.maximum(np.linalg.eigvalsh(0.5 * (hessian + hessian.T)), USUAL**-2)
+        return -self.cost(logs, USUAL, middle)[0] - 0.5 * float(np.sum(np.log(curvature)))
 
     def least_cost(self) -> float:
         """Negative log evidence at the factors of largest evidence, up to a constant [nat]."""
@@ -277,6 +291,33 @@ def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> Disc
     of_frames = errors.best(end.residual)
     gain += errors.cost(end.residual) - errors.cost(end.residual, of_frames)
     return DiscrepancySize(float(np.exp(of_frames)), np.exp(logs), sized.precisions, gain)
+
+
+def unusual(problem: FitProblem, x: Float64Array, end: Evaluation) -> float:
+    """Log Bayes factor of a discrepancy that is larger than usual over one that is usual where nothing is left out, near a fit `x` [nat].
+
+    Larger is that of the contact, that of the motion, or both.
+
+    0 where none is estimated, or rounding leaves none.
+    """
+    if problem.noise is None or problem.noise.discrepancy_modes == 0 or not np.isfinite(end.cost):
+        return 0.0
+    linear = LinearPushes.of(problem, x, end.hessian, end.gradient)
+    try:
+        larger = [linear.log_evidence_about(np.log(LARGER) * np.array(which)) for which in ((1, 0, 0), (0, 1, 1), (1, 1, 1))]
+        return float(logsumexp(larger)) - np.log(len(larger)) - linear.log_evidence_about(0.0)
+    except np.linalg.LinAlgError:
+        return 0.0
+
+
+def is_larger_than_usual(factors: ArrayLike) -> bool:
+    """Whether one of the factors of a discrepancy exceeds its default by more than `USUAL`."""
+    return bool(np.max(np.log(factors)) > USUAL)
+
+
+def usual_size(noise: NoiseModel, n_pushes: int) -> DiscrepancySize:
+    """That of the defaults, in factors on that of a noise model."""
+    return DiscrepancySize(1.0, 1.0 / np.array(noise.discrepancy_factor), np.ones(n_pushes), 0.0)
 
 
 def log_density_of_precisions(precisions: Float64Array, n: int) -> float:

@@ -23,6 +23,7 @@ from push_ident.identification.fitting.discrepancy import (
     OF_FRAME,
     DiscrepancySize,
     estimate_size,
+    is_larger_than_usual,
     log_density_of_precisions,
     log_prior_of_size,
 )
@@ -118,6 +119,11 @@ class Fit:
         """Of largest evidence, where the noise has a discrepancy that the frames of a push share."""
         return estimate_size(self.problem, self.x, self.end)
 
+    @property
+    def has_larger_discrepancy(self) -> bool:
+        """Whether the pushes set a discrepancy that is larger than usual."""
+        return self.problem.noise is not None and is_larger_than_usual(self.problem.noise.discrepancy_factor)
+
     @cached_property
     def log_evidence(self) -> float:
         """Up to a constant of the pushes [nat], under the discrepancy of largest evidence: compare fits of the same pushes only."""
@@ -125,6 +131,21 @@ class Fit:
         n_displacements = self.problem.unknowns_of_push - 3
         of_size = log_prior_of_size(self.problem.noise) + log_density_of_precisions(np.array(self.problem.precisions), n_displacements)
         return at_size + of_size + self.discrepancy_size.log_evidence_gain
+
+    @cached_property
+    def push_log_densities(self) -> Float64Array:
+        """Log density of each push at the unknowns of the object, its own displacements integrated out by Laplace's approximation, up to a
+        constant of the pushes [nat], shape (n_pushes,)."""
+        problem, noise = self.problem, self.problem.noise
+        n, m, n_pushes = problem.unknowns.size, problem.unknowns_of_push, len(problem.records)
+        ends = np.cumsum([len(o.time) for o in problem.observations])[:-1]
+        frames = np.array([FitProblem.weigh(residual)[0] for residual in np.split(self.end.residual, ends)])
+        if noise is not None:
+            frames += float(np.log(noise.frame_factor)) * OF_FRAME * np.array([len(o.time) - 1 for o in problem.observations])
+        own, precision = self.x[n:].reshape(n_pushes, m), problem.prior_precision[n:].reshape(n_pushes, m)
+        blocks = self.end.hessian[n:, n:].reshape(n_pushes, m, n_pushes, m)[np.arange(n_pushes), :, np.arange(n_pushes), :]
+        log_prior = 0.5 * np.sum(np.log(precision, where=precision > 0.0, out=np.zeros_like(precision)) - precision * own**2, axis=1)
+        return np.asarray(log_prior - frames - 0.5 * np.linalg.slogdet(blocks)[1])
 
     @property
     def _log_size_of_frames(self) -> float:

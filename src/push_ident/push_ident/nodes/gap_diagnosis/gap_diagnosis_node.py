@@ -217,13 +217,8 @@ def report_to_msg(content: dict[str, Any], object_id: str, stamp: float, n_pushe
     msg.effects = [_effect_to_msg(effect) for effect in content["effects"]]
     # Parts by push are there where there are parts.
     msg.account = _account_to_msg(account) if account["per_push_m"] else []
-    if (push := account["first_push"]) is not None:
-        msg.has_first_push, msg.first_contact_point = True, _point(push)
-        msg.first_direction, msg.first_distance = float(push["direction_rad"]), float(push["distance_m"])
-        msg.first_speed = float(push["speed_mps"])
     if proposal is not None:
         msg.has_next_push, msg.contact_point = True, _point(proposal)
-        msg.next_push_between, msg.next_push_mahalanobis2 = list(proposal["between"]), _number(proposal["distance2"])
         msg.direction, msg.distance = float(proposal["direction_rad"]), float(proposal["distance_m"])
         msg.speed = float(proposal["speed_mps"])
     return msg

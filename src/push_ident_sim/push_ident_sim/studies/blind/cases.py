@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -16,7 +15,6 @@ import numpy as np
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
 from push_ident.files import write_whole
-from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.offline.loading import load_pushes
 from push_ident.physics.effects import CAUSES
 from push_ident.types import PushRecord
@@ -28,12 +26,10 @@ from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.recording import RecordingSettings, record_pushes, seal
 from push_ident_sim.recordings.truth import (
     CameraNoise,
-    Engine,
     TrueMotion,
     TruthSettings,
     make_pushes,
     observe_motion,
-    path_of_plan,
     true_model,
 )
 from push_ident_sim.studies.common.study import Case, Json
@@ -188,33 +184,6 @@ def make_records(truth: Truth, object_name: str, model: int, n_pushes: int, nois
     engine = _planar(truth, sim_object, settings) if truth.scenario.engine == "planar" else None
     motions = make_pushes(sim_object, seed, settings, engine=engine)
     return [_observed(truth, sim_object, motion, [*seed, i, 1], i, noise) for i, motion in enumerate(motions)]
-
-
-def make_requested_record(
-    truth: Truth, object_name: str, model: int, requested: PlannedPush, number: int, noise: CameraNoise
-) -> PushRecord | None:
-    """A push that a diagnosis requests after `number` others, of an object that is placed where the diagnosis plans it.
-
-    None through a rendered camera, where the object lies where it came to rest. Other arguments as in `make_records`.
-    """
-    if truth.scenario.engine == "camera" or requested.plan is None:
-        return None
-    # Imported here, so that drawing results does not need Bullet.
-    from push_ident_sim.engines.bullet.push_world import PushWorld
-
-    sim_object = make_object(object_name, model)
-    settings = replace(TruthSettings(), effects=truth.effects)
-    path = path_of_plan(requested.plan, settings)
-    with ExitStack() as stack:
-        engine: Engine
-        if truth.scenario.engine == "planar":
-            engine = _planar(truth, sim_object, settings)
-        else:
-            world = PushWorld(sim_object, settings.pushes.pusher_radius, time_step=settings.time_step, effects=settings.effects)
-            stack.callback(world.close)
-            engine = world
-        motion = engine.push(requested.pose_object_in_table, path, pushes_done=number)
-    return _observed(truth, sim_object, motion, [model, OBJECT_NAMES.index(object_name), 5, number, 1], number, noise)
 
 
 def _planar(truth: Truth, sim_object: SimObject, settings: TruthSettings) -> PlanarWorld:

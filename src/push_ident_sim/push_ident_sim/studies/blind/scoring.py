@@ -18,16 +18,12 @@ from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.geometry.se2 import transform_points, wrap_angle
 from push_ident.identification.fitting.discrepancy import LinearPushes
 from push_ident.identification.fitting.fit import Fit
-from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.effects import EFFECTS
 from push_ident.types import Float64Array, PushRecord
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import SimObject
 from push_ident_sim.studies.blind.cases import Truth
 from push_ident_sim.studies.common.study import Json
-
-MakePush = Callable[[PlannedPush, int], PushRecord | None]
-"""Makes a requested push after a number of others; None where that is not possible."""
 
 
 def twins_of(name: str) -> tuple[str, ...]:
@@ -52,13 +48,12 @@ def score_case(
     sim_object: SimObject,
     settings: DiagnosisSettings,
     *,
-    make_push: MakePush | None = None,
     make_plain: Callable[[], Sequence[PushRecord]] | None = None,
 ) -> Json:
     """Diagnose the pushes of a case and compare the result with the truth.
 
-    `make_push` makes a push that the diagnosis requests; without it, confusion sets stay as they are. `make_plain` makes the same pushes
-    with the same noise without any effect; without it, the visibility of effects outside the catalogue is not computed.
+    `make_plain` makes the same pushes with the same noise without any effect; without it, the visibility of effects outside the catalogue
+    is not computed.
     """
     start = time.process_time()
     diagnosis = diagnose(records, settings)
@@ -76,8 +71,6 @@ def score_case(
             values["detectability"] = _detectability(base, wanted)
     if truth.scenario.kind in ("foreign", "outside") and make_plain is not None:
         values["visibility"] = _visibility(base, make_plain())
-    if truth.scenario.kind == "single" and make_push is not None and _is_open(diagnosis):
-        values["requested"] = _resolve(diagnosis, list(records), settings, make_push)
     return values
 
 
@@ -109,26 +102,6 @@ def account_holds(diagnosis: Diagnosis) -> bool | None:
 def _gap(gap: Gap) -> Json:
     means = {f"{key}_m": float(np.mean(getattr(gap, key))) for key in ("before", "after", "noise")}
     return {**means, "shrink": gap.shrink if gap.is_above_noise else None}
-
-
-def _is_open(diagnosis: Diagnosis) -> bool:
-    """Whether the confusion set has an effect that is no exact twin of the named one."""
-    first = diagnosis.effects[-1].name if diagnosis.effects else ""
-    return any(name not in twins_of(first) for name in diagnosis.confusion_set)
-
-
-def _resolve(diagnosis: Diagnosis, records: list[PushRecord], settings: DiagnosisSettings, make_push: MakePush) -> Json:
-    """Make the pushes that the diagnosis requests until its confusion set is resolved."""
-    n_requested = 0
-    while _is_open(diagnosis) and n_requested < 2 and diagnosis.next_push is not None:
-        more = make_push(diagnosis.next_push.push, len(records))
-        if more is None:
-            break
-        records.append(more)
-        diagnosis = diagnose(records, settings)
-        n_requested += 1
-    resolved = len(diagnosis.effects) == 1 and not _is_open(diagnosis)
-    return {"n": n_requested, "named": [effect.name for effect in diagnosis.effects], "resolved": resolved}
 
 
 def _detectability(base: Fit, wanted: Mapping[str, Float64Array]) -> Json:

@@ -8,11 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.files import finite
 from push_ident.geometry.cells import cell_error
-from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
 from push_ident.types import PusherPath, PushRecord
@@ -28,15 +26,14 @@ from push_ident_sim.studies.blind.cases import (
     decision_hashes,
     draw_truth,
     make_records,
-    make_requested_record,
     n_pushes_of_null,
     seal_cases,
 )
-from push_ident_sim.studies.blind.scoring import MakePush, score_case
-from push_ident_sim.studies.blind.summary import CHOSEN, MOST_PUSHES, answer, summarise_cases, tables
+from push_ident_sim.studies.blind.scoring import score_case
+from push_ident_sim.studies.blind.summary import MOST_PUSHES, answer, summarise_cases, tables
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 
-_N_PUSHES: Final = {MOST_PUSHES: 14, CHOSEN: 6, CAMERA: 8}
+_N_PUSHES: Final = {MOST_PUSHES: 14, CAMERA: 8}
 
 
 # --- one case
@@ -50,33 +47,12 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     truth = draw_truth(*of_case, case.variant)
     records = make_records(truth, *of_case, n_pushes, settings.noise)
 
-    def make_push(push: PlannedPush, number: int) -> PushRecord | None:
-        return make_requested_record(truth, *of_case, push, number, settings.noise)
-
     def make_plain() -> list[PushRecord]:
         plain: Truth = replace(truth, effects=InjectedEffects(), outside=())
         return make_records(plain, *of_case, n_pushes, settings.noise)
 
-    if case.variant == CHOSEN:
-        records = _choose(records, make_push)
-    # Without any effect, other pushes would have been proposed.
-    plain = None if case.variant == CHOSEN else make_plain
-    values = score_case(records, truth, make_object(*of_case), DiagnosisSettings(), make_push=make_push, make_plain=plain)
+    values = score_case(records, truth, make_object(*of_case), DiagnosisSettings(), make_plain=make_plain)
     return {**finite(values), **decision_hashes()}
-
-
-def _choose(random: Sequence[PushRecord], make_push: MakePush) -> list[PushRecord]:
-    """A few random pushes, then those that a diagnosis of all before proposes: to separate causes, or else to learn the maps.
-
-    Where it proposes none, or the camera cannot make it, the next random one is made.
-    """
-    records = list(random[:3])  # the fewest that a diagnosis takes
-    while len(records) < len(random):
-        diagnosis, number = diagnose(records, DiagnosisSettings()), len(records)
-        push = diagnosis.first_push if diagnosis.next_push is None else diagnosis.next_push.push
-        made = None if push is None else make_push(push, number)
-        records.append(random[number] if made is None else made)
-    return records
 
 
 def _compare_engines(case: Case) -> Json:
@@ -121,14 +97,14 @@ STUDY = Experiment(
         "1000 on are scored once, after the hashes were written down. An effect is detectable where its true size brings 5 nat of log "
         "evidence on average (odds of 150 to 1), clearly detectable where it does so nine times out of ten; a foreign or outside one "
         "is visible where the same pushes without it differ by a noncentrality of 25. Exact twins count as right. S is the share of the"
-        " gap on held-out pushes that the effect explains. Where a verdict leaves more than one effect, up to two requested pushes are "
-        "made. `6-chosen`: three random pushes and three that the diagnosis proposes. `camera`: 8 pushes through rendered depth images "
+        " gap on held-out pushes that the effect explains. "
+        "`camera`: 8 pushes through rendered depth images "
         "and perception; effects that cannot be filmed are left out."
     ),
-    variants=(MOST_PUSHES, CHOSEN, CAMERA, NULLS, ENGINES),
+    variants=(MOST_PUSHES, CAMERA, NULLS, ENGINES),
     most_models={ENGINES: 2},
-    every={CHOSEN: 3, CAMERA: 3},
-    # Perception counts for the camera, pushing for the requested pushes.
+    every={CAMERA: 3},
+    # Perception counts for the camera, pushing for the paths of the pushes.
     stages=("geometry", "perception", "physics", "identification", "diagnosis", "pushing"),
     prepare=seal_cases,
     run=_run,

@@ -17,8 +17,6 @@ from push_ident_sim.studies.common.study import CaseResult, Json
 from push_ident_sim.studies.common.tables import markdown_table, number
 
 MOST_PUSHES: Final = "14-pushes"
-CHOSEN: Final = "6-chosen"
-"""Variant of as many pushes, most of which the diagnosis chose."""
 _Z90: Final = 1.6449
 """Standard normal quantile: between minus this and this lie 90 %."""
 _DETECTABLE: Final = 5.0
@@ -150,7 +148,6 @@ def figures(cases: Sequence[Judged]) -> Json:
     shrinks = [c.values["gap"]["shrink"] for c in (*detected, *both_detectable)]
     sized = [held for c in detected if c.right for held in _sizes_held(c)]
     stated = [right for value, right in _stated(_counted(cases)) if value >= _SURE]
-    ties = [c for c in detected if "requested" in c.values]
     return {
         "false_alarms": _share(nulls, lambda c: c.verdict not in ("no_gap", "not_trustworthy")),
         "top1_detectable": _share(detected, lambda c: c.right),
@@ -161,8 +158,6 @@ def figures(cases: Sequence[Judged]) -> Json:
         "wrong_names": _share(singles, lambda c: c.wrong),
         "in_set": _share([c for c in detected if c.set], lambda c: c.truth[0] in c.set),
         "set_size": _statistic([len(c.set) for c in detected if c.set], np.mean),
-        "ties_resolved": _share([c for c in ties if c.values["requested"]["n"] > 0], _resolved_rightly),
-        "ties_beyond_pushes": _share(ties, lambda c: c.values["requested"]["n"] == 0),
         "silent_undetectable": _share(below, lambda c: c.verdict == "no_gap"),
         "pairs_both": _share(both_detectable, lambda c: set(c.truth) <= set(c.named)),
         "pairs_one": _share(both_detectable, lambda c: set(c.truth) & set(c.named)),
@@ -216,12 +211,6 @@ def _by_probability(cases: Sequence[Judged]) -> list[Json]:
     return rows
 
 
-def _resolved_rightly(case: Judged) -> bool:
-    """Whether only the true effect remained after the requested pushes."""
-    requested = case.values["requested"]
-    return requested["resolved"] and [_one_of_twins(name) for name in requested["named"]] == list(case.truth)
-
-
 def _sizes_held(case: Judged) -> list[bool]:
     """Whether each parameter of an effect that was rightly named lies in its interval at 90 %; none where the law of the world is not that
     of the model."""
@@ -236,8 +225,7 @@ def _sizes_held(case: Judged) -> list[bool]:
 
 
 def summarise_cases(results: Sequence[CaseResult]) -> Json:
-    """Figures by variant, the calibration of stated probabilities, the comparison of few chosen with many random pushes, what was named
-    instead of the truth, and every case in a line."""
+    """Figures by variant, the calibration of stated probabilities, what was named instead of the truth, and every case in a line."""
     cases = [judge(result) for result in results]
     groups: dict[str, list[Judged]] = {}
     for case in cases:
@@ -245,7 +233,6 @@ def summarise_cases(results: Sequence[CaseResult]) -> Json:
     return {
         "figures": {name: figures(group) for name, group in groups.items()},
         "by_probability": _by_probability(cases),
-        "same_cases": _same_cases(cases),
         "confusion": _confusion(cases),
         "cases": [
             {
@@ -261,22 +248,6 @@ def summarise_cases(results: Sequence[CaseResult]) -> Json:
             }
             for result, case in zip(results, cases, strict=True)
         ],
-    }
-
-
-def _same_cases(cases: Sequence[Judged]) -> Json:
-    """Six chosen pushes against 14 random ones of the same cases: single effects count where 14 pushes detect them."""
-    of_most, of_chosen = ({c.ground_truth: c for c in cases if c.pushes == variant} for variant in (MOST_PUSHES, CHOSEN))
-    both = [key for key in of_chosen if key in of_most]
-    detected = [key for key in both if of_most[key].kind == "single" and of_most[key].detectable]
-    return {
-        name: {
-            "top1": _share([of[key] for key in detected], lambda c: c.right),
-            "false_alarms": _share([of[key] for key in both if of[key].kind == "null"], lambda c: c.verdict != "no_gap"),
-            "wrong": _share([of[key] for key in both if of[key].kind != "outside"], lambda c: c.wrong),
-        }
-        for name, of in ((MOST_PUSHES, of_most), (CHOSEN, of_chosen))
-        if both
     }
 
 
@@ -304,8 +275,6 @@ _ROWS: Final = {
     "wrong_names": ("named with confidence and wrong, all sizes", "<= 1 %"),
     "in_set": ("truth in the confusion set", ">= 95 %"),
     "set_size": ("size of the confusion set", "<= 1.3"),
-    "ties_resolved": ("ties with a proposed push: resolved rightly by <= 2 of them", ">= 80 %"),
-    "ties_beyond_pushes": ("ties without a proposed push", ""),
     "silent_undetectable": ("undetectable sizes: no gap", ""),
     "pairs_both": ("two effects: both named", ">= 90 %"),
     "pairs_one": ("two effects: one named", ">= 95 %"),
@@ -341,9 +310,6 @@ def tables(summary: Json) -> str:
         ]
         parts.append(markdown_table(["stated probability of a cause", "mean", "right"], rows))
         parts.append(f"Not named rightly (truth: answer): {_confusions(summary['confusion'])}.")
-    if same := summary.get("same_cases"):
-        rights = " and ".join(f"{_figure(row['top1'])} ({name})" for name, row in same.items())
-        parts.append(f"First name right in the same cases, sizes that 14 pushes detect: {rights}.")
     if engines := summary.get("engines"):
         errors = "; ".join(f"{name} {1e3 * row['median_m']:.2f} ({1e3 * row['q90_m']:.2f})" for name, row in engines.items())
         parts.append(f"Cell error between engines without effects, median (90 %) [mm]: {errors}.")
