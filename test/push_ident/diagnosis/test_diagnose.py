@@ -185,6 +185,13 @@ def test_error_of_a_camera_within_its_accuracy_is_no_effect_and_a_larger_one_is_
     assert diagnose(simulated_pushes(6, 1, {"camera_rotation": [0.03]}), requested).verdict is Verdict.NO_GAP
 
 
+def test_cause_far_larger_than_expected_is_named_and_not_taken_for_discrepancy() -> None:
+    """Seven times the standard deviation of its prior: in the fit without it, the contact is displaced by centimetres."""
+    found = diagnose(simulated_pushes(8, 5, {"pose_latency": [0.15]}))
+    assert found.selection is not None and found.selection.base.has_larger_discrepancy
+    assert found.effects[0].name == "pose_latency" and found.effects[0].parameters["delta"] == pytest.approx(0.15, rel=0.05)
+
+
 def cut_to_motion(record: PushRecord) -> PushRecord:
     """Without most of its rests."""
     poses, driven = record.poses, record.pusher.time[np.abs(np.gradient(record.pusher.position, axis=0)).sum(axis=1) > 1e-9]

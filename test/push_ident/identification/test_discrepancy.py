@@ -10,7 +10,15 @@ import pytest
 from helpers.diagnosis import simulated_pushes
 from push_ident.diagnosis.fits import fit_base, fit_effects, fit_with_reference
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.identification.fitting.discrepancy import DiscrepancySize, LinearPushes, with_size
+from push_ident.identification.fitting.discrepancy import (
+    LARGER,
+    USUAL,
+    DiscrepancySize,
+    LinearPushes,
+    log_prior_of_size,
+    unusual,
+    with_size,
+)
 from push_ident.identification.fitting.fit import Fit
 from push_ident.types import Float64Array, PushRecord
 
@@ -62,6 +70,35 @@ def test_evidence_of_a_size_is_that_of_the_whole_hessian_and_its_slope_that_of_d
     slope = pushes.cost(logs)[1]
     for k, step in enumerate(1e-5 * np.eye(3)):
         assert slope[k] == pytest.approx((pushes.cost(logs + step)[0] - pushes.cost(logs - step)[0]) / 2e-5, rel=1e-4, abs=1e-4)
+
+
+def test_evidence_of_usual_and_larger_sizes_is_the_integral_over_all_sizes(fit: Fit) -> None:
+    pushes = linear(fit)
+    for middle in (0.0, float(np.log(LARGER))):
+        # By Gauss-Hermite quadrature about the prior of the sizes; its density has the constant that the evidence leaves out.
+        nodes, weights = np.polynomial.hermite_e.hermegauss(9)
+        total = 0.0
+        for k in np.ndindex(9, 9, 9):
+            logs = middle + USUAL * nodes[[*k]] - pushes.first
+            total += float(np.prod(weights[[*k]])) * np.exp(-pushes.cost(logs, np.inf)[0] + pushes.cost(np.zeros(3), np.inf)[0])
+        integral = np.log(total) - 1.5 * np.log(2.0 * np.pi) + 3.0 * np.log(USUAL) - pushes.cost(np.zeros(3), np.inf)[0]
+        assert pushes.log_evidence_about(middle) == pytest.approx(integral, abs=0.3)
+
+
+def test_discrepancy_is_larger_than_usual_where_each_push_departs_in_its_own_way() -> None:
+    even = simulated_pushes(N_PUSHES, 5)
+    plain, departing = (fit_base(records, DiagnosisSettings()) for records in (even, displaced(even, 2e-3)))
+    assert unusual(plain.problem, plain.x, plain.end) < -2.0 and not plain.has_larger_discrepancy
+    assert unusual(departing.problem, departing.x, departing.end) > 2.0 and departing.has_larger_discrepancy
+
+
+def test_log_densities_of_pushes_are_the_parts_of_the_evidence(fit: Fit) -> None:
+    n, hessian, precisions = fit.unknowns.size, fit.end.hessian, np.array(fit.problem.precisions)
+    reduced = hessian[:n, :n] - hessian[:n, n:] @ np.linalg.solve(hessian[n:, n:], hessian[n:, :n])
+    of_object = -0.5 * float(fit.z @ fit.z) - 0.5 * float(np.linalg.slogdet(reduced)[1])
+    of_precisions = 0.5 * 4.0 * float(np.sum(np.log(precisions) - precisions + 1.0))
+    of_sizes = log_prior_of_size(fit.problem.noise) + of_precisions + fit.discrepancy_size.log_evidence_gain
+    assert np.sum(fit.push_log_densities) + of_object + of_sizes == pytest.approx(fit.log_evidence, abs=1e-6)
 
 
 def test_without_an_effect_pushes_are_those_at_its_null_value(fit: Fit) -> None:
