@@ -128,8 +128,10 @@ def at_its_discrepancy(
 ) -> Fit:
     """The fit repeated, with other contacts where they are better, until its discrepancy has the size that the pushes show; `sets_rest` as
     of `with_size`."""
-    for _ in range(_SETTINGS.max_size_rounds):
-        if (x := freed(fit.problem, fit.x)) is not fit.x:
+    for number in range(_SETTINGS.max_size_rounds):
+        # Another size hardly brings other contacts: fits that are only compared look for them once.
+        looks = number == 0 or tolerance < _SETTINGS.coarse_tolerance
+        if looks and (x := freed(fit.problem, fit.x)) is not fit.x:
             problem = fit.problem.of(fit.unknowns)
             fit = Fit(problem, *minimise(problem, x, max_iterations, tolerance=tolerance, relative=True), fit.amplitude)
         if fit.discrepancy_size.log_evidence_gain < _SETTINGS.size_gain:

@@ -20,6 +20,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 
+from push_ident.physics.effect import Law
 from push_ident.physics.effects import CAUSES
 
 
@@ -182,6 +183,14 @@ class SelectionPolicy:
     def tie_margin(self) -> float:
         """Differences of log evidence below this are a tie [nat]: to exclude the rival could cost more than to leave it open."""
         return self.discrepancy_rivals * self.log_cost_wrong_name
+
+    def tie_margin_of(self, law: Law, log_bayes_factor: float) -> float:
+        """That of a rival with a law over an effect with a log Bayes factor [nat].
+
+        It grows with the evidence for an approximate law: where it is the true effect, its law still differs from the world's.
+        """
+        share = 0.0 if law is Law.EXACT else self.discrepancy_rivals_share
+        return self.log_cost_wrong_name * max(self.discrepancy_rivals, share * log_bayes_factor)
 
 
 @dataclass(frozen=True, slots=True)

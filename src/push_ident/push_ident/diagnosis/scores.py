@@ -173,10 +173,12 @@ def score_effects(information: EffectInformation | None, policy: SelectionPolicy
     return sorted(scores, key=lambda score: -score.expected_log_bayes_factor)
 
 
-def score_in_place(fit: Fit, name: str, policy: SelectionPolicy) -> list[EffectScore]:
+def score_in_place(fit: Fit, name: str, gained: float, policy: SelectionPolicy) -> list[EffectScore]:
     """Scores of absent effects in the place of one that a fit has, relative to it; none where the pushes have no linear range.
 
     Errors of tool, camera, clock and outline move the contact alike. Near a fit that has one of them, the others need not move it first.
+    `gained`: by the effect [nat]. Where the linear range does not show most of that as lost without it, as of the friction of a pusher that
+    sticks with it, there is none.
     """
     information = effect_information(fit)
     if information is None or information.linear is None:
@@ -186,8 +188,10 @@ def score_in_place(fit: Fit, name: str, policy: SelectionPolicy) -> list[EffectS
     # Its columns keep their places: those of absent effects follow.
     others = replace(linear, fitted=np.setdiff1d(linear.fitted, np.arange(taken.start, taken.stop)))
     try:
-        with_it = linear.log_evidence(np.zeros(0, dtype=np.intp))[0]
+        with_it, without = (one.log_evidence(np.zeros(0, dtype=np.intp))[0] for one in (linear, others))
     except np.linalg.LinAlgError:
+        return []
+    if with_it - without < policy.promise_share * gained:
         return []
     scores = score_effects(replace(information, linear=None), policy)
     unscored = [replace(score, expected_log_bayes_factor=-np.inf) for score in scores]

@@ -180,17 +180,19 @@ def _freed_candidates(
     if best is None or best.log_bayes_factor <= 0.0:
         return list(candidates)
     refitted = {candidate.name: candidate for candidate in candidates}
-    least = policy.promise_share * best.log_bayes_factor
+
+    def tied(score: EffectScore) -> float:
+        return best.log_bayes_factor - policy.tie_margin_of(EFFECTS[score.name].law, best.log_bayes_factor)
 
     def falls_short(score: EffectScore) -> bool:
         known = refitted[score.name].log_bayes_factor if score.name in refitted else -np.inf
-        return score.expected_log_bayes_factor > max(least, known + policy.tie_margin)
+        return score.expected_log_bayes_factor > max(tied(score), known + policy.tie_margin)
 
-    scores = [score.beyond(by_chance.get(score.name, 0.0)) for score in score_in_place(best.fit, best.name, policy)]
     of_best = best.fit.log_evidence - fit.log_evidence
+    scores = [score.beyond(by_chance.get(score.name, 0.0)) for score in score_in_place(best.fit, best.name, of_best, policy)]
     promising = [replace(score, expected_log_bayes_factor=of_best + score.expected_log_bayes_factor) for score in scores]
     first = sorted(promising, key=lambda score: -score.expected_log_bayes_factor)[: policy.max_refits]
-    again = map_in_threads(lambda score: _refit(fit, required, score, best.fit), [score for score in first if falls_short(score)])
+    again = map_in_threads(lambda score: _refit(fit, max(required, tied(score)), score, best.fit), filter(falls_short, first))
     for candidate in again:
         refitted[candidate.name] = max(candidate, refitted.get(candidate.name, candidate), key=lambda one: one.log_bayes_factor)
     return list(refitted.values())

@@ -10,7 +10,6 @@ from scipy.special import ndtri
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.scores import EffectInformation, EffectScore
 from push_ident.identification.fitting.fit import Fit
-from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
 
 
@@ -145,14 +144,9 @@ class Selection:
         return tuple(rival for rival in self.rivals if rival.deficit < self.margin(rival, policy))
 
     def margin(self, rival: RivalFit, policy: SelectionPolicy) -> float:
-        """Deficit at which a rival is excluded [nat].
-
-        It grows with the evidence for a rival with an approximate law: where it is the true effect, its law still differs from the world's.
-        And it is such that other pushes would hardly turn the deficit round.
-        """
-        share = 0.0 if EFFECTS[rival.name].law is Law.EXACT else policy.discrepancy_rivals_share * policy.log_cost_wrong_name
-        of_law = share * self.added[rival.replaces][1].log_bayes_factor
-        return max(policy.tie_margin, of_law, -float(ndtri(policy.max_probability_of_error)) * rival.deficit_std)
+        """Deficit at which a rival is excluded [nat]: such that other pushes would hardly turn it round, too."""
+        of_law = policy.tie_margin_of(EFFECTS[rival.name].law, self.added[rival.replaces][1].log_bayes_factor)
+        return max(of_law, -float(ndtri(policy.max_probability_of_error)) * rival.deficit_std)
 
     def special_cases(self, tie_margin: float) -> dict[str, str]:
         """Of effects that were found: one that contains it as a special case and explains the pushes no better."""
