@@ -199,7 +199,7 @@ def sentence_of_more_pushes(account: Account, first: PlannedPush | None) -> str:
     if n is None:
         most = f" More than {account.policy.max_more_pushes} pushes like these would be needed, so push it differently"
         return f"{most}, first like this: {described}." if described else f"{most}."
-    more = f" {n} more push{' like these' if n == 1 else 'es like these'} would tell"
+    more = f" {n} more push{' like these' if n == 1 else 'es like these'} would make the maps known"
     return f"{more}; this one first: {described}." if described else f"{more}."
 
 
