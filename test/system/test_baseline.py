@@ -37,8 +37,10 @@ OTHER_MACHINE = 1e-2
 """Relative tolerance where processor or libraries are not those of the stored answers: sums are then rounded differently. With kernels
 compiled for any x86-64 processor and OpenBLAS for Haswell, a log evidence near zero changed by 1.3e-3, the rest by less than 4e-5."""
 OTHERWISE_THERE = frozenset({"combinations", "cell_error_std_m", "within_90", "next_push", "account", "gap", "motion", "remainder_m"})
-"""Not compared there: combinations of unknowns have an arbitrary sign; predictions draw models along them; errors on held-out pushes, and
-their parts, are those of fits that end at a kink of the cost or at the next one; the best of many pushes may be one nearly as good."""
+"""Not compared there as the rest: combinations of unknowns have an arbitrary sign; predictions draw models along them; fits without the
+held-out pushes end at a kink of the cost or at the next one; the best of many pushes may be one nearly as good."""
+HELD_OUT = 0.1
+"""Relative tolerance of mean errors on held-out pushes there; by those kernels and OpenBLAS, up to 0.015 (0.07 of single pushes)."""
 
 
 def machine() -> dict[str, str]:
@@ -107,6 +109,12 @@ def comparable(answer: Any) -> Any:
     return answer
 
 
+def held_out(answer: Any) -> dict[str, float]:
+    """Mean errors of a diagnosis on held-out pushes [m]; none of other answers."""
+    content = answer["content"] or {}
+    return {f"{of}.{key}": content[of][key] for of in ("gap", "motion") if of in content for key in ("before_m", "after_m", "noise_m")}
+
+
 BAG_AND_CASE = [
     pytest.param(bag, name, marks=() if bag == "hammer_depth" else pytest.mark.long) for bag, names in CASES.items() for name in names
 ]
@@ -125,7 +133,8 @@ def test_answer_is_the_stored_one(bag: str, name: str, baseline: ModuleType, ans
     if json.loads(fingerprint.read_text()) == machine():
         found = list(baseline.differences(stored, answer))
     else:
-        found = list(baseline.differences(comparable(stored), comparable(answer), relative=OTHER_MACHINE))
+        found = list(baseline.differences(held_out(stored), held_out(answer), relative=HELD_OUT))
+        found += baseline.differences(comparable(stored), comparable(answer), relative=OTHER_MACHINE)
     assert not found, "\n".join([f"{len(found)} differences from {file.name}", *found[:10]])
 
 

@@ -13,7 +13,7 @@ from helpers.diagnosis import TRUTH, simulated_pushes
 from helpers.objects import with_forces
 from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.held_out import folds_of
-from push_ident.diagnosis.policy import UnknownPolicy
+from push_ident.diagnosis.policy import DecisionPolicy, UnknownPolicy
 from push_ident.diagnosis.scores import clipped_start
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.diagnosis.something_else.evidence import SomethingElse, error_with_patterns, find_something_else
@@ -31,7 +31,7 @@ N_PUSHES, FIRST = 8, 4
 
 def found_in(records: list[PushRecord]) -> tuple[Fit, SomethingElse]:
     fit = fit_base(records, DiagnosisSettings())
-    found = find_something_else(fit, UnknownPolicy(draws=100), folds_of(len(fit.problem.records), 7))
+    found = find_something_else(fit, DecisionPolicy(unknown=UnknownPolicy(draws=100)), folds_of(len(fit.problem.records), 7))
     assert found is not None
     return fit, found
 

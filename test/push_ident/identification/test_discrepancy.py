@@ -9,14 +9,13 @@ import pytest
 
 from helpers.diagnosis import simulated_pushes
 from push_ident.diagnosis.fits import fit_base, fit_effects, fit_with_reference
+from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.identification.fitting.discrepancy import (
-    LARGER,
-    USUAL,
     DiscrepancySize,
     LinearPushes,
+    log_bayes_factor_of_larger,
     log_prior_of_size,
-    unusual,
     with_size,
 )
 from push_ident.identification.fitting.fit import Fit
@@ -72,24 +71,29 @@ def test_evidence_of_a_size_is_that_of_the_whole_hessian_and_its_slope_that_of_d
         assert slope[k] == pytest.approx((pushes.cost(logs + step)[0] - pushes.cost(logs - step)[0]) / 2e-5, rel=1e-4, abs=1e-4)
 
 
+SIZES = SelectionPolicy().usual_discrepancy, SelectionPolicy().larger_discrepancy
+
+
 def test_evidence_of_usual_and_larger_sizes_is_the_integral_over_all_sizes(fit: Fit) -> None:
     pushes = linear(fit)
-    for middle in (0.0, float(np.log(LARGER))):
+    width = float(np.log(SIZES[0]))
+    for middle in (0.0, float(np.log(SIZES[1]))):
         # By Gauss-Hermite quadrature about the prior of the sizes; its density has the constant that the evidence leaves out.
         nodes, weights = np.polynomial.hermite_e.hermegauss(9)
         total = 0.0
         for k in np.ndindex(9, 9, 9):
-            logs = middle + USUAL * nodes[[*k]] - pushes.first
+            logs = middle + width * nodes[[*k]] - pushes.first
             total += float(np.prod(weights[[*k]])) * np.exp(-pushes.cost(logs, np.inf)[0] + pushes.cost(np.zeros(3), np.inf)[0])
-        integral = np.log(total) - 1.5 * np.log(2.0 * np.pi) + 3.0 * np.log(USUAL) - pushes.cost(np.zeros(3), np.inf)[0]
-        assert pushes.log_evidence_about(middle) == pytest.approx(integral, abs=0.3)
+        integral = np.log(total) - 1.5 * np.log(2.0 * np.pi) + 3.0 * np.log(width) - pushes.cost(np.zeros(3), np.inf)[0]
+        assert pushes.log_evidence_about(middle, width) == pytest.approx(integral, abs=0.3)
 
 
 def test_discrepancy_is_larger_than_usual_where_each_push_departs_in_its_own_way() -> None:
     even = simulated_pushes(N_PUSHES, 5)
     plain, departing = (fit_base(records, DiagnosisSettings()) for records in (even, displaced(even, 2e-3)))
-    assert unusual(plain.problem, plain.x, plain.end) < -2.0 and not plain.has_larger_discrepancy
-    assert unusual(departing.problem, departing.x, departing.end) > 2.0 and departing.has_larger_discrepancy
+    assert log_bayes_factor_of_larger(plain.problem, plain.x, plain.end, *SIZES) < -2.0 and not plain.has_discrepancy_above(SIZES[0])
+    assert log_bayes_factor_of_larger(departing.problem, departing.x, departing.end, *SIZES) > 2.0
+    assert departing.has_discrepancy_above(SIZES[0])
 
 
 def test_log_densities_of_pushes_are_the_parts_of_the_evidence(fit: Fit) -> None:

@@ -72,11 +72,14 @@ def _abstention(state: DiagnosisState) -> Diagnosis:
 
 
 def _check(decision: Decision, words: PatternWords | None) -> str:
-    """What a person at the cell can do instead of a push, for the first of the effects that has a check; empty where none has."""
+    """What a person at the cell can look at, for each cause that is named last or left open; empty where nothing is."""
     if decision.verdict is Verdict.UNKNOWN or decision.free_law:
         return "" if words is None else f"Look for {words.look_for}."
-    names = [*decision.confusion_sets, decision.effects[-1].name] if decision.effects else []
-    return next((EFFECTS[name].check for name in names if name in EFFECTS and EFFECTS[name].check), "")
+    names = [decision.effects[-1].name] if decision.effects else []
+    for found, rivals in decision.confusion_sets.items():
+        names += [found, *rivals]
+    checks = {name: EFFECTS[name].check for name in names if name in EFFECTS}
+    return " ".join(checks.values() if len(checks) == 1 else (f"{name}: {check}" for name, check in checks.items()))
 
 
 def _sentence(

@@ -102,6 +102,11 @@ class SelectionPolicy:
     discrepancy_something_else_share: float = 0.02
     """The same beside effects, at least this times their log Bayes factors [1/nat], as of a further effect: an outline that was 3 mm too
     small in Bullet, which rounds its corners in another way, left a structure of 4 nat beside the right name."""
+    usual_discrepancy: float = 2.0
+    """Factor on the default up to which the size of a discrepancy is usual [1]; beyond it, effects are also looked for under the default.
+    Also its standard deviation: effect-free pushes of the simulators have a third to the double."""
+    larger_discrepancy: float = 5.0
+    """Factor by which it is larger where each push departs from the model in a way of its own [1]. Recordings of others: 5 to 30."""
     relabellings: int = 200
     """Draws of pushes that are called the changed ones: the quantile below is known to a percent [1]."""
     chance_quantile: float = 0.975

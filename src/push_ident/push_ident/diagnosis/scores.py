@@ -10,6 +10,7 @@ The motion is differentiable by the parameters of an effect at their null, so th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.identification.fitting.discrepancy import WIDTH, FrameErrors, LinearPushes, is_larger_than_usual
+from push_ident.identification.fitting.discrepancy import WIDTH, FrameErrors, LinearPushes
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.physics.effect_values import effect_values
@@ -91,13 +92,13 @@ class LinearRange:
     """Their derivative, shape (2 n_windows, size)."""
     errors: FrameErrors
 
-    def log_evidence(self, effect: NDArray[np.intp]) -> tuple[float, Float64Array]:
+    def log_evidence(self, effect: NDArray[np.intp], policy: SelectionPolicy) -> tuple[float, Float64Array]:
         """With some of the new unknowns, up to a constant [nat], and the unknowns of the object of largest density."""
         chosen = np.r_[self.fitted, self.new[effect]]
         starts = [np.zeros(3)]
-        if is_larger_than_usual(np.exp(self.pushes.first)):  # as it may be what the effect does
+        if np.max(np.exp(self.pushes.first)) > policy.usual_discrepancy:  # it may be what the effect does
             starts.append(-self.pushes.first)
-        return max((self._log_evidence_from(chosen, logs) for logs in starts), key=lambda found: found[0])
+        return max((self._log_evidence_from(chosen, logs) for logs in starts), key=itemgetter(0))
 
     def _log_evidence_from(self, chosen: NDArray[np.intp], logs: Float64Array) -> tuple[float, Float64Array]:
         """With some unknowns of the object; `logs`: logarithms of the factors of the discrepancy at the start, shape (3,)."""
@@ -168,7 +169,7 @@ def score_effects(information: EffectInformation | None, policy: SelectionPolicy
     precision, slope = information.precision, information.slope
     scores = [_score(name, precision[np.ix_(index, index)], slope[index], policy) for name, index in information.indices.items()]
     if (linear := information.linear) is not None:
-        without = linear.log_evidence(np.zeros(0, dtype=np.intp))[0]
+        without = linear.log_evidence(np.zeros(0, dtype=np.intp), policy)[0]
         scores = map_in_threads(lambda score: _in_range(score, linear, information.indices[score.name], without, policy), scores)
     return sorted(scores, key=lambda score: -score.expected_log_bayes_factor)
 
@@ -188,7 +189,7 @@ def score_in_place(fit: Fit, name: str, gained: float, policy: SelectionPolicy) 
     # Its columns keep their places: those of absent effects follow.
     others = replace(linear, fitted=np.setdiff1d(linear.fitted, np.arange(taken.start, taken.stop)))
     try:
-        with_it, without = (one.log_evidence(np.zeros(0, dtype=np.intp))[0] for one in (linear, others))
+        with_it, without = (one.log_evidence(np.zeros(0, dtype=np.intp), policy)[0] for one in (linear, others))
     except np.linalg.LinAlgError:
         return []
     if with_it - without < policy.promise_share * gained:
@@ -208,7 +209,7 @@ def _in_range(score: EffectScore, linear: LinearRange, index: NDArray[np.int64],
     """The score under the size of the discrepancy that is left beside the effect."""
     free = np.array([not p.shape for p in EFFECTS[score.name].parameters])
     try:
-        evidence, unknowns = linear.log_evidence(index[free])
+        evidence, unknowns = linear.log_evidence(index[free], policy)
     except np.linalg.LinAlgError:
         return score
     start = np.zeros(len(free))

@@ -112,10 +112,11 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     report(f"scoring effects beside {', '.join(fit.names) or 'the base model'}")
     information = effect_information(fit)
     by_chance = gains_by_chance(fit, policy)
-    found = score_effects(information, policy)
-    if fit.has_larger_discrepancy:
-        found = _with_hidden(found, score_effects(effect_information(under_usual_discrepancy(fit)), policy), policy)
-    all_scores = [score.beyond(by_chance.get(score.name, 0.0)) for score in found]
+    near_fit = score_effects(information, policy)
+    if fit.has_discrepancy_above(policy.usual_discrepancy):
+        under_usual = score_effects(effect_information(under_usual_discrepancy(fit)), policy)
+        near_fit = _or_under_usual(near_fit, under_usual, policy)
+    all_scores = [score.beyond(by_chance.get(score.name, 0.0)) for score in near_fit]
     scores = sorted(all_scores, key=lambda score: -score.expected_log_bayes_factor)
     needed = required_log_bayes_factor(selection, policy)
     # Refits also free a fit that stopped before its optimum, where scores mean little.
@@ -130,13 +131,13 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     return Step(fit, information, tuple(scores), tuple(candidates))
 
 
-def _with_hidden(scores: Sequence[EffectScore], under_usual: Sequence[EffectScore], policy: SelectionPolicy) -> list[EffectScore]:
+def _or_under_usual(scores: Sequence[EffectScore], under_usual: Sequence[EffectScore], policy: SelectionPolicy) -> list[EffectScore]:
     """The scores near a fit, with those under a discrepancy of the usual size where these promise much more: what an effect does has then
     become discrepancy."""
-    hidden = {score.name: replace(score, under_usual=True) for score in under_usual}
+    others = {score.name: replace(score, under_usual=True) for score in under_usual}
 
     def better(score: EffectScore) -> EffectScore:
-        other = hidden.get(score.name, score)
+        other = others.get(score.name, score)
         promised = policy.promise_share * other.expected_log_bayes_factor
         return other if promised > max(score.expected_log_bayes_factor, policy.tie_margin) else score
 

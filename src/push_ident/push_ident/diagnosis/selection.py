@@ -63,9 +63,9 @@ class RivalFit:
     Econometrica 1989)."""
 
     @classmethod
-    def of(cls, name: str, replaces: str, fit: Fit, found: Fit, deficit: float) -> RivalFit:
-        """Beside the fit that has the effect which was found."""
-        difference = found.push_log_densities - fit.push_log_densities
+    def of(cls, name: str, replaces: str, fit: Fit, selected: Fit, deficit: float) -> RivalFit:
+        """`selected`: the fit with the effect that was found, of which the rival's `fit` is behind by `deficit` [nat]."""
+        difference = selected.push_log_densities - fit.push_log_densities
         return cls(name, replaces, fit, deficit, float(np.std(difference, ddof=1)) * len(difference) ** 0.5)
 
 

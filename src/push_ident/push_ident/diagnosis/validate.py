@@ -133,7 +133,7 @@ def _look_for_structure(state: DiagnosisState, fit: Fit, folds: Sequence[Sequenc
     policy = state.settings.policy
     if state.reference:  # what recordings share outside the catalogue is no change
         return standardized_residuals(fit, policy.residuals), None
-    return (standardized_residuals(fit, policy.residuals), find_something_else(fit, policy.unknown, folds))
+    return (standardized_residuals(fit, policy.residuals), find_something_else(fit, policy, folds))
 
 
 def _weigh_outside(

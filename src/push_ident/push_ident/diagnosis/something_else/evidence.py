@@ -27,14 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from push_ident.diagnosis.policy import UnknownPolicy
+from push_ident.diagnosis.policy import DecisionPolicy
 from push_ident.diagnosis.residuals import draw_noise
 from push_ident.diagnosis.something_else.family import Family, Member
 from push_ident.diagnosis.something_else.patterns import pattern_families
 from push_ident.diagnosis.something_else.precision import AmplitudePrecision
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_displacement
-from push_ident.identification.fitting.discrepancy import groups_of, log_prior_of_size, unusual
+from push_ident.identification.fitting.discrepancy import groups_of, log_bayes_factor_of_larger, log_prior_of_size
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Mechanism
 from push_ident.types import BoolArray, Float64Array
@@ -211,7 +211,7 @@ class _Layout:
         return tuple(number[rows[used[rows]]] for rows in rows_of_push)
 
 
-def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequence[int]]) -> SomethingElse | None:
+def find_something_else(fit: Fit, policy: DecisionPolicy, folds: Sequence[Sequence[int]]) -> SomethingElse | None:
     """Look for structure in the residuals of a converged fit, which projects out what it has fitted; None where a push cannot be simulated.
 
     `folds`: numbers of the pushes that are left out together.
@@ -219,7 +219,7 @@ def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequenc
     all_families, linear = pattern_families(fit), _linear(fit)
     if all_families is None or linear is None:
         return None
-    residuals = np.column_stack([linear.residual, _noise(fit, linear, policy.draws)])
+    residuals = np.column_stack([linear.residual, _noise(fit, linear, policy.unknown.draws)])
     results = map_in_threads(lambda family: _evaluate(family, linear, residuals), all_families)
     sized = [linear, *_of_smaller_discrepancy(fit, linear)]
     by_size = np.array(
@@ -247,7 +247,8 @@ def find_something_else(fit: Fit, policy: UnknownPolicy, folds: Sequence[Sequenc
         size = next(k for k, one in enumerate(sized) if one is best_of[order[0]])
         in_order = [all_families[k] for k in order]
         without = map_in_threads(partial(_evidence_without, sized, size, in_order, _Layout.of(fit)), folds)
-    of_discrepancy = unusual(fit.problem, fit.x, fit.end)
+    sizes_of = policy.selection.usual_discrepancy, policy.selection.larger_discrepancy
+    of_discrepancy = log_bayes_factor_of_larger(fit.problem, fit.x, fit.end, *sizes_of)
     return SomethingElse(total, p_value, tuple(patterns), of_discrepancy, np.array(without).reshape(-1, len(patterns)))
 
 

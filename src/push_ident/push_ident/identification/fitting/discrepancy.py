@@ -27,7 +27,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import gammainc, logsumexp
 
@@ -38,10 +38,6 @@ from push_ident.types import Float64Array
 WIDTH: Final = 1.0
 """Standard deviation of the logarithm of a factor about that of the noise model [-]: a factor of 2.7 either way. Effect-free pushes of the
 simulators here have a third of the default to its double, recordings of others up to ten times as much."""
-USUAL: Final = 0.7
-"""The same of the sizes of one kind of pushes [-]: a third to the double lie within one and a half of it."""
-LARGER: Final = 5.0
-"""Factor by which the sizes are larger where something is left out [-]: recordings of others had up to ten times the default."""
 _ROUNDS: Final = 5
 """Of the size that all pushes share and the precision of each in turn."""
 _LARGEST: Final = 5.0
@@ -218,14 +214,13 @@ class LinearPushes:
         options = {"maxiter": 30, "ftol": 1e-7}
         return np.asarray(minimize(self.cost, start, args=(width, middle), jac=True, method="L-BFGS-B", bounds=bounds, options=options).x)
 
-    def log_evidence_about(self, middle: Float64Array | float) -> float:
-        """Of sizes whose logarithms have this mean and the standard deviation `USUAL`, by Laplace's approximation, up to a constant
-        [nat]."""
-        logs, step = self.best(np.zeros(3), USUAL, middle), 0.05
-        slopes = [[self.cost(logs + sign * step * axis, USUAL, middle)[1] for sign in (1.0, -1.0)] for axis in np.eye(3)]
+    def log_evidence_about(self, middle: Float64Array | float, width: float) -> float:
+        """Of sizes whose logarithms have this mean and this standard deviation, by Laplace's approximation, up to a constant [nat]."""
+        logs, step = self.best(np.zeros(3), width, middle), 0.05
+        slopes = [[self.cost(logs + sign * step * axis, width, middle)[1] for sign in (1.0, -1.0)] for axis in np.eye(3)]
         hessian = np.array([(above - below) / (2.0 * step) for above, below in slopes])
-        curvature = np.maximum(np.linalg.eigvalsh(0.5 * (hessian + hessian.T)), USUAL**-2)
-        return -self.cost(logs, USUAL, middle)[0] - 0.5 * float(np.sum(np.log(curvature)))
+        curvature = np.maximum(np.linalg.eigvalsh(0.5 * (hessian + hessian.T)), width**-2)
+        return -self.cost(logs, width, middle)[0] - 0.5 * float(np.sum(np.log(curvature)))
 
     def least_cost(self) -> float:
         """Negative log evidence at the factors of largest evidence, up to a constant [nat]."""
@@ -293,26 +288,21 @@ def estimate_size(problem: FitProblem, x: Float64Array, end: Evaluation) -> Disc
     return DiscrepancySize(float(np.exp(of_frames)), np.exp(logs), sized.precisions, gain)
 
 
-def unusual(problem: FitProblem, x: Float64Array, end: Evaluation) -> float:
-    """Log Bayes factor of a discrepancy that is larger than usual over one that is usual where nothing is left out, near a fit `x` [nat].
+def log_bayes_factor_of_larger(problem: FitProblem, x: Float64Array, end: Evaluation, usual: float, larger: float) -> float:
+    """Log Bayes factor of a discrepancy `larger` times the usual one over the usual one, near a fit `x` evaluated as `end` [nat].
 
-    Larger is that of the contact, that of the motion, or both.
-
-    0 where none is estimated, or rounding leaves none.
+    Larger is that of the contact, that of the motion, or both. Beforehand, either size is known to a factor of `usual`, one standard
+    deviation.
+    0 where no size is estimated, or rounding leaves none.
     """
     if problem.noise is None or problem.noise.discrepancy_modes == 0 or not np.isfinite(end.cost):
         return 0.0
-    linear = LinearPushes.of(problem, x, end.hessian, end.gradient)
+    linear, width = LinearPushes.of(problem, x, end.hessian, end.gradient), float(np.log(usual))
     try:
-        larger = [linear.log_evidence_about(np.log(LARGER) * np.array(which)) for which in ((1, 0, 0), (0, 1, 1), (1, 1, 1))]
-        return float(logsumexp(larger)) - np.log(len(larger)) - linear.log_evidence_about(0.0)
+        of_larger = [linear.log_evidence_about(np.log(larger) * np.array(which), width) for which in ((1, 0, 0), (0, 1, 1), (1, 1, 1))]
+        return float(logsumexp(of_larger) - np.log(len(of_larger))) - linear.log_evidence_about(0.0, width)
     except np.linalg.LinAlgError:
         return 0.0
-
-
-def is_larger_than_usual(factors: ArrayLike) -> bool:
-    """Whether one of the factors of a discrepancy exceeds its default by more than `USUAL`."""
-    return bool(np.max(np.log(factors)) > USUAL)
 
 
 def usual_size(noise: NoiseModel, n_pushes: int) -> DiscrepancySize:

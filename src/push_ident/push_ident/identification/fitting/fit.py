@@ -23,7 +23,6 @@ from push_ident.identification.fitting.discrepancy import (
     OF_FRAME,
     DiscrepancySize,
     estimate_size,
-    is_larger_than_usual,
     log_density_of_precisions,
     log_prior_of_size,
 )
@@ -119,10 +118,9 @@ class Fit:
         """Of largest evidence, where the noise has a discrepancy that the frames of a push share."""
         return estimate_size(self.problem, self.x, self.end)
 
-    @property
-    def has_larger_discrepancy(self) -> bool:
-        """Whether the pushes set a discrepancy that is larger than usual."""
-        return self.problem.noise is not None and is_larger_than_usual(self.problem.noise.discrepancy_factor)
+    def has_discrepancy_above(self, factor: float) -> bool:
+        """Whether the pushes set a discrepancy, of the contact or of the motion, above this factor on its default."""
+        return self.problem.noise is not None and max(self.problem.noise.discrepancy_factor) > factor
 
     @cached_property
     def log_evidence(self) -> float:
