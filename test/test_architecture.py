@@ -21,6 +21,7 @@ ORDER = [
     "checked_json",
     "pages",
     "geometry",
+    "checking",
     "perception",
     "survey",
     "pushing",

@@ -98,6 +98,8 @@ def _show(diagnosis: Diagnosis) -> None:
     for gate in diagnosis.gates:
         if not gate.passed:
             warn(f"! {gate.finding}: {gate.remedy}")
+    for warning in diagnosis.warnings:
+        warn(f"warning: {warning}")
     say(f"{diagnosis.verdict.value}: {diagnosis.sentence}")
     if diagnosis.check:
         say(f"To check: {diagnosis.check}")

@@ -107,17 +107,20 @@ def identify_command(
         others = [i for i in range(len(loaded.records)) if i not in chosen]
         fitted, held_out = (push_errors(result, loaded.records, pushes) for pushes in (chosen, others))
     found = result.explanation.notes([loaded.records[i].source for i in chosen])
-    _show_errors(loaded, fitted, held_out)
+    _show_errors([*loaded.notes, *result.notes], loaded, fitted, held_out)
     _show_identifiability(result)
     content = result_json(result, loaded.object_id, fitted, held_out, [*loaded.notes, *found])
     for file in (json, None if out is None else out / "result.json"):
         write_json(file, content)
     if out is not None:
         _write_files(out, result, loaded, fitted, held_out, record=record)
+    for line in result.warnings:
+        warn(f"warning: {line}")
     for line in found:
         warn(f"! {line}")
     if result.status.is_failure:
         warn(f"push-ident: {result.status.value}; the maps that are written are the prior")
+    if result.status.is_failure or result.warnings:
         raise typer.Exit(1)
 
 
@@ -160,8 +163,8 @@ def _chosen(numbers: list[int] | None, n_pushes: int) -> list[int]:
     return numbers
 
 
-def _show_errors(loaded: LoadedPushes, fitted: PushErrors, held_out: PushErrors) -> None:
-    for note in loaded.notes:
+def _show_errors(notes: Sequence[str], loaded: LoadedPushes, fitted: PushErrors, held_out: PushErrors) -> None:
+    for note in notes:
         warn(f"note: {note}")
     n_cells = len(loaded.records[0].shape.cells)
     table = number_table(
@@ -225,7 +228,7 @@ def _write_files(
         result,
         train,
         test,
-        Provenance(loaded.object_id, tuple(sources), (*loaded.notes, *result.explanation.notes(sources))),
+        Provenance(loaded.object_id, tuple(sources), (*loaded.notes, *result.notes, *result.explanation.notes(sources))),
         loaded.records[0].pusher.radius,
         scores,
     )

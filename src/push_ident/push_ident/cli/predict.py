@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from push_ident.checking.records import check_records
 from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, number_table, say, warn, write_json
 from push_ident.identification.predicting.scoring import PredictedPush, compare_pushes
@@ -27,10 +28,13 @@ def predict_command(
     """Predict recorded pushes with a model and compare with what was observed."""
     in_file, posterior = load_model(model)
     loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera))
+    warnings = check_records(loaded.records).warnings
     compared = compare_pushes(posterior, loaded.records)
     rows = [_row(push) for push in compared]
     for note in loaded.notes:
         warn(f"note: {note}")
+    for warning in warnings:
+        warn(f"warning: {warning}")
     if failure := failure_of_model(model):
         warn(f"! the model is only the prior: {failure}")
     table = number_table(
@@ -41,10 +45,18 @@ def predict_command(
         table.add_row(str(number), millimetres(row["cell_error_m"]), millimetres(row["cell_error_std_m"]), inside, row["status"])
     console.print(table)
     say(f"mean {millimetres(compared.mean_cell_error)} over {len(rows)} pushes")
-    content = {"object_id": in_file, "cell_error_m": compared.mean_cell_error, "pushes": rows, "notes": loaded.notes}
+    content = {
+        "object_id": in_file,
+        "cell_error_m": compared.mean_cell_error,
+        "pushes": rows,
+        "notes": loaded.notes,
+        "warnings": list(warnings),
+    }
     write_json(json, content)
     if out is not None:
         write_json(out / "prediction.json", content)
+    if warnings:
+        raise typer.Exit(1)
 
 
 def _row(push: PredictedPush) -> dict[str, Any]:

@@ -45,6 +45,7 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         verdict=decision.verdict,
         sentence=_sentence(state, validation, decision, next_push, words),
         gates=state.gates,
+        warnings=state.contradictions,
         policy=policy,
         effects=decision.effects,
         free_law=decision.free_law,

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from push_ident.checking.records import RecordCheck, check_records
 from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.diagnosis.verdict import Gate
@@ -34,8 +35,9 @@ def check_pushes(state: DiagnosisState) -> DiagnosisState:
     settings = state.settings
     policy, noise = settings.policy.gates, settings.noise
     bursts = [in_burst(record, policy) for record in state.records]
-    records = tuple(_without(record, burst) for record, burst in zip(state.records, bursts, strict=True))
-    gates = [*_bursts(bursts), *check_data(records, noise, policy)]
+    checked = check_records([_without(record, burst) for record, burst in zip(state.records, bursts, strict=True)])
+    records = checked.records
+    gates = [*_bursts(bursts), *check_data(records, noise, policy), *_corrections(checked)]
     records = tuple(at_rest(record) if _missing_share(record, policy) >= policy.max_missing_share else record for record in records)
     return replace(
         state,
@@ -44,6 +46,7 @@ def check_pushes(state: DiagnosisState) -> DiagnosisState:
         rest_noise_known=bool(np.isfinite(noise_correlation(records, enough_pairs=policy.min_rest_pairs))),
         rest_correlation_std=noise_correlation_std(records),
         data_gates=tuple(gates),
+        contradictions=checked.warnings,
     )
 
 
@@ -130,6 +133,11 @@ def _bursts(bursts: Sequence[BoolArray]) -> list[Gate]:
     share = n / sum(map(len, bursts))
     finding = f"{n} poses ({100 * share:.1f} %) jump away together and come back, and are left out"
     return [Gate(True, finding, "Find out why the tracker loses the object for a moment.")]
+
+
+def _corrections(checked: RecordCheck) -> list[Gate]:
+    """What was done to measured forces; nothing where they were as they should be."""
+    return [Gate(True, note.rstrip("."), "Tare the sensor before a push.") for note in checked.notes]
 
 
 def _missing_frames(records: Sequence[PushRecord], policy: GatePolicy) -> list[Gate]:

@@ -35,7 +35,7 @@ class Diagnosis:
         if self.free_law:
             rows.append((self.free_law.mechanism.value, amplitude_of(self.free_law), f"{self.free_law.log_bayes_factor:.1f}"))
         failed = " ".join(f"{gate.finding}: {gate.remedy}" for gate in self.gates if not gate.passed)
-        note = " ".join(text for text in (failed, f"Without a push: {self.check}" if self.check else "") if text)
+        note = " ".join(text for text in (failed, *self.warnings, f"Without a push: {self.check}" if self.check else "") if text)
         columns = ("effect", "size", "log Bayes factor (5: odds of 150 to 1)")
         return html_table(f"{self.verdict.value}: {self.sentence}", columns, rows, note=note)
 
@@ -75,6 +75,8 @@ class Diagnosis:
     """Of the residuals beside all effects that were named."""
     excess_autocorrelation: float = np.nan
     """Of the same residuals."""
+    warnings: tuple[str, ...] = ()
+    """What is wrong with the pushes, whatever the verdict says: contacts, clocks or forces that contradict each other (`checking/`)."""
 
     @property
     def confusion_set(self) -> tuple[str, ...]:

@@ -89,6 +89,8 @@ class DiagnosisState:
     """Of a diagnosis of the first of these pushes."""
     data_gates: tuple[Gate, ...] = ()
     fit_gates: tuple[Gate, ...] = ()
+    contradictions: tuple[str, ...] = ()
+    """Between contacts, clocks and forces of the pushes, one sentence each."""
     outliers: tuple[str, ...] = ()
     """Sources of pushes that were set aside."""
     base: Fit | None = None

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from push_ident.checking.records import RecordCheck, check_records
 from push_ident.errors import InputError
 from push_ident.identification.fitting.budget import Budget, Meter, Progress
 from push_ident.identification.fitting.fit import Fit, FitOptions
@@ -57,26 +58,25 @@ def identify(
 
     Args:
         records: pushes of one object. The two end poses of a push are enough.
-        prior: nominal values and standard deviations; accuracies of camera and force sensor are of the records unless it has them.
+        prior: of the object; accuracies of camera and force sensor are of the records unless it has them.
         method: name of a solver in `SOLVERS`.
-        effects: names of effects (`physics/effects/`) that are fitted with the maps, by solvers that can (`Capabilities.takes_effects`),
-            beside `nuisance_effects`.
+        effects: names of effects that are fitted with the maps beside `nuisance_effects`, by solvers that can (`Capabilities`).
         options: noise, numerics, iterations and seed. Errors of poses count as at least as correlated as the frames at rest show.
         budget: limits of the solve; 30 s by default.
         earlier: results to start from.
         on_progress: called with every better point.
 
     Returns:
-        The result; look at its `status` before its numbers.
+        The result; look at its `status` and `warnings` before its numbers: a fit can hide errors of the pushes in its maps.
 
     Raises:
         InputError: no push, pushes of different objects, an unknown method or effect, or effects with a method that fits none.
     """
-    solver, earlier = solver_of(method), earlier or Earlier()
+    checked, solver, earlier = _checked(records), solver_of(method), earlier or Earlier()
+    records = checked.records
     unknowns, options = _prepared(records, prior or Prior(), effects, solver, earlier, options or FitOptions())
     meter, scalars = Meter(budget, on_progress), unknowns.equal_cells().with_effects(())
-    # Roughly: equal cells explain pushes of an uneven object badly, at a cost with many kinks. Fits of maps start from them, and a
-    # candidate fits them to the end where that decides something.
+    # Roughly: equal cells explain an uneven object badly, at a cost with many kinks. A candidate fits them to the end where it decides.
     problem = FitProblem(records, scalars, noise=options.noise, settings=options.numerics)
     warm = next((start.x for start in earlier.warm_starts if start.name == _SCALARS), np.empty(0))
     steps = 4 if len(warm) else options.max_iterations  # after one push more, only the evidence of equal cells depends on it
@@ -85,8 +85,8 @@ def identify(
     fit = solver.fit(FitTask(records, unknowns, options, meter, scalar, earlier.warm_starts, past, earlier.known))
     explanation = explain(fit.posterior, records, settings=options.numerics)
     status = explanation.judged(fit.status, any(observed.touched for observed in fit.problem.observations))
-    if past is not None:  # pushes that are summed up count in these unknowns
-        unknowns = replace(unknowns, prior=unknowns.prior.on_feet(past.feet))
+    # Pushes that are summed up count in these unknowns.
+    unknowns = unknowns if past is None else replace(unknowns, prior=unknowns.prior.on_feet(past.feet))
     return Identification(
         method=method,
         status=status,
@@ -101,7 +101,14 @@ def identify(
         history=_checkpoints(fit.problem),
         candidates=fit.candidates,
         explanation=explanation,
+        checked=checked,
     )
+
+
+def _checked(records: Sequence[PushRecord]) -> RecordCheck:
+    if not records:
+        raise InputError("There is no push to learn from; give at least one push record.")
+    return check_records(records)
 
 
 def _prepared(
@@ -111,8 +118,6 @@ def _prepared(
 
     What is compiled then, once on a machine, may take longer than the budget of a solve.
     """
-    if not records:
-        raise InputError("There is no push to learn from; give at least one push record.")
     unknowns = _unknowns_of(records, prior, effects, solver, earlier)
     equal = unknowns.equal_cells()
     without_effects = equal.with_effects(())

@@ -19,9 +19,10 @@ from typing import Final
 import numpy as np
 
 from push_ident.bags.importers.recording import ascending
-from push_ident.bags.importers.report import ImportReport, contact_tolerance, distance_warnings
+from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.importers.shapes import check_supports, pose_covariance, right_triangle
 from push_ident.bags.writer import BagWriter
+from push_ident.checking.contact import contact_tolerance, distance_warnings
 from push_ident.errors import BagError
 from push_ident.files import read_regular
 from push_ident.geometry.outline import signed_distance

@@ -14,10 +14,11 @@ from typing import Any, Final
 import numpy as np
 
 from push_ident.bags.importers.recording import ascending
-from push_ident.bags.importers.report import ImportReport, contact_tolerance, distance_warnings
+from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.importers.shapes import check_supports, pose_covariance, right_triangle, shape_of_outline
 from push_ident.bags.opening import open_bag
 from push_ident.bags.writer import BagWriter
+from push_ident.checking.contact import contact_tolerance, distance_warnings
 from push_ident.errors import BagError, InputError
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import inverse, transform_points

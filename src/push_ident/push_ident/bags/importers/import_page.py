@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 
 from push_ident import __version__
-from push_ident.bags.importers.overlap import Overlap
 from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
+from push_ident.checking.overlap import Overlap
 from push_ident.errors import BagError
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.pages.outline_chart import Placed, outline_panel

@@ -21,9 +21,10 @@ from typing import Any, Final
 import numpy as np
 
 from push_ident.bags.importers.recording import ascending
-from push_ident.bags.importers.report import ImportReport, contact_of, contact_tolerance, contact_warnings
+from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.importers.shapes import pose_covariance, shape_of_outline
 from push_ident.bags.records import write_records
+from push_ident.checking.contact import contact_of, contact_tolerance, contact_warnings
 from push_ident.errors import BagError, InputError
 from push_ident.extras import need
 from push_ident.files import read_regular
@@ -152,7 +153,7 @@ def import_mit(paths: Sequence[Path], out_bag: Path, *, options: MitOptions | No
             *(("object poses are known before and after each push only",) if options.ends_only else ()),
             *left_out,
         ),
-        warnings=contact_warnings(contacts, tolerance),
+        warnings=contact_warnings(dict(enumerate(contacts)), tolerance),
     )
 
 

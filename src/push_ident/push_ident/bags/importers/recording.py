@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from push_ident.bags.importers.overlap import NOISE_FACTOR, Overlap, Streams, overlap_of
-from push_ident.bags.importers.report import Contact, ImportReport, contact_of, contact_tolerance, contact_warnings
+from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.importers.shapes import pose_covariance
 from push_ident.bags.pushes import PAUSE
 from push_ident.bags.records import FIRST_STAMP, LATE
 from push_ident.bags.writer import BagWriter
+from push_ident.checking.contact import Contact, contact_of, contact_tolerance, contact_warnings
+from push_ident.checking.overlap import NOISE_FACTOR, Overlap, Streams, overlap_of
 from push_ident.errors import BagError, InputError
 from push_ident.limits import LIMITS, check_object_id
 from push_ident.types import BoolArray, Float64Array, ObjectShape
@@ -113,7 +114,7 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
     LIMITS.PUSHES.check(len(spans), recording.names[1], error=BagError, remedy="Split the recording.")
     _write(out_bag, options, streams, force, spans, covariance)
     contacts = [contact for _, contact in spans]
-    warnings = contact_warnings(contacts, tolerance)
+    warnings = contact_warnings(dict(enumerate(contacts)), tolerance)
     overlap = overlap_of(Streams(poses, [run for run, _ in spans], shape, options.radius, tolerance))
     if warnings or not overlap.fits:
         warnings = (*warnings, overlap.explanation())

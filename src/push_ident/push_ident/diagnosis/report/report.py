@@ -43,6 +43,7 @@ def write_report(path: Path, diagnosis: Diagnosis, *, object_id: str, sources: S
         "sentence": diagnosis.sentence,
         "failed": [g for g in diagnosis.gates if not g.passed],
         "gates": diagnosis.gates,
+        "warnings": diagnosis.warnings,
         "trusted": diagnosis.selection is not None,
         "min_log_bayes_factor": policy.min_log_bayes_factor,
         "tie_margin": policy.tie_margin,

@@ -112,6 +112,11 @@ class ObjectSession:
         return result.explanation.failure if result is not None and result.status is SolveStatus.UNEXPLAINED else ""
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the latest pushes, whatever the status says."""
+        return self.online.result.warnings if self.online.result is not None else ()
+
+    @property
     def n_pushes(self) -> int:
         """Number of finished pushes in the estimate."""
         return self.online.n_pushes

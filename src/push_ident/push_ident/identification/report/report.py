@@ -76,6 +76,7 @@ def report_text(
     context = {
         "title": f"Object {provenance.object_id}: mass and friction",
         "headline": _headline(result, train, test, known),
+        "wrong": result.warnings,
         "warning": "" if result.status is SolveStatus.CONVERGED else f"Do not use these maps without a check: {result.status.value}.",
         "maps": draw_maps(posterior),
         "errors": draw_errors(train, test),

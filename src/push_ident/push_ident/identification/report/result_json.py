@@ -48,7 +48,8 @@ def result_json(result: Identification, object_id: str, train: PushErrors, test:
         "pose_noise_factor": posterior.pose_noise_factor,
         "misfit": result.reduced_chi2,
         "status": result.status.name.lower(),
-        "notes": list(notes),
+        "notes": [*notes, *result.notes],
+        "warnings": list(result.warnings),
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from push_ident.checking.records import RecordCheck
 from push_ident.identification.results.explanation import Explanation
 from push_ident.identification.results.identifiability import before_text, identifiability, value_text
 from push_ident.identification.results.posterior import ModelPosterior
@@ -71,12 +72,13 @@ class Identification:
         """For notebooks: how the solve ended, and the named quantities with their standard deviations before and after the pushes."""
         known = identifiability(self.posterior)
         rows = [(q.name, value_text(q), before_text(q), q.knowledge.value.partition(":")[0]) for q in known.quantities]
+        wrong = "".join(f"{warning} " for warning in self.warnings)
         return html_table(
             f"{len(self.model.mass)} cells, {self.method}: {self.status.value}",
             ("quantity", "value", "before the pushes", "identifiability"),
             rows,
-            note=f"Of {len(known.combinations)} combinations of the cells, {known.n_pinned} are pinned down and {known.n_open} hardly "
-            f"constrained. {self.n_simulations} simulations in {self.time_s:.2f} s.",
+            note=f"{wrong}Of {len(known.combinations)} combinations of the cells, {known.n_pinned} are pinned down and {known.n_open} "
+            f"hardly constrained. {self.n_simulations} simulations in {self.time_s:.2f} s.",
         )
 
     method: str
@@ -101,6 +103,18 @@ class Identification:
     """Priors that were compared."""
     explanation: Explanation = field(default_factory=Explanation)
     """How well the fit explains its training pushes, also where `posterior` is the prior because it does not."""
+    checked: RecordCheck = field(default_factory=lambda: RecordCheck((), None))
+    """The pushes of the fit, and whether they agree with each other."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was corrected in the pushes."""
+        return self.checked.notes
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the pushes, whatever the status says: contacts, clocks or forces that contradict each other (`checking/`)."""
+        return self.checked.warnings
 
     @property
     def model(self) -> ObjectModel:

@@ -330,6 +330,7 @@ class _Identification(Component):
                 f"predicted to {1e3 * score.cell_error:.1f} mm, expected {1e3 * score.expected_cell_error:.1f} mm"
             )
             self._say_unexplained(session, score)
+            self._say_wrong(session)
             self._advise(record.object_id)
 
     def _check_on_table(self, session: ObjectSession, record: PushRecord) -> None:
@@ -354,6 +355,12 @@ class _Identification(Component):
         self._counts["pushes not explained"] += 1
         why = session.failure or "its poses contradict the model of the other pushes; look at its poses"
         self._node.get_logger().warning(f"object {session.object_id}: push {session.n_pushes} is not explained: {why}")
+
+    def _say_wrong(self, session: ObjectSession) -> None:
+        """Log what is wrong with the pushes of an object, and keep it as the latest error of the diagnostics."""
+        for warning in session.warnings:
+            self._collector.last_error = f"{session.object_id}: {warning}"
+            self._node.get_logger().warning(f"object {self._collector.last_error}")
 
     def _update(self, object_id: str, received: float) -> None:
         now = time.monotonic()

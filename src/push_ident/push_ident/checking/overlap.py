@@ -45,10 +45,17 @@ class Streams:
 class Cause:
     """One mistake that would explain that pusher and object do not meet."""
 
-    text: str
-    """What is probably wrong, and the option that mends it."""
+    finding: str
+    """What is probably wrong."""
+    mend: str
+    """What mends it when the recording is imported; empty where no option does."""
     error: float
     """Root mean square distance of pusher and outline that is left with it [m]."""
+
+    @property
+    def text(self) -> str:
+        """What is probably wrong, how an import mends it, and what is left."""
+        return f"{self.finding}{': ' if self.mend else ''}{self.mend} (leaves {1e3 * self.error:.1f} mm)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,22 +91,26 @@ class Overlap:
         return float(np.median(self.distance)) if len(self.distance) else np.nan
 
     def remedy(self) -> str:
-        """What to check, the likely cause first."""
+        """What to check in an import, the likely cause first."""
         if not self.causes:
             return "check frames, units, the pusher's radius and the clocks of both."
         return "likely: " + "; or: ".join(cause.text for cause in self.causes) + "."
 
-    def explanation(self) -> str:
-        """By how much they miss, and why, in one line."""
+    def finding(self) -> str:
+        """By how much they miss, in one clause."""
         if not len(self.distance):
-            return "no frame shows the object in motion, so that the cause of a miss cannot be found; record poses during the pushes."
-        miss = self.miss
-        way = f"{1e3 * abs(miss):.1f} mm {'inside' if miss < 0 else 'outside'} the outline"
+            return "no frame shows the object in motion"
+        return f"while the object moves the pusher is {1e3 * abs(self.miss):.1f} mm {'inside' if self.miss < 0 else 'outside'} the outline"
+
+    def explanation(self) -> str:
+        """By how much they miss, and why, in one line, for the one who imports."""
+        if not len(self.distance):
+            return f"{self.finding()}, so that the cause of a miss cannot be found; record poses during the pushes."
         if self.fits:
-            return f"while the object moves the pusher is {way} in the median, which noise explains."
+            return f"{self.finding()} in the median, which noise explains."
         if not self.causes:
-            return f"while the object moves the pusher is {way} in the median, and no single mistake explains it; {self.remedy()}"
-        return f"while the object moves the pusher is {way} in the median; {self.remedy()}"
+            return f"{self.finding()} in the median, and no single mistake explains it; {self.remedy()}"
+        return f"{self.finding()} in the median; {self.remedy()}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +124,11 @@ class _Frames:
 
     def pusher(self, offset: float = 0.0) -> Float64Array:
         """Axis of the pusher [m], shape (n, 2), with its clock moved by `offset` [s]."""
-        path = np.vstack(self.streams.runs)
-        return np.column_stack([np.interp(self.time - offset, path[:, 0], path[:, axis]) for axis in (1, 2)])
+        position = np.empty((len(self.time), 2))
+        for number in np.unique(self.push):
+            own, run = self.push == number, self.streams.runs[int(number)]
+            position[own] = np.column_stack([np.interp(self.time[own] - offset, run[:, 0], run[:, axis]) for axis in (1, 2)])
+        return position
 
     def distance(self, pusher: Float64Array, *, pose: Float64Array | None = None, outline: Float64Array | None = None) -> Float64Array:
         """Of the pusher's surface to the outline [m], shape (n,)."""
@@ -221,22 +235,22 @@ def _causes(frames: _Frames) -> Iterator[Cause]:
 _Found = tuple[Cause, Float64Array]
 
 
-def _cause(text: str, distance: Float64Array) -> _Found:
-    return Cause(f"{text} (leaves {1e3 * _rms(distance):.1f} mm)", _rms(distance)), distance
+def _cause(finding: str, mend: str, distance: Float64Array) -> _Found:
+    return Cause(finding, mend, _rms(distance)), distance
 
 
 def _unit_causes(frames: _Frames) -> Iterator[_Found]:
     pusher, pose, outline = frames.pusher(), frames.pose, frames.streams.shape.outline
     for factor, unit in _UNITS:
-        yield _cause(f"the lengths of the pusher are in {unit}: check --pusher-length-unit", frames.distance(factor * pusher))
+        yield _cause(f"the lengths of the pusher are in {unit}", "check --pusher-length-unit", frames.distance(factor * pusher))
         scaled = np.column_stack([factor * pose[:, :2], pose[:, 2]])
-        yield _cause(f"the lengths of the poses are in {unit}: check --length-unit", frames.distance(pusher, pose=scaled))
-        yield _cause(f"the outline is in {unit}: check --outline-length-unit", frames.distance(pusher, outline=factor * outline))
+        yield _cause(f"the lengths of the poses are in {unit}", "check --length-unit", frames.distance(pusher, pose=scaled))
+        yield _cause(f"the outline is in {unit}", "check --outline-length-unit", frames.distance(pusher, outline=factor * outline))
     for factor, unit in ((np.pi / 180.0, "degrees"), (180.0 / np.pi, "radians")):
         turned = np.column_stack([pose[:, :2], factor * pose[:, 2]])
-        yield _cause(f"the yaw of the poses is in {unit}: check --angle-unit", frames.distance(pusher, pose=turned))
+        yield _cause(f"the yaw of the poses is in {unit}", "check --angle-unit", frames.distance(pusher, pose=turned))
     flipped = np.column_stack([pose[:, :2], -pose[:, 2]])
-    yield _cause("the yaw has the other sign: the z axis of the poses points down", frames.distance(pusher, pose=flipped))
+    yield _cause("the yaw has the other sign", "the z axis of the poses points down", frames.distance(pusher, pose=flipped))
 
 
 def _axes_causes(frames: _Frames) -> Iterator[_Found]:
@@ -248,36 +262,35 @@ def _axes_causes(frames: _Frames) -> Iterator[_Found]:
         there = (pusher[:, ::-1] if swap else pusher) * [sign_x, sign_y]
         # Right-handed axes with z up or, where two are exchanged or one is mirrored, down.
         up = "z" if (sign_x * sign_y > 0) != swap else "-z"
-        yield _cause(f"the axes of the pusher: --pusher-axes {','.join(names)},{up}", frames.distance(there))
+        yield _cause("the pusher has other axes", f"--pusher-axes {','.join(names)},{up}", frames.distance(there))
 
 
 def _radius_cause(frames: _Frames) -> _Found:
     distance = frames.distance(frames.pusher())
     radius = frames.streams.radius + float(np.median(distance))
     if radius < 0:
-        return _cause("the outline is too large", distance)
+        return _cause("the outline is too large", "", distance)
     is_small = radius > frames.streams.radius
     text = (
         f"the radius of the pusher is {1e3 * radius:.1f} mm, not {1e3 * frames.streams.radius:.1f} mm, or the outline is too "
-        f"{'small' if is_small else 'large'} by {1e3 * abs(radius - frames.streams.radius):.1f} mm on every side; the distance is the same "
-        "for both, so measure both"
+        f"{'small' if is_small else 'large'} by {1e3 * abs(radius - frames.streams.radius):.1f} mm on every side"
     )
-    return _cause(text, distance - float(np.median(distance)))
+    return _cause(text, "the distance is the same for both, so measure both", distance - float(np.median(distance)))
 
 
 def _clock_cause(frames: _Frames, latest: float = 2.0, step: float = 0.01) -> _Found:
     """The offset of two clocks up to `latest` [s], in steps of `step` [s]."""
     offsets = np.arange(-latest, latest + step, step)
     offset = min(offsets, key=lambda value: _rms(frames.distance(frames.pusher(float(value)))))
-    text = f"the clock of the pusher is {abs(offset):.2f} s {'behind' if offset > 0 else 'ahead'}: add {offset:.2f} to --time-offset"
-    return _cause(text, frames.distance(frames.pusher(float(offset))))
+    text = f"the clock of the pusher is {abs(offset):.2f} s {'behind' if offset > 0 else 'ahead'}"
+    return _cause(text, f"add {offset:.2f} to --time-offset", frames.distance(frames.pusher(float(offset))))
 
 
 def _outline_cause(frames: _Frames) -> _Found:
     pusher, outline = frames.pusher(), frames.streams.shape.outline
     shift = _fitted(lambda moved: frames.distance(pusher, outline=outline + moved), [np.zeros(2)], frames.streams.tolerance)
-    text = f"the origin of the outline is not that of the poses: add ({shift[0]:.4f}, {shift[1]:.4f}) m to its points"
-    return _cause(text, frames.distance(pusher, outline=outline + shift))
+    mend = f"add ({shift[0]:.4f}, {shift[1]:.4f}) m to its points"
+    return _cause("the origin of the outline is not that of the poses", mend, frames.distance(pusher, outline=outline + shift))
 
 
 def _frame_cause(frames: _Frames) -> _Found:
@@ -298,8 +311,8 @@ def _frame_cause(frames: _Frames) -> _Found:
 
     best = sorted(starts(), key=lambda start: _rms(frames.distance(moved(start))))[:5]
     pose = _fitted(lambda given: frames.distance(moved(given)), best, frames.streams.tolerance)
-    text = f"the pusher has another frame: --pusher-frame {pose[0]:.4f},{pose[1]:.4f},{pose[2]:.4f}"
-    return _cause(text, frames.distance(moved(pose)))
+    mend = f"--pusher-frame {pose[0]:.4f},{pose[1]:.4f},{pose[2]:.4f}"
+    return _cause("the pusher has another frame", mend, frames.distance(moved(pose)))
 
 
 def _turn_of_ways(frames: _Frames, pusher: Float64Array) -> float:

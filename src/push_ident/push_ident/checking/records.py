@@ -1,0 +1,72 @@
+"""What is wrong with recorded pushes, found without a model of the object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from push_ident.checking.contact import Contact, contact_of, contact_tolerance_of, contact_warnings
+from push_ident.checking.forces import check_forces
+from push_ident.checking.overlap import Overlap, Streams, overlap_of
+from push_ident.types import Float64Array, PushRecord
+
+_APART: Final = 60.0
+"""Between the last time of one push and the first of the next where pushes are compared together [s]: longer than any clock is searched."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordCheck:
+    """Whether poses, path of the pusher and forces of pushes agree with each other."""
+
+    records: tuple[PushRecord, ...]
+    """The pushes; forces that cannot be those of the pusher are left out, and offsets of the sensor taken off."""
+    overlap: Overlap | None
+    """Pusher and object while the object moves; None for a pusher that is no cylinder."""
+    notes: tuple[str, ...] = ()
+    """What was corrected."""
+    warnings: tuple[str, ...] = ()
+    """What is wrong with the pushes: results of them are wrong, too."""
+
+
+def check_records(records: Sequence[PushRecord]) -> RecordCheck:
+    """Check pushes of one object, at least one.
+
+    Pusher and object have to meet where the object moves, to within the accuracy of their poses; then forces have to point into the
+    object, and to be zero without contact. A fit can hide such an error in its maps.
+    """
+    if any(record.pusher.polygon is not None for record in records):
+        return RecordCheck(tuple(records), None)
+    tolerance = contact_tolerance_of(records)
+    overlap = overlap_of(_one_stream(records, tolerance))
+    # Of end poses no frame shows the motion: the pusher must at least come to where the object stood.
+    by_ends = {number: _contact(record, tolerance) for number, record in enumerate(records) if number not in overlap.push}
+    warnings = contact_warnings({number: contact for number, contact in by_ends.items() if contact.moved}, tolerance)
+    if not overlap.fits:
+        causes = "; or ".join(cause.finding for cause in overlap.causes)
+        why = f"probably {causes}" if causes else "no single mistake explains it"
+        return RecordCheck(tuple(records), overlap, warnings=(*warnings, f"{overlap.finding()} in the median; {why}."))
+    forces = check_forces(records)
+    return RecordCheck(forces.records, overlap, forces.notes, (*warnings, *forces.warnings))
+
+
+def _contact(record: PushRecord, tolerance: float) -> Contact:
+    poses, pusher = record.poses, record.pusher
+    path = np.column_stack([pusher.time, pusher.position])
+    return contact_of(poses.time, poses.pose, path, shape=record.shape, radius=pusher.radius, tolerance=tolerance)
+
+
+def _one_stream(records: Sequence[PushRecord], tolerance: float) -> Streams:
+    """The pushes one after the other, each on a time of its own."""
+    poses: list[Float64Array] = []
+    runs: list[Float64Array] = []
+    start = 0.0
+    for record in records:
+        first = min(record.poses.time[0], record.pusher.time[0])
+        shift = start - first
+        poses.append(np.column_stack([record.poses.time + shift, record.poses.pose]))
+        runs.append(np.column_stack([record.pusher.time + shift, record.pusher.position, np.zeros(len(record.pusher.time))]))
+        start = max(poses[-1][-1, 0], runs[-1][-1, 0]) + _APART
+    return Streams(np.vstack(poses), runs, records[0].shape, records[0].pusher.radius, tolerance)
