@@ -50,7 +50,7 @@ def planar_of(quaternion: Float64Array, axes: Float64Array, what: str, notes: li
     if (middle := float(np.median(tilt))) > _MOST_TILT:
         raise BagError(
             f"{what}: the body's z axis is tilted by {np.degrees(middle):.0f} degrees, expected at most {np.degrees(_MOST_TILT):.0f}; "
-            "define the rigid body with z up while the object lies on the table; for a file with y up give --axes x,-z,y."
+            "define the rigid body with z up while the object lies on the table; give --axes x,-z,y for a file with y up, x,y,z for z up."
         )
     if (most := float(tilt.max())) > _NOTED_TILT:
         notes.append(f"the object tilts by up to {np.degrees(most):.1f} degrees; its planar pose is used")
