@@ -120,8 +120,7 @@ def test_motion_capture_with_y_up_becomes_the_table_frame(tmp_path: Path, tables
         tables,
         poses=table_file(tmp_path / "m.csv", "time,x,y,z,qx,qy,qz,qw", up),
         pusher=table_file(tmp_path / "t.csv", "time,x,y,z,push", tool),
-        axes=parse_axes("x,-z,y", "--axes"),
-        pusher_axes=parse_axes("x,-z,y", "--pusher-axes"),
+        axes=parse_axes("x,-z,y", "--axes"),  # of the pusher, too
     )
     report = import_tracked_poses(mocap, tmp_path / "bag")
     assert fits(report) and report.n_pushes == 6

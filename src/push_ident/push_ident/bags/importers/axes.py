@@ -42,7 +42,7 @@ def planar_of(quaternion: Float64Array, axes: Float64Array, what: str, notes: li
     """
     from scipy.spatial.transform import Rotation
 
-    length = np.linalg.norm(quaternion, axis=1)
+    length = np.linalg.norm(np.clip(quaternion, -2.0, 2.0), axis=1)  # a number that is far off does not overflow
     if wrong := int(np.sum(np.abs(length - 1.0) > 0.05)):
         raise BagError(f"{what}: {wrong} of {len(length)} quaternions have a length other than 1; check the order qx, qy, qz, qw.")
     turn = axes @ Rotation.from_quat(quaternion).as_matrix() @ axes.T

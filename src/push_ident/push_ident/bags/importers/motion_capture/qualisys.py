@@ -65,9 +65,9 @@ def _of_matrices(elements: Float64Array) -> Float64Array:
     """Zero where a matrix is no rotation, as where a body was lost."""
     from scipy.spatial.transform import Rotation
 
-    matrix = elements.reshape(-1, 3, 3).transpose(0, 2, 1)
-    is_turn = np.abs(matrix @ elements.reshape(-1, 3, 3) - np.eye(3)).max(axis=(1, 2)) < _ROUNDING
-    is_turn &= np.linalg.det(np.where(is_turn[:, None, None], matrix, 0.0)) > 0.0
+    columns = np.clip(elements, -2.0, 2.0).reshape(-1, 3, 3)  # what is far off does not overflow
+    matrix = columns.transpose(0, 2, 1)
+    is_turn = (np.abs(matrix @ columns - np.eye(3)).max(axis=(1, 2)) < _ROUNDING) & (np.linalg.det(matrix) > 0.0)
     quaternion = np.zeros((len(matrix), 4))
     quaternion[is_turn] = Rotation.from_matrix(matrix[is_turn]).as_quat()
     return quaternion
