@@ -33,6 +33,11 @@ def parse_axes(text: str, option: str) -> Float64Array:
     return rotation
 
 
+def axes_text(rotation: Float64Array) -> str:
+    """The text that `parse_axes` takes for this rotation."""
+    return ",".join(("-" if row.sum() < 0 else "") + _NAMES[int(np.abs(row).argmax())] for row in rotation)
+
+
 def planar_of(quaternion: Float64Array, axes: Float64Array, what: str, notes: list[str]) -> Float64Array:
     """Yaw [rad], shape (n,), of quaternions (x, y, z, w) of a body in a file, shape (n, 4), which has the axes of the file while its yaw is
     zero.

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from push_ident.bags.importers.axes import axes_text
 from push_ident.geometry.outline import outline_distance
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
@@ -39,6 +40,8 @@ class Streams:
     """Of the pusher [m]."""
     tolerance: float
     """Distance between pusher and outline that noise explains [m]."""
+    pusher_axes: Float64Array
+    """Rotation from the axes of the pusher's file to those of the table, shape (3, 3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,11 +247,11 @@ def _axes_causes(frames: _Frames) -> Iterator[_Found]:
     for swap, sign_x, sign_y in product((False, True), (1.0, -1.0), (1.0, -1.0)):
         if (swap, sign_x, sign_y) == (False, 1.0, 1.0):
             continue
-        names = [f"{'-' if sign < 0 else ''}{name}" for sign, name in zip((sign_x, sign_y), ("yx" if swap else "xy"), strict=True)]
-        there = (pusher[:, ::-1] if swap else pusher) * [sign_x, sign_y]
+        turn = np.diag([sign_x, sign_y, 1.0])[:, [1, 0, 2] if swap else [0, 1, 2]]
         # Right-handed axes with z up or, where two are exchanged or one is mirrored, down.
-        up = "z" if (sign_x * sign_y > 0) != swap else "-z"
-        yield _cause(f"the axes of the pusher: --pusher-axes {','.join(names)},{up}", frames.distance(there))
+        turn[2] *= np.linalg.det(turn)
+        text = axes_text(turn @ frames.streams.pusher_axes)
+        yield _cause(f"the axes of the pusher: --pusher-axes {text}", frames.distance(pusher @ turn[:2, :2].T))
 
 
 def _radius_cause(frames: _Frames) -> _Found:

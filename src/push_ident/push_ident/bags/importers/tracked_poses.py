@@ -60,9 +60,9 @@ def import_tracked_poses(tables: TrackedPoses, out_bag: Path) -> ImportReport:
     shape = read_outline(tables.outline, length=tables.outline_length or tables.pose_format.length, cell_size=tables.cell_size)
     notes: list[str] = []
     poses = _read_poses(tables, notes)
-    pusher, numbers = _read_pusher(tables, notes)
+    pusher, numbers, axes = _read_pusher(tables, notes)
     force = _read_force(tables, notes)
-    recording = Recording(poses, pusher, shape, numbers, force, (str(tables.poses), str(tables.pusher)), tuple(notes))
+    recording = Recording(poses, pusher, shape, numbers, force, (str(tables.poses), str(tables.pusher)), tuple(notes), axes)
     return import_recording(recording, tables, out_bag)
 
 
@@ -103,8 +103,8 @@ def _turned(position: Float64Array, axes: Float64Array, table: Table) -> Float64
     return np.asarray(position @ axes.T)
 
 
-def _read_pusher(tables: TrackedPoses, notes: list[str]) -> tuple[Float64Array, Float64Array | None]:
-    """Rows (time, x, y, z) of the pusher [s, m], and the numbers of the column `push`, None without it."""
+def _read_pusher(tables: TrackedPoses, notes: list[str]) -> tuple[Float64Array, Float64Array | None, Float64Array]:
+    """Rows (time, x, y, z) of the pusher [s, m]; the numbers of the column `push`, None without it; the axes of the file."""
     table, form = read_body(tables.pusher), tables.pusher_format
     axes = tables.axes if tables.pusher_axes is None else tables.pusher_axes
     axes = parse_axes(table.axes, str(table.file)) if axes is None else axes
@@ -113,7 +113,8 @@ def _read_pusher(tables: TrackedPoses, notes: list[str]) -> tuple[Float64Array, 
         raise BagError(f"{tables.pusher}: no column `z`, which --lifted-above needs; leave the option out, or name the column.")
     position = ("x", "y", *(("z",) if has_z else ()))
     rows = _rows(table, ("time", *position, *(("push",) if has_push else ())), form, notes, is_pose=not has_push)
-    return np.column_stack([rows[:, 0], _turned(rows[:, 1 : 1 + len(position)], axes, table)]), (rows[:, -1] if has_push else None)
+    pusher = np.column_stack([rows[:, 0], _turned(rows[:, 1 : 1 + len(position)], axes, table)])
+    return pusher, rows[:, -1] if has_push else None, axes
 
 
 def _read_force(tables: TrackedPoses, notes: list[str]) -> Float64Array:
