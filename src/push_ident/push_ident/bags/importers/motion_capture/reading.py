@@ -9,6 +9,7 @@ from typing import Final
 from push_ident.bags.importers.motion_capture import motive, qualisys, vicon
 from push_ident.bags.importers.tables import Table, read_text, table_of
 from push_ident.errors import BagError
+from push_ident.limits import plain_text
 
 _PROGRAMS: Final = (motive, vicon, qualisys)
 _BODY: Final = "#"
@@ -26,7 +27,7 @@ def read_body(path: Path) -> Table:
         if lines and program.recognises(lines):
             return program.read(file, lines).table(file, body)
     if body:
-        raise BagError(f"{file}: a table of one body, expected no name of a body; leave {_BODY}{body} out.")
+        raise BagError(f"{file}: a table of one body, expected no name of a body; leave {_BODY}{plain_text(body)} out.")
     return table_of(file, lines)
 
 
