@@ -7,12 +7,13 @@ that imports make are few (units, axes, frames, radius, clocks); each is a hypot
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Final
 
 import numpy as np
 
+from push_ident.geometry.frames import axes_text
 from push_ident.geometry.outline import outline_distance
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
@@ -39,6 +40,8 @@ class Streams:
     """Of the pusher [m]."""
     tolerance: float
     """Distance between pusher and outline that noise explains [m]."""
+    pusher_axes: Float64Array = field(default_factory=lambda: np.eye(3))
+    """Rotation from the axes of the pusher's file to those of the table, shape (3, 3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,11 +261,11 @@ def _axes_causes(frames: _Frames) -> Iterator[_Found]:
     for swap, sign_x, sign_y in product((False, True), (1.0, -1.0), (1.0, -1.0)):
         if (swap, sign_x, sign_y) == (False, 1.0, 1.0):
             continue
-        names = [f"{'-' if sign < 0 else ''}{name}" for sign, name in zip((sign_x, sign_y), ("yx" if swap else "xy"), strict=True)]
-        there = (pusher[:, ::-1] if swap else pusher) * [sign_x, sign_y]
+        turn = np.diag([sign_x, sign_y, 1.0])[:, [1, 0, 2] if swap else [0, 1, 2]]
         # Right-handed axes with z up or, where two are exchanged or one is mirrored, down.
-        up = "z" if (sign_x * sign_y > 0) != swap else "-z"
-        yield _cause("the pusher has other axes", f"--pusher-axes {','.join(names)},{up}", frames.distance(there))
+        turn[2] *= np.linalg.det(turn)
+        mend = f"--pusher-axes {axes_text(turn @ frames.streams.pusher_axes)}"
+        yield _cause("the pusher has other axes", mend, frames.distance(pusher @ turn[:2, :2].T))
 
 
 def _radius_cause(frames: _Frames) -> _Found:

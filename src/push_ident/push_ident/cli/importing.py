@@ -68,7 +68,10 @@ YawStdOption = Annotated[
     ),
 ]
 PusherOption = Annotated[
-    Path, typer.Option(metavar="FILE", help="Table time,x,y of the axis of the pusher, optionally with z and push.", show_default=False)
+    Path,
+    typer.Option(
+        metavar="FILE", help="Table time,x,y of the axis of the pusher, optionally with z and push; or FILE#BODY.", show_default=False
+    ),
 ]
 WrenchOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Table time,fx,fy of the force on the object [N].", show_default=False)
@@ -81,13 +84,25 @@ PusherColumnsOption = Annotated[
 ]
 TimeUnitOption = Annotated[TimeUnit, typer.Option(help="Unit of time in columns whose names say none.")]
 PosesArgument = Annotated[
-    Path | None, typer.Argument(metavar="POSES", help="Table time,x,y,yaw or time,x,y,z,qx,qy,qz,qw of the object.", show_default=False)
+    Path | None,
+    typer.Argument(
+        metavar="POSES",
+        help="Table time,x,y,yaw or time,x,y,z,qx,qy,qz,qw of the object; or an export of Motive, Vicon or QTM, as FILE#BODY.",
+        show_default=False,
+    ),
 ]
 OutlineUnitOption = Annotated[LengthUnit | None, typer.Option(help="Unit of the outline, if it has another.", show_default=False)]
 AxesOption = Annotated[
-    str, typer.Option(metavar="A,B,C", help="Axes of the poses that are x, y and z of the table; of a file with y up x,-z,y.")
+    str,
+    typer.Option(
+        metavar="A,B,C",
+        help="Axes of the poses that are x, y and z of the table; with y up x,-z,y. Default: x,y,z, or those of a motion capture program.",
+        show_default=False,
+    ),
 ]
-PusherAxesOption = Annotated[str, typer.Option(metavar="A,B,C", help="The same of the pusher.")]
+PusherAxesOption = Annotated[
+    str, typer.Option(metavar="A,B,C", help="The same of the pusher. Default: --axes, if it is given.", show_default=False)
+]
 WrenchAxesOption = Annotated[
     str, typer.Option(metavar="A,B,C", help="The same of the force, where it is not in the frame of the pusher.", show_default=False)
 ]
@@ -241,8 +256,8 @@ def csv_command(
     angle_unit: Annotated[AngleUnit, typer.Option(help="Unit of yaw in columns whose names say none.")] = "rad",
     time_unit: TimeUnitOption = "s",
     pusher_time_unit: Annotated[TimeUnit | None, typer.Option(help="Of pusher and force, if another.", show_default=False)] = None,
-    axes: AxesOption = "x,y,z",
-    pusher_axes: PusherAxesOption = "x,y,z",
+    axes: AxesOption = "",
+    pusher_axes: PusherAxesOption = "",
     time_offset: TimeOffsetOption = 0.0,
     pusher_frame: PusherFrameOption = "",
     position_std: PositionStdOption = None,
@@ -267,8 +282,8 @@ def csv_command(
         pose_format=TableFormat(parse_columns(columns, POSE_ROLES, "--columns"), **pose_units),
         pusher_format=TableFormat(parse_columns(pusher_columns, PUSHER_ROLES, "--pusher-columns"), **pusher_units),
         outline_length=_SI[outline_length_unit or length_unit],
-        axes=parse_axes(axes, "--axes"),
-        pusher_axes=parse_axes(pusher_axes, "--pusher-axes"),
+        axes=parse_axes(axes, "--axes") if axes else None,
+        pusher_axes=parse_axes(pusher_axes, "--pusher-axes") if pusher_axes else None,
         cell_size=cell_size,
         position_std=position_std,
         yaw_std=yaw_std,
@@ -297,7 +312,7 @@ def rosbag_command(
     object_id: Annotated[str, typer.Option("--object", metavar="ID", help="Id of the object in the new bag.")] = "1",
     outline_length_unit: Annotated[LengthUnit, typer.Option(help="Unit of the outline.")] = "m",
     axes: AxesOption = "x,y,z",
-    pusher_axes: PusherAxesOption = "x,y,z",
+    pusher_axes: PusherAxesOption = "",
     log_time: Annotated[bool, typer.Option("--log-time", help="Take the times of recording, not the stamps.")] = False,
     time_offset: TimeOffsetOption = 0.0,
     pusher_frame: PusherFrameOption = "",
@@ -330,7 +345,7 @@ def rosbag_command(
         outline_length=_SI[outline_length_unit],
         cell_size=cell_size,
         axes=parse_axes(axes, "--axes"),
-        pusher_axes=parse_axes(pusher_axes, "--pusher-axes"),
+        pusher_axes=parse_axes(pusher_axes or axes, "--pusher-axes"),
         log_time=log_time,
         wrench_axes=parse_axes(wrench_axes, "--wrench-axes") if wrench_axes else None,
         wrench_on_sensor=wrench_on_sensor,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from shutil import rmtree
 
@@ -13,10 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.fuzzing import fuzzed
+from helpers.motion_capture import motive, qualisys, tracked_bodies, vicon
 from helpers.recordings import icra16_file, mit_content, mit_file
 from push_ident.bags.importers import MitOptions, TrackedPoses, import_cmu_icra16, import_mit, import_tracked_poses
 from push_ident.errors import PushIdentError
-from push_ident.types import PushRecord
+from push_ident.types import Float64Array, PushRecord
 
 TOKENS = [b"", b"nan", b"inf", b"-1", b"1e300", b"0", b"9" * 21, b"x", b",", b"\n", b'"', b"[", b"{", b"\x00", b"\xff", b"-0.0"]
 
@@ -35,22 +37,29 @@ def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
 
 
 @pytest.mark.fuzz
-@pytest.mark.parametrize("damaged", ["icra16", "mit", "poses", "pusher", "outline"])
-def test_damaged_file_gives_a_bag_or_one_line(damaged: str, tables: TrackedPoses, pushed: list[PushRecord], tmp_path: Path) -> None:
+@pytest.mark.parametrize("damaged", ["icra16", "mit", "poses", "pusher", "outline", "motive", "vicon", "qualisys"])
+def test_damaged_file_gives_a_bag_or_one_line(
+    damaged: str, tables: TrackedPoses, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord], tmp_path: Path
+) -> None:
     bag = tmp_path / "bag"
     square = MitOptions(outline=np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]))
     icra16, mit = icra16_file(tmp_path / "patch" / "pushes.txt"), mit_file(tmp_path / "mit", mit_content(pushed[0]))
+    take = {"motive": motive("XYZ"), "vicon": vicon(), "qualisys": qualisys()}.get(damaged, motive())(
+        tmp_path / "take", *tracked_bodies(rows, "x,y,z")
+    )
+    of_bodies = replace(tables, poses=Path(f"{take}#My box"), pusher=Path(f"{take}#Tool"), axes=np.eye(3))
     cases: dict[str, tuple[Path, Callable[[], object]]] = {
         "icra16": (icra16, lambda: import_cmu_icra16(icra16, bag)),
         "mit": (mit, lambda: import_mit([mit], bag, options=square)),
         "poses": (tables.poses, lambda: import_tracked_poses(tables, bag)),
         "pusher": (tables.pusher, lambda: import_tracked_poses(tables, bag)),
         "outline": (tables.outline, lambda: import_tracked_poses(tables, bag)),
+        **dict.fromkeys(("motive", "vicon", "qualisys"), (take, lambda: import_tracked_poses(of_bodies, bag))),
     }
     file, convert = cases[damaged]
     whole = file.read_bytes()
 
-    @fuzzed(60)
+    @fuzzed(20 if damaged in ("motive", "vicon", "qualisys") else 60)  # their files are long
     @given(damage())
     def check(change: Callable[[bytes], bytes]) -> None:
         file.write_bytes(change(whole))

@@ -120,11 +120,12 @@ def test_motion_capture_with_y_up_becomes_the_table_frame(tmp_path: Path, tables
         tables,
         poses=table_file(tmp_path / "m.csv", "time,x,y,z,qx,qy,qz,qw", up),
         pusher=table_file(tmp_path / "t.csv", "time,x,y,z,push", tool),
-        axes=parse_axes("x,-z,y", "--axes"),
-        pusher_axes=parse_axes("x,-z,y", "--pusher-axes"),
+        axes=parse_axes("x,-z,y", "--axes"),  # of the pusher, too
     )
     report = import_tracked_poses(mocap, tmp_path / "bag")
     assert fits(report) and report.n_pushes == 6
+    turned = replace(mocap, pusher_axes=parse_axes("-z,-x,y", "--pusher-axes"))
+    assert "--pusher-axes x,-z,y" in explained(import_tracked_poses(turned, tmp_path / "turned"))
     with pytest.raises(BagError, match="no column `z`"):
         import_tracked_poses(replace(tables, axes=mocap.axes), tmp_path / "no")
     for text, reason in (("x,y", "in the order"), ("x,x,z", "in the order"), ("y,x,z", "mirror")):

@@ -68,10 +68,11 @@ def test_names_and_units_of_other_programs(tmp_path: Path, files: TrackedPoses, 
     for a, b in zip(first, second, strict=True):
         np.testing.assert_allclose(a.poses.pose, b.poses.pose, atol=1e-6)
         np.testing.assert_allclose(a.pusher.position, b.pusher.position, atol=1e-6)
-    (tmp_path / "a.csv").write_text("# made by hand\n\ntime;x\n1,5;-2,25\n2;\n")
-    content = read_table(tmp_path / "a.csv")
-    np.testing.assert_array_equal(content.column("time", {}), [1.5, 2.0])
-    np.testing.assert_array_equal(content.column("x", {}), [-2.25, np.nan])
+    for text in ("# made by hand\n\ntime;x\n1,5;-2,25\n2;\n", "sep=|\ntime|x\n1,5|-2,25\n2|\n", '"sep=\t"\ntime\tx\n1.5\t-2.25\n2\t\n'):
+        (tmp_path / "a.csv").write_text(text)
+        content = read_table(tmp_path / "a.csv")
+        np.testing.assert_array_equal(content.column("time", {}), [1.5, 2.0])
+        np.testing.assert_array_equal(content.column("x", {}), [-2.25, np.nan])
 
 
 def test_column_push_separates_pushes_without_a_pause(tmp_path: Path, files: TrackedPoses, rows: Rows, pushed: list[PushRecord]) -> None:
@@ -139,6 +140,7 @@ def test_malformed_tables_end_in_one_line(tmp_path: Path, files: TrackedPoses) -
         ("\n\n# only a comment\n", "is empty"),
         ("time,x,y,yaw\n1,2,3,4\n", "1 rows"),
         ("1,2,3,4\n2,3,4,5\n", "holds numbers"),
+        ("sep=;\n", "is empty"),
         ("time,x,x,yaw\n1,2,3,4\n", "two columns"),
         ("time,x,y,yaw\n1,2,3,4\n2,3\n", "line 3: 2 cells"),
         ("time,x,y,yaw\n1,2,3,4\n2,3,four,5\n", "line 3: `four`"),

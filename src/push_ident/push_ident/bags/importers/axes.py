@@ -42,7 +42,7 @@ def planar_of(quaternion: Float64Array, axes: Float64Array, what: str, notes: li
     """
     from scipy.spatial.transform import Rotation
 
-    length = np.linalg.norm(quaternion, axis=1)
+    length = np.linalg.norm(np.clip(quaternion, -2.0, 2.0), axis=1)  # a number that is far off does not overflow
     if wrong := int(np.sum(np.abs(length - 1.0) > 0.05)):
         raise BagError(f"{what}: {wrong} of {len(length)} quaternions have a length other than 1; check the order qx, qy, qz, qw.")
     turn = axes @ Rotation.from_quat(quaternion).as_matrix() @ axes.T
@@ -50,7 +50,7 @@ def planar_of(quaternion: Float64Array, axes: Float64Array, what: str, notes: li
     if (middle := float(np.median(tilt))) > _MOST_TILT:
         raise BagError(
             f"{what}: the body's z axis is tilted by {np.degrees(middle):.0f} degrees, expected at most {np.degrees(_MOST_TILT):.0f}; "
-            "define the rigid body with z up while the object lies on the table; for a file with y up give --axes x,-z,y."
+            "define the rigid body with z up while the object lies on the table; give --axes x,-z,y for a file with y up, x,y,z for z up."
         )
     if (most := float(tilt.max())) > _NOTED_TILT:
         notes.append(f"the object tilts by up to {np.degrees(most):.1f} degrees; its planar pose is used")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +75,8 @@ class Recording:
     names: tuple[str, str] = ("poses", "pusher")
     """Of poses and pusher, for messages."""
     notes: tuple[str, ...] = ()
+    pusher_axes: Float64Array = field(default_factory=lambda: np.eye(3))
+    """Rotation from the axes in which the pusher was recorded to those of `pusher`, shape (3, 3); for messages."""
 
 
 _Push = tuple[Float64Array, Contact]
@@ -100,7 +102,7 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
     position_std, yaw_std = _noise(poses, runs, recording.names[0], options, notes)
     covariance = pose_covariance(position_std, yaw_std)
     tolerance = contact_tolerance(shape, position_std=position_std, yaw_std=yaw_std)
-    streams = Streams(poses, runs, shape, options.radius, tolerance)
+    streams = Streams(poses, runs, shape, options.radius, tolerance, recording.pusher_axes)
     spans = _pushes(streams)
     if numbers is None:
         spans = _with_contact(spans, tolerance, notes)
@@ -115,7 +117,7 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
     _write(out_bag, options, streams, force, spans, covariance)
     contacts = [contact for _, contact in spans]
     warnings = contact_warnings(dict(enumerate(contacts)), tolerance)
-    overlap = overlap_of(Streams(poses, [run for run, _ in spans], shape, options.radius, tolerance))
+    overlap = overlap_of(replace(streams, runs=[run for run, _ in spans]))
     if warnings or not overlap.fits:
         warnings = (*warnings, overlap.explanation())
     return ImportReport(

@@ -87,7 +87,7 @@ def import_rosbag(source: RosbagTopics, out_bag: Path) -> ImportReport:
     pusher = _rows(tool, notes)
     pusher = np.column_stack([pusher[:, 0], pusher[:, 1:4] @ source.pusher_axes.T])
     force = _force(streams["wrench"], source, notes) if "wrench" in streams else np.zeros((0, 3))
-    return import_recording(Recording(poses, pusher, shape, None, force, names, tuple(notes)), source.options, out_bag)
+    return import_recording(Recording(poses, pusher, shape, None, force, names, tuple(notes), source.pusher_axes), source.options, out_bag)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.bags.importers.axes import planar_of
+from push_ident.bags.importers.axes import parse_axes, planar_of
+from push_ident.bags.importers.motion_capture import read_body
 from push_ident.bags.importers.recording import Recording, RecordingOptions, import_recording, without_gaps, without_lost
 from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.importers.shapes import CELL_SIZE, shape_of_outline
@@ -28,9 +29,10 @@ class TrackedPoses(RecordingOptions):
     """The files of one recording, and what they do not say."""
 
     poses: Path
-    """Table of the object's poses in `table`: time, x, y, yaw; or time, x, y, z, qx, qy, qz, qw of a body with z up."""
+    """Table of the object's poses in `table`: time, x, y, yaw; or time, x, y, z, qx, qy, qz, qw of a body with z up. Or an export of a
+    motion capture program, with the name of the body as `FILE#BODY`."""
     pusher: Path
-    """Table of the pusher's axis in `table`: time, x, y, optionally z and push."""
+    """Table of the pusher's axis in `table`: time, x, y, optionally z and push. Or such an export."""
     outline: Path
     """Table of the outline's vertices x, y, object frame, in the order around it."""
     wrench: Path | None = None
@@ -41,10 +43,10 @@ class TrackedPoses(RecordingOptions):
     """Of `pusher`; its unit of time is that of `wrench` too."""
     outline_length: float | None = None
     """[m] per unit of `outline`; None: as in `poses`."""
-    axes: Float64Array = field(default_factory=lambda: np.eye(3))
-    """Rotation from the axes of `poses` to those of `table`, shape (3, 3); see `parse_axes`."""
-    pusher_axes: Float64Array = field(default_factory=lambda: np.eye(3))
-    """Likewise of `pusher`."""
+    axes: Float64Array | None = None
+    """Rotation from the axes of `poses` to those of `table`, shape (3, 3), see `parse_axes`; None: z up, or those of the program."""
+    pusher_axes: Float64Array | None = None
+    """Likewise of `pusher`; None: `axes`, if they are given."""
     cell_size: float = CELL_SIZE
     """[m]"""
 
@@ -58,9 +60,9 @@ def import_tracked_poses(tables: TrackedPoses, out_bag: Path) -> ImportReport:
     shape = read_outline(tables.outline, length=tables.outline_length or tables.pose_format.length, cell_size=tables.cell_size)
     notes: list[str] = []
     poses = _read_poses(tables, notes)
-    pusher, numbers = _read_pusher(tables, notes)
+    pusher, numbers, axes = _read_pusher(tables, notes)
     force = _read_force(tables, notes)
-    recording = Recording(poses, pusher, shape, numbers, force, (str(tables.poses), str(tables.pusher)), tuple(notes))
+    recording = Recording(poses, pusher, shape, numbers, force, (str(tables.poses), str(tables.pusher)), tuple(notes), axes)
     return import_recording(recording, tables, out_bag)
 
 
@@ -78,17 +80,18 @@ def read_outline(file: Path, *, length: float, cell_size: float) -> ObjectShape:
 
 def _read_poses(tables: TrackedPoses, notes: list[str]) -> Float64Array:
     """Rows (time, x, y, yaw) of the object [s, m, m, rad], shape (n, 4)."""
-    table, form = read_table(tables.poses), tables.pose_format
+    table, form = read_body(tables.poses), tables.pose_format
+    axes = parse_axes(table.axes, str(table.file)) if tables.axes is None else tables.axes
     has_z = table.has("z", form.columns)
     position = ("x", "y", *(("z",) if has_z else ()))
     if not table.has("yaw", form.columns) and any(table.has(role, form.columns) for role in _QUATERNION):
         rows = _rows(table, ("time", *position, *_QUATERNION), form, notes, is_pose=True)
-        yaw = planar_of(rows[:, -4:], tables.axes, str(tables.poses), notes)
+        yaw = planar_of(rows[:, -4:], axes, str(tables.poses), notes)
     else:
         rows = _rows(table, ("time", *position, "yaw"), form, notes, is_pose=True)
         # Turned about the vertical axis of the file, which may point down.
-        yaw = rows[:, -1] * tables.axes[2].sum()
-    return np.column_stack([rows[:, 0], _turned(rows[:, 1 : 1 + len(position)], tables.axes, table)[:, :2], np.unwrap(yaw)])
+        yaw = rows[:, -1] * axes[2].sum()
+    return np.column_stack([rows[:, 0], _turned(rows[:, 1 : 1 + len(position)], axes, table)[:, :2], np.unwrap(yaw)])
 
 
 def _turned(position: Float64Array, axes: Float64Array, table: Table) -> Float64Array:
@@ -100,17 +103,18 @@ def _turned(position: Float64Array, axes: Float64Array, table: Table) -> Float64
     return np.asarray(position @ axes.T)
 
 
-def _read_pusher(tables: TrackedPoses, notes: list[str]) -> tuple[Float64Array, Float64Array | None]:
-    """Rows (time, x, y, z) of the pusher [s, m], and the numbers of the column `push`, None without it."""
-    table, form = read_table(tables.pusher), tables.pusher_format
+def _read_pusher(tables: TrackedPoses, notes: list[str]) -> tuple[Float64Array, Float64Array | None, Float64Array]:
+    """Rows (time, x, y, z) of the pusher [s, m]; the numbers of the column `push`, None without it; the axes of the file."""
+    table, form = read_body(tables.pusher), tables.pusher_format
+    axes = tables.axes if tables.pusher_axes is None else tables.pusher_axes
+    axes = parse_axes(table.axes, str(table.file)) if axes is None else axes
     has_z, has_push = table.has("z", form.columns), table.has("push", form.columns)
     if tables.lifted_above is not None and not has_z:
         raise BagError(f"{tables.pusher}: no column `z`, which --lifted-above needs; leave the option out, or name the column.")
     position = ("x", "y", *(("z",) if has_z else ()))
     rows = _rows(table, ("time", *position, *(("push",) if has_push else ())), form, notes, is_pose=not has_push)
-    return np.column_stack([rows[:, 0], _turned(rows[:, 1 : 1 + len(position)], tables.pusher_axes, table)]), (
-        rows[:, -1] if has_push else None
-    )
+    pusher = np.column_stack([rows[:, 0], _turned(rows[:, 1 : 1 + len(position)], axes, table)])
+    return pusher, rows[:, -1] if has_push else None, axes
 
 
 def _read_force(tables: TrackedPoses, notes: list[str]) -> Float64Array:
