@@ -72,6 +72,7 @@ def test_options_that_make_no_push_are_refused_at_once() -> None:
         (("--random", 2, "--at", "0,0", "--direction", 0), "--random N"),
         (("--at", "0,0"), "belong together"),
         (("--at", "a,b", "--direction", 1), "X,Y in metres"),
+        (("--at", "50,-20", "--direction", 1), "50mm is 0.05 m"),
         (("--at", "0,0", "--direction", 1, "--in-object"), "--object ID"),
         (("--random", 1, "--distance", 0.1), "draw their own"),
         (("--random", 1, "--object", "a b"), "Object id"),

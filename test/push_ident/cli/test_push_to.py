@@ -9,7 +9,7 @@ import pytest
 
 from helpers.commands import check_refused
 from push_ident.cli.goal_report import GoalReport, PathReport, edge_message, goal_message, last_feedback, path_message
-from push_ident.cli.push_to import goals_of, parse_edge, parse_goal
+from push_ident.cli.push_to import goals_of, parse_edge, parse_goal, parse_tolerance
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident_msgs.action import PushToGoal
@@ -59,7 +59,17 @@ def test_goal_of_the_command_line_becomes_that_of_the_action() -> None:
     for text in ("", "1,2", "1,2,3,4", "a,b,c", "nan,0,0"):
         with pytest.raises(InputError, match="X,Y,YAW"):
             parse_goal(text)
+    np.testing.assert_allclose(parse_goal("5cm,-100mm,90deg"), [0.05, -0.1, np.pi / 2])
     check_refused("X,Y,YAW", "demo", "--goal", "1,2")
+
+
+def test_tolerance_is_a_length_and_perhaps_an_angle() -> None:
+    assert parse_tolerance("0.02") == parse_tolerance("20mm") == (20.0, None)
+    assert parse_tolerance("2cm,5deg") == pytest.approx((20.0, 5.0)) and parse_tolerance("0.02,0.1")[1] == pytest.approx(np.degrees(0.1))
+    for text in ("20", "0", "20mm,-1deg", "20mm,90", "20mm,1deg,1", ""):
+        with pytest.raises(InputError, match="--tolerance is"):
+            parse_tolerance(text)
+    check_refused("one of both forms", "push-to", "--x", 0, "--y", 0, "--yaw", 0, "--tolerance", "20mm", "--tolerance-deg", 5)
 
 
 def test_goals_are_one_pose_or_lie_in_a_row_along_a_path(tmp_path: Path) -> None:
