@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -64,17 +63,17 @@ def read_number(text: str, unit: str) -> float:
     Raises ValueError for anything else, and for a bare number that is probably in degrees or millimetres: an arm shall not move by a guess.
     """
     kind, units = next((kind, units) for kind, units in _KINDS.items() if unit in units)
-    found = re.fullmatch(rf"\s*(.+?)\s*({'|'.join(units)})?\s*", text)
-    number, given = found.groups() if found else (text, None)
+    text = text.strip()
+    given = max((name for name in units if text.endswith(name)), key=len, default="")
     try:
-        value = float(number)
+        value = float(text.removesuffix(given))
     except ValueError:
         value = math.nan
-    shown = plain_text(text.strip())
+    shown = plain_text(text)
     if not math.isfinite(value):
         raise ValueError(f"{shown or 'nothing'} is given, expected a finite {kind} in {unit}, or with its unit: {', '.join(units)}")
     most, name, other = _MOST_BARE.get(unit, (math.inf, "", ""))
-    if given is None and abs(value) > most:
+    if not given and abs(value) > most:
         reading = f"{shown}{other} is {value * units[other]:.4g} {unit}"
         raise ValueError(f"{shown} is given, expected {name}: {reading}; write {shown}{other} or {shown}{unit}")
-    return value if given in (None, unit) else value * units[given] / units[unit]
+    return value if given in ("", unit) else value * units[given] / units[unit]
