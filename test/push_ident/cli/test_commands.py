@@ -10,7 +10,7 @@ import pytest
 from helpers.commands import check_refused, run_here
 from helpers.damaged_models import DAMAGE, DAMAGED_TEXT, right_model, unreadable_paths
 from helpers.diagnosis import simulated_pushes
-from helpers.objects import hammer, random_records
+from helpers.objects import hammer, random_records, with_forces
 from helpers.paths import EXAMPLE_BAG
 from push_ident import __version__
 from push_ident.bags.raw import raw_messages
@@ -39,6 +39,34 @@ def test_identify_writes_what_the_contract_names_and_predicts_pushes_on_request(
     predicted = run_here("predict", tmp_path / "out" / "model.json", bag, "--json", tmp_path / "p.json")
     assert predicted.returncode == 0, predicted.stderr
     assert json.loads((tmp_path / "p.json").read_text())["cell_error_m"] < 0.004
+
+
+def test_pushes_and_forces_are_left_out_on_request(tmp_path: Path) -> None:
+    bag, maps = tmp_path / "hammer", []
+    write_records(bag, [with_forces(record, hammer(2)) for record in random_records(hammer(2), 6, 2)])
+    for number, options in enumerate((("--without", "1,3-5", "--no-forces"), ("--train", "0,2", "--without", "5"), ("--train", "0,2"))):
+        done = run_here("identify", bag, *options, "--out", tmp_path / str(number))
+        content = json.loads((tmp_path / str(number) / "result.json").read_text())
+        assert done.returncode == 0 and content["train"]["pushes"] == [0, 2], done.stderr
+        assert content["test"]["pushes"] == ([], [1, 3, 4], [1, 3, 4, 5])[number]
+        maps.append(content["map"]["mass_friction"])
+        sources = json.loads((tmp_path / str(number) / "model.json").read_text())["sources"]
+        assert sources == ["hammer push 1", "hammer push 3"]
+        assert ("push 5 is left out by --without: hammer push 6" in content["notes"]) == (number < 2) == ("left out" in done.stderr)
+    assert maps[0] != maps[1] == maps[2], "the forces of the first one are left out"
+    done = run_here("diagnose", bag, "--without", "0-2,4", "--no-forces", "--out", tmp_path / "d")
+    assert done.returncode == 0 and "forces of 6 pushes are left out" in done.stderr
+    page = (tmp_path / "d" / "report.html").read_text(encoding="utf-8")
+    assert [f"<code>hammer push {number}</code>" in page for number in range(1, 7)] == [False, False, False, True, False, True]
+    for command, reason in (
+        (("identify", bag, "--without", "6"), "--without names push 6, but there are 6 pushes, 0 to 5."),
+        (("identify", bag, "--train", "0,6"), "--train names push 6, but there are 6 pushes, 0 to 5."),
+        (("identify", bag, "--without", "0-5"), "names all 6 pushes"),
+        (("identify", bag, "--train", "0-2", "--without", "2,4"), "both name push 2"),
+        (("diagnose", bag, "--without", "3-6"), "--without names push 6"),
+        (("diagnose", bag, "--without", "x"), "such as 0,2,5-7"),
+    ):
+        check_refused(reason, *command)
 
 
 def test_recording_is_diagnosed_against_another_one(tmp_path: Path) -> None:
