@@ -16,6 +16,9 @@ from push_ident import __version__
 from push_ident.bags.raw import raw_messages
 from push_ident.bags.records import write_records
 from push_ident.bags.writer import BagWriter
+from push_ident.identification.results.model_file import save_model
+from push_ident.identification.results.posterior import prior_posterior
+from push_ident.identification.unknowns.prior import Prior
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +41,40 @@ def test_identify_writes_what_the_contract_names_and_predicts_pushes_on_request(
     assert "Predictions before each push" in page and "hammer push 1</code>" in page and "hammer push 0" not in page
     predicted = run_here("predict", tmp_path / "out" / "model.json", bag, "--json", tmp_path / "p.json")
     assert predicted.returncode == 0, predicted.stderr
-    assert json.loads((tmp_path / "p.json").read_text())["cell_error_m"] < 0.004
+    content = json.loads((tmp_path / "p.json").read_text())
+    assert content["cell_error_m"] < 0.004 and [push["in_training"] for push in content["pushes"]] == [True, True] + [False] * 4
+    errors = [push["cell_error_m"] for push in content["pushes"]]
+    assert content["held_out_cell_error_m"] == pytest.approx(sum(errors[2:]) / 4)
+    assert "over the 4 that the model was not fitted to" in predicted.stdout and "fitted to all" not in predicted.stderr
+
+
+def test_push_that_was_not_made_is_predicted_from_a_pose_and_a_file(tmp_path: Path) -> None:
+    model, path = tmp_path / "model.json", tmp_path / "path.csv"
+    shape = hammer(2).shape
+    save_model(model, prior_posterior(shape, Prior()), object_id="o1")
+    path.write_text("x_mm,y_mm\n0,-90\n0,50\n")
+    push = ("--path", path, "--radius", "8mm", "--json", tmp_path / "p.json")
+    done = run_here("predict", model, "--pose", "0,0,0deg", "--speed", "10cm/s", *push)
+    assert done.returncode == 0 and done.stdout.count("with a chance of") == 3, done.stderr
+    content = json.loads((tmp_path / "p.json").read_text())
+    trajectory = content["trajectory"]
+    assert content["pusher_radius_m"] == 0.008 and content["touched"] == 1.0 and len(content["outcomes"]) == 2
+    assert content["end"] == trajectory["pose"][-1] and content["covariance"] == trajectory["covariance"][-1]
+    assert len(trajectory["time_s"]) == len(trajectory["pose"]) and trajectory["time_s"][-1] == pytest.approx(1.9)
+    path.write_text("time,x,y\n0,0.3,-0.1\n1,0.3,0.1\n")
+    done = run_here("predict", model, "--pose", "0,0,0", *push)
+    assert done.returncode == 0 and "touched with a chance of 0%" in done.stdout
+    content = json.loads((tmp_path / "p.json").read_text())
+    assert content["status"] == "no_contact" and content["end"] == [0.0, 0.0, 0.0]
+    for options, reason in (
+        ((), "say what to predict"),
+        (("--pose", "0,0,0"), "say what to predict"),
+        ((EXAMPLE_BAG, "--pose", "0,0,0", "--path", path), "say what to predict"),
+        (("--pose", "0,0,90", "--path", path), "90deg is 1.571 rad"),
+        (("--pose", "0,0,0", "--path", path, "--speed", 0.1), f"{path}: The path of the pusher has times"),
+        (("--pose", "0,0,0", "--path", tmp_path / "none.csv"), "cannot be read"),
+    ):
+        check_refused(reason, "predict", model, *options)
 
 
 def test_pushes_and_forces_are_left_out_on_request(tmp_path: Path) -> None:

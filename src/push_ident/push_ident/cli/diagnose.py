@@ -86,9 +86,7 @@ def diagnose_command(
             both = load_pushes([*bags, *against], object_id=loaded.object_id, camera_in_table=read_camera(camera), on_progress=report)
             reference = leave_out(both[len(loaded) :], [], no_forces=no_forces)[0]
         diagnosis = diagnose(records, settings, against=reference, on_progress=report)
-    for note in loaded.notes:
-        warn(f"note: {note}")
-    _show(diagnosis)
+    _show(diagnosis, loaded.notes)
     content = to_json(diagnosis)
     write_json(json, content)
     if out is not None:
@@ -102,7 +100,9 @@ def diagnose_command(
         say(f"written: {', '.join(str(out / name) for name in files)}")
 
 
-def _show(diagnosis: Diagnosis) -> None:
+def _show(diagnosis: Diagnosis, notes: Sequence[str]) -> None:
+    for note in notes:
+        warn(f"note: {note}")
     for gate in diagnosis.gates:
         if not gate.passed:
             warn(f"! {gate.finding}: {gate.remedy}")

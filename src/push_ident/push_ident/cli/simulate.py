@@ -15,6 +15,10 @@ from push_ident.cli.units import in_unit, parse_floats
 from push_ident.errors import InputError
 
 _YAW_NOISE = round(math.radians(0.5), 5)
+_PositionNoiseOption = Annotated[
+    float, typer.Option(parser=in_unit("m"), callback=at_least_zero, help="Standard deviation of x and y [m].")
+]
+_YawNoiseOption = Annotated[float, typer.Option(parser=in_unit("rad"), callback=at_least_zero, help="Standard deviation of the yaw [rad].")]
 
 
 def simulate_command(
@@ -28,12 +32,8 @@ def simulate_command(
     model: Annotated[int, typer.Option(min=0, help="Ground truth of the object's masses and frictions.")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the pushes and of all noise.")] = 0,
     speed: Annotated[str, typer.Option(metavar="LOW,HIGH", help="Range of the speed of the pushes [m/s].")] = "0.1,0.2",
-    position_noise: Annotated[
-        float, typer.Option(parser=in_unit("m"), callback=at_least_zero, help="Standard deviation of x and y [m].")
-    ] = 0.001,
-    yaw_noise: Annotated[
-        float, typer.Option(parser=in_unit("rad"), callback=at_least_zero, help="Standard deviation of the yaw [rad].")
-    ] = _YAW_NOISE,
+    position_noise: _PositionNoiseOption = 0.001,
+    yaw_noise: _YawNoiseOption = _YAW_NOISE,
     force_noise: Annotated[
         float, typer.Option(callback=at_least_zero, help="Standard deviation of each component of the force [N].")
     ] = 0.05,
