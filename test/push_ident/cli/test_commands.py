@@ -70,6 +70,8 @@ def test_push_that_was_not_made_is_predicted_from_a_pose_and_a_file(tmp_path: Pa
         ((), "say what to predict"),
         (("--pose", "0,0,0"), "say what to predict"),
         ((EXAMPLE_BAG, "--pose", "0,0,0", "--path", path), "say what to predict"),
+        ((EXAMPLE_BAG, "--radius", "8mm"), "say what to predict"),
+        (("--radius", "8mm"), "say what to predict"),
         (("--pose", "0,0,90", "--path", path), "90deg is 1.571 rad"),
         (("--pose", "0,0,0", "--path", path, "--speed", 0.1), f"{path}: The path of the pusher has times"),
         (("--pose", "0,0,0", "--path", tmp_path / "none.csv"), "cannot be read"),

@@ -116,7 +116,12 @@ def test_path_becomes_a_goal_of_the_action_and_its_report_says_how_closely_it_wa
 
 def test_options_and_files_that_make_no_goal_are_refused_before_the_cell_is_looked_for(tmp_path: Path) -> None:
     file = tmp_path / "path.csv"
-    for text, word in (("1, 2\n", "Line 1"), ("0, 0, 0\n", "no path"), ("0, 0, 0\n0, 0, 0\n", "0.0 mm long")):
+    for text, word in (
+        ("1, 2\n", "Line 1"),
+        ("0, 0, 0\n0.1, 0, 90\n", "90 degrees are 1.571 rad"),
+        ("0, 0, 0\n", "no path"),
+        ("0, 0, 0\n0, 0, 0\n", "0.0 mm long"),
+    ):
         file.write_text(text, encoding="utf-8")
         check_refused(word, "push-to", "--path", file)
     for options, word in (

@@ -52,22 +52,31 @@ def predict_command(
         ),
     ] = None,
     radius: Annotated[
-        float, typer.Option(metavar="M", parser=in_unit("m"), callback=at_least_zero, help="Radius of the pusher along --path [m, or 8mm].")
-    ] = PUSHER_RADIUS,
+        float | None,
+        typer.Option(
+            metavar="M",
+            parser=in_unit("m"),
+            callback=at_least_zero,
+            help="Radius of the pusher along --path [m, or 8mm].",
+            show_default=f"{PUSHER_RADIUS}",
+        ),
+    ] = None,
     json: JsonOption = None,
     out: OutOption = None,
     object_id: ObjectOption = "",
     camera: CameraOption = None,
 ) -> None:
     """Predict recorded pushes with a model and compare with what was observed; or predict a push that was not made (--pose, --path)."""
-    if bool(bags) == (pose is not None or path is not None) or (pose is None) != (path is None):
+    is_made = all(value is None for value in (pose, path, speed, radius))
+    if bool(bags) != is_made or (not is_made and (pose is None or path is None)):
         raise InputError("say what to predict: recorded pushes (BAG...), or one that was not made, with --pose X,Y,YAW and --path FILE.")
     first = None if pose is None else parse_floats(pose, ("m", "m", "rad"), "--pose", "X,Y,YAW in metres and radians, such as 0.05,0,1.57")
     in_file, posterior = load_model(model)
     if failure := failure_of_model(model):
         warn(f"! the model is only the prior: {failure}")
     if first is not None and path is not None:
-        content = _of_planned(predict_planned(posterior, first, read_pusher_path(path, radius, speed)), in_file)
+        driven = read_pusher_path(path, PUSHER_RADIUS if radius is None else radius, speed)
+        content = _of_planned(predict_planned(posterior, first, driven), in_file)
     else:
         loaded = load_pushes(bags or [], object_id=object_id, camera_in_table=read_camera(camera))
         content = _of_recorded(posterior, loaded, in_file, sources_of_model(model))

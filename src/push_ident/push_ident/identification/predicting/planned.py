@@ -50,7 +50,7 @@ def predict_planned(
     """
     first, shape = np.array(pose, dtype=np.float64), posterior.unknowns.shape
     if first.shape != (3,) or not np.isfinite(first).all():
-        raise InputError(f"The pose of the object is {pose}, expected three finite numbers (x, y, yaw) in metres and radians.")
+        raise InputError(f"The pose of the object is {first.tolist()}, expected three finite numbers (x, y, yaw) in metres and radians.")
     check_coordinates(first[:2], "Pose of the object")
     gap = float(outline_distance(path.position[:1], first[None], shape.outline)[0]) - path.radius
     if gap < -PushSettings().contact_tolerance:
