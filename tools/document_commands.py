@@ -13,7 +13,8 @@ from push_ident.cli.main import app
 HEAD = """# Commands
 
 Made from the command line itself. Every command works without a running node unless its description says so. Lengths are in metres,
-angles in radians. An expected error is one line on the standard error, and exit status 1; wrong usage ends with exit status 2.
+angles in radians, unless they have their unit (`50mm`, `5cm`, `90deg`, `100mm/s`) or the name of
+the option says another. An expected error is one line on the standard error, and exit status 1; wrong usage ends with exit status 2.
 """
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -16,8 +17,12 @@ from helpers.objects import hammer, random_records, square
 from push_ident.api.calls import in_one_thread
 from push_ident.bags.records import write_records
 from push_ident.errors import InputError
+from push_ident.geometry.cells import cell_error
+from push_ident.identification.observing.observation import observe_push
 from push_ident.identification.results.model_file import save_model
+from push_ident.identification.results.posterior import prior_posterior
 from push_ident.identification.results.result import Identification
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import LoadedPushes
 
 LONGEST_REPR = 400
@@ -70,6 +75,37 @@ def test_pushes_not_used_are_predicted_by_the_result_and_by_its_file(pushes: Loa
     assert again[0].cell_error == pytest.approx(predicted[1].cell_error, abs=1e-6)
 
 
+def test_push_that_was_not_made_is_predicted_as_the_same_push_when_it_is_recorded(
+    pushes: LoadedPushes, result: Identification, tmp_path: Path
+) -> None:
+    recorded, pusher = pi.predict(result, pushes[3])[0], pushes[3].pusher
+    given: dict[str, Any] = {"pose": observe_push(pushes[3]).pose[0], "radius": pusher.radius}
+    rows = np.column_stack([pusher.time, pusher.position])
+    (tmp_path / "path.csv").write_text("t,x_mm,y_mm\n" + "\n".join(f"{t},{1e3 * x},{1e3 * y}" for t, x, y in rows))
+    for path in (rows, pusher, tmp_path / "path.csv"):
+        planned = pi.predict(result, path=path, **given)
+        assert cell_error(planned.shape.cells, planned.prediction.pose[-1], recorded.prediction.pose[-1]) < 5e-4
+        assert planned.prediction.time[0] == pusher.time[0] and planned.prediction.touched == 1.0
+        assert planned.prediction.cell_error_std == pytest.approx(recorded.prediction.cell_error_std, rel=0.5)
+    assert len(repr(planned)) < LONGEST_REPR
+    pi.plot(planned).savefig(tmp_path / "figure.png", dpi=40)
+
+
+def test_chances_of_a_push_come_from_the_posterior(tmp_path: Path) -> None:
+    shape = hammer(2).shape
+    anything = prior_posterior(shape, Prior())
+    low, right = shape.outline[:, 1].min(), shape.outline[:, 0].max()
+    centre = pi.predict(anything, pose=(0, 0, 0), path=[[0.0, low - 0.02], [0.0, low + 0.1]], speed=0.1, radius=0.008)
+    left_or_right = {float(np.sign(outcome.end[2])): outcome.chance for outcome in centre.outcomes}
+    assert sorted(left_or_right) == [-1.0, 1.0] and sum(left_or_right.values()) == 1.0 and min(left_or_right.values()) > 0.2
+    pi.plot(centre).savefig(tmp_path / "figure.png", dpi=40)
+    touched = []
+    for gap in (-0.003, 0.0, 0.0005, 0.003):  # first poses are known to 0.5 mm
+        x = right + 0.008 + gap
+        touched.append(pi.predict(anything, pose=(0, 0, 0), path=[[x, -0.1], [x, 0.1]], speed=0.1, radius=0.008).prediction.touched)
+    assert touched[0] == 1.0 and 0.5 < touched[1] < 0.9 and 0.1 < touched[2] < 0.5 and touched[3] == 0.0
+
+
 def test_given_total_mass_is_that_of_the_map(pushes: LoadedPushes) -> None:
     weighed = pi.identify(pushes[:3], total_mass=0.71)
     assert weighed.model.total_mass == pytest.approx(0.71) and weighed.posterior.total_mass_identifiable
@@ -105,3 +141,20 @@ def test_mistakes_are_answered_in_one_line(pushes: LoadedPushes, result: Identif
         pi.predict(result, [])
     with pytest.raises(InputError, match="predict bags that share the cells"):
         pi.predict(result, replace(pushes[0], shape=square()))
+    line, start = [[0.5, 0.0], [0.6, 0.0]], (0.0, 0.0, 0.0)
+    wrong: tuple[tuple[dict[str, Any], str], ...] = (
+        ({"pose": start}, "`pose` and `path`"),
+        ({"pushes": pushes, "pose": start, "path": line}, "not both"),
+        ({"pose": (0.0, 0.0), "path": line, "speed": 0.1}, "three finite numbers"),
+        ({"pose": start, "path": line}, "no times, expected either times or a speed"),
+        ({"pose": start, "path": [[0.0, 0.5, 0.0], [1.0, 0.6, 0.0]], "speed": 0.1}, "leave out the speed"),
+        ({"pose": start, "path": [[0.0, 0.5, 0.0], [0.0, 0.6, 0.0]]}, "increas"),
+        ({"pose": start, "path": [[1, 2, 3, 4]]}, "rows of time, x, y"),
+        ({"pose": start, "path": line, "speed": 0.0}, "above 0"),
+        ({"pose": start, "path": line, "speed": 1e-5}, "at most 600 s"),
+        ({"pose": start, "path": [[0.0, 0.0], [0.1, 0.0]], "speed": 0.1}, "inside the object"),
+        ({"pose": start, "path": line, "speed": 0.1, "radius": 18.0}, "at most 1 m"),
+    )
+    for arguments, reason in wrong:
+        with pytest.raises(InputError, match=reason):
+            pi.predict(result, **arguments)

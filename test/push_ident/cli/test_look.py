@@ -56,7 +56,7 @@ def check_found(content: dict) -> None:
 
 
 def test_a_folder_of_images_gives_picture_page_parameters_and_json(folder: Path, tmp_path: Path) -> None:
-    done, content = look(folder, "--known", "0.2x0.12x0.1", out=tmp_path / "out")
+    done, content = look(folder, "--known", "200mmx0.12x10cm", out=tmp_path / "out")
     assert done.returncode == 0, done.stderr
     check_found(content)
     assert content["n_frames"] == 2 and content["scale_check"]["outcome"] == "agrees"
@@ -132,7 +132,7 @@ UNORGANISED = b"VERSION 0.7\nWIDTH 320\nHEIGHT 1\nPOINTS 320\nDATA ascii\n"
         ("b.mcap", b"nothing of the kind", (), "b.mcap"),
         (".", None, ("--intrinsics", "1,2"), "expected four numbers"),
         (".", None, ("--known", "a box"), "expected width x depth x height"),
-        (".", None, ("--known", "200x120"), "give metres"),
+        (".", None, ("--known", "200x120"), "0.2x0.1x0.05 in metres"),
         (".", None, ("--depth-unit", "1"), "give the metres per unit"),
         (str(EXAMPLE_BAG), None, ("--intrinsics", NUMBERS), "is a bag"),
     ],

@@ -58,6 +58,14 @@ def test_a_push_that_misses_is_followed_by_the_next_and_a_silent_arm_ends_all(ex
     assert all(goal.dry_run for goal in executor.asked) and [goal.seed for goal in executor.asked] == drawn(2)[:3] != drawn(3)[:3]
 
 
+@pytest.mark.live
+def test_numbers_with_units_reach_the_executor_in_metres_and_radians(executor: Executor) -> None:
+    run_here("push", "--at", "50mm,-2cm", "--direction", "90deg", "--distance", "6cm", "--speed", "100mm/s", "--dry-run")
+    (goal,) = executor.asked
+    got = [goal.contact_point.x, goal.contact_point.y, goal.direction, goal.distance, goal.speed]
+    np.testing.assert_allclose(got, [0.05, -0.02, np.pi / 2, 0.06, 0.1])
+
+
 def test_a_push_at_a_point_names_its_frame() -> None:
     goal = contact_goal(np.array([0.05, -0.02]), 1.5, object_id="o1", in_object=True, distance=0.06)
     assert (goal.mode, goal.frame_id, goal.contact_point.y) == (ExecutePush.Goal.MODE_CONTACT, "object_o1", -0.02)
@@ -72,6 +80,7 @@ def test_options_that_make_no_push_are_refused_at_once() -> None:
         (("--random", 2, "--at", "0,0", "--direction", 0), "--random N"),
         (("--at", "0,0"), "belong together"),
         (("--at", "a,b", "--direction", 1), "X,Y in metres"),
+        (("--at", "50,-20", "--direction", 1), "50mm is 0.05 m"),
         (("--at", "0,0", "--direction", 1, "--in-object"), "--object ID"),
         (("--random", 1, "--distance", 0.1), "draw their own"),
         (("--random", 1, "--object", "a b"), "Object id"),

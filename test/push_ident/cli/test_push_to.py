@@ -9,7 +9,7 @@ import pytest
 
 from helpers.commands import check_refused
 from push_ident.cli.goal_report import GoalReport, PathReport, edge_message, goal_message, last_feedback, path_message
-from push_ident.cli.push_to import goals_of, parse_edge, parse_goal
+from push_ident.cli.push_to import goals_of, parse_edge, parse_goal, parse_tolerance
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident_msgs.action import PushToGoal
@@ -59,7 +59,17 @@ def test_goal_of_the_command_line_becomes_that_of_the_action() -> None:
     for text in ("", "1,2", "1,2,3,4", "a,b,c", "nan,0,0"):
         with pytest.raises(InputError, match="X,Y,YAW"):
             parse_goal(text)
+    np.testing.assert_allclose(parse_goal("5cm,-100mm,90deg"), [0.05, -0.1, np.pi / 2])
     check_refused("X,Y,YAW", "demo", "--goal", "1,2")
+
+
+def test_tolerance_is_a_length_and_perhaps_an_angle() -> None:
+    assert parse_tolerance("0.02") == parse_tolerance("20mm") == (20.0, None)
+    assert parse_tolerance("2cm,5deg") == pytest.approx((20.0, 5.0)) and parse_tolerance("0.02,0.1")[1] == pytest.approx(np.degrees(0.1))
+    for text in ("20", "0", "20mm,-1deg", "20mm,90", "20mm,1deg,1", ""):
+        with pytest.raises(InputError, match="--tolerance is"):
+            parse_tolerance(text)
+    check_refused("one of both forms", "push-to", "--x", 0, "--y", 0, "--yaw", 0, "--tolerance", "20mm", "--tolerance-deg", 5)
 
 
 def test_goals_are_one_pose_or_lie_in_a_row_along_a_path(tmp_path: Path) -> None:
@@ -106,7 +116,12 @@ def test_path_becomes_a_goal_of_the_action_and_its_report_says_how_closely_it_wa
 
 def test_options_and_files_that_make_no_goal_are_refused_before_the_cell_is_looked_for(tmp_path: Path) -> None:
     file = tmp_path / "path.csv"
-    for text, word in (("1, 2\n", "Line 1"), ("0, 0, 0\n", "no path"), ("0, 0, 0\n0, 0, 0\n", "0.0 mm long")):
+    for text, word in (
+        ("1, 2\n", "Line 1"),
+        ("0, 0, 0\n0.1, 0, 90\n", "90 degrees are 1.571 rad"),
+        ("0, 0, 0\n", "no path"),
+        ("0, 0, 0\n0, 0, 0\n", "0.0 mm long"),
+    ):
         file.write_text(text, encoding="utf-8")
         check_refused(word, "push-to", "--path", file)
     for options, word in (

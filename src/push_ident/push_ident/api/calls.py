@@ -16,7 +16,7 @@ from dataclasses import replace
 from functools import wraps
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeAlias, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +30,7 @@ from push_ident.identification.fitting.budget import Budget
 from push_ident.identification.fitting.fit import FitOptions
 from push_ident.identification.identify import identify as _identify
 from push_ident.identification.predicting.next_push import Proposal, propose_push
+from push_ident.identification.predicting.planned import PUSHER_RADIUS, PlannedPush, predict_planned, pusher_path
 from push_ident.identification.predicting.scoring import Comparison, compare_pushes
 from push_ident.identification.results.model_file import load_model
 from push_ident.identification.results.posterior import ModelPosterior
@@ -37,11 +38,14 @@ from push_ident.identification.results.result import Identification
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import LoadedPushes, load_pushes
-from push_ident.types import PushRecord
+from push_ident.offline.pusher_file import read_pusher_path
+from push_ident.types import PusherPath, PushRecord
 
 if TYPE_CHECKING:
     from push_ident.api.plots import Picture
 
+Model: TypeAlias = Identification | ModelPosterior | str | PathLike[str]
+"""A result of `identify`, its posterior, or the path of a model file."""
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _CHOSEN: Final = "OPENBLAS_NUM_THREADS"
@@ -122,25 +126,58 @@ def identify(
     return _identify(list(pushes), known, method=method, effects=effects, budget=Budget(max_seconds=max_seconds), options=options)
 
 
+@overload
+def predict(model: Model, pushes: PushRecord | Sequence[PushRecord]) -> Comparison: ...
+
+
+@overload
+def predict(
+    model: Model, *, pose: ArrayLike, path: PusherPath | str | PathLike[str] | ArrayLike, speed: float | None = None, radius: float = ...
+) -> PlannedPush: ...
+
+
 @in_one_thread
-def predict(model: Identification | ModelPosterior | str | PathLike[str], pushes: PushRecord | Sequence[PushRecord]) -> Comparison:
-    """Predict recorded pushes from their first poses, and compare their ends with what was observed.
+def predict(
+    model: Model,
+    pushes: PushRecord | Sequence[PushRecord] | None = None,
+    *,
+    pose: ArrayLike | None = None,
+    path: PusherPath | str | PathLike[str] | ArrayLike | None = None,
+    speed: float | None = None,
+    radius: float = PUSHER_RADIUS,
+) -> Comparison | PlannedPush:
+    """Predict recorded pushes and compare their ends with what was observed, or predict a push that was not made.
 
     Args:
         model: a result of `identify`, its posterior, or the path of a model file.
-        pushes: one or several, with the cells of the model.
+        pushes: recorded ones, with the cells of the model.
+        pose: of the object before a push that was not made (x, y, yaw), table frame.
+        path: of the axis of the pusher in that push, table frame: rows time, x, y [s, m, m], or rows x, y [m] with a `speed`; or a CSV
+            file with these columns.
+        speed: along a path without times [m/s].
+        radius: of the pusher of that push [m].
 
     Returns:
-        For each push the predicted poses (`prediction.pose`, shape (n_frames, 3), table frame) with their covariance, the cell error at
-        the end [m], the error that was expected, and whether the end lies in the predicted 90 % region.
+        For each recorded push the predicted poses (`prediction.pose`, shape (n_frames, 3), table frame) with their covariance, the cell
+        error at the end [m], the error that was expected, and whether the end lies in the predicted 90 % region. For a push that was not
+        made its `prediction`, whose `touched` is the chance that the pusher touches the object, and its `outcomes` with their chances.
 
     Raises:
-        InputError: no push, or other cells than those of the model.
+        InputError: no push, or other cells than those of the model; a pose or path of another form.
+        BagError: the CSV file is no such table.
         ModelFileError: the file is no model.
     """
     if not isinstance(model, Identification | ModelPosterior):
         _, model = load_model(Path(model))
     posterior = model.posterior if isinstance(model, Identification) else model
+    if pushes is None:
+        if pose is None or path is None:
+            raise InputError("There is no push to predict; give recorded pushes, or `pose` and `path` of one that was not made.")
+        if isinstance(path, str | PathLike):
+            path = read_pusher_path(Path(path), radius, speed)
+        return predict_planned(posterior, pose, path if isinstance(path, PusherPath) else pusher_path(path, radius, speed))
+    if pose is not None or path is not None:
+        raise InputError("Recorded pushes have their own poses and paths; give them, or `pose` and `path`, not both.")
     return compare_pushes(posterior, [pushes] if isinstance(pushes, PushRecord) else list(pushes))
 
 

@@ -18,6 +18,7 @@ from push_ident.diagnosis.result import Diagnosis
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.predicting.next_push import Proposal
+from push_ident.identification.predicting.planned import PlannedPush
 from push_ident.identification.predicting.scoring import Comparison
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.results.result import Identification
@@ -93,6 +94,19 @@ def _comparison(compared: Comparison, title: str) -> Picture:
             ax.add_patch(_region(push.prediction.pose[-1], push.prediction.covariance[-1]))
         _finish(ax, f"push {push.record.order + 1}: error {1e3 * push.cell_error:.1f} mm", is_first=ax is axes[0])
     return _titled(figure, title or "Predicted and observed ends, table frame [mm]; ellipse: 90 % region of the origin")
+
+
+def _planned(push: PlannedPush, title: str) -> Picture:
+    figure, (ax,) = _grid(1)
+    _outline(ax, transform_points(push.pose, push.shape.outline), _GREY, "before")
+    ax.plot(*(1e3 * push.path.position.T), color=_WARM, linewidth=1.2, label="pusher")
+    for outcome in push.outcomes if len(push.outcomes) > 1 else ():
+        _outline(ax, transform_points(outcome.end, push.shape.outline), _LIGHT, f"with a chance of {outcome.chance:.0%}")
+    if push.outcomes:
+        _outline(ax, transform_points(push.prediction.pose[-1], push.shape.outline), _ACCENT, "predicted")
+        ax.add_patch(_region(push.prediction.pose[-1], push.prediction.covariance[-1]))
+    _finish(ax, f"touched with a chance of {push.prediction.touched:.0%}", is_first=True)
+    return _titled(figure, title or "Predicted push, table frame [mm]; ellipse: 90 % region of the origin")
 
 
 def _region(pose: Float64Array, covariance: Float64Array) -> Ellipse:
@@ -195,6 +209,7 @@ _FIGURES: tuple[tuple[Any, Callable[[Any, str], Picture]], ...] = (
     (LoadedPushes, _pushes),
     (PushRecord, _record),
     (Comparison, _comparison),
+    (PlannedPush, _planned),
     (Proposal, _proposal),
     (Diagnosis, _diagnosis),
 )

@@ -6,15 +6,11 @@ import math
 import os
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from push_ident.errors import InputError
 from push_ident.limits import LIMITS, plain_text
-
-if TYPE_CHECKING:
-    from push_ident.types import Float64Array
 
 
 def above_zero(value: float | None) -> float | None:
@@ -73,19 +69,6 @@ def _probe(folder: Path, path: Path) -> None:
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise InputError(f"Cannot write to {plain_text(str(path))}: {why}; choose a folder with write permission.") from None
-
-
-def parse_floats(text: str, n: int, option: str, expected: str) -> Float64Array:
-    """`n` finite numbers divided by commas, shape (n,). Raises InputError, with what is expected, for another form."""
-    import numpy as np  # `push-ident --help` needs none
-
-    try:
-        numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        numbers = np.empty(0)
-    if numbers.shape != (n,) or not np.isfinite(numbers).all():
-        raise InputError(f"{option} is {plain_text(text)!r}, expected {expected}.")
-    return numbers
 
 
 def parse_numbers(text: str, option: str) -> list[int]:

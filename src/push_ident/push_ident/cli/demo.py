@@ -44,7 +44,7 @@ def demo_command(
     n_train: Annotated[int | None, typer.Option(min=1, help="Number of random training pushes.", show_default="4; with --goal 2")] = None,
     n_test: Annotated[int, typer.Option(min=1, help="Number of test pushes, the score; each push is predicted before it is made.")] = 4,
     goal: Annotated[
-        str | None, typer.Option(metavar="X,Y,YAW", help="Push it to this pose [m, m, rad] instead of test pushes.", show_default="none")
+        str | None, typer.Option(metavar="X,Y,YAW", help="Push it to this pose [m, m, rad, or 90deg], no test pushes.", show_default="none")
     ] = None,
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Model of the simulated depth camera.")] = "plain",
     view: ViewOption = False,

@@ -9,13 +9,16 @@ from typing import Annotated
 import typer
 from rich.table import Column, Table
 
-from push_ident.cli.checks import above_zero
+from push_ident.cli.checks import above_zero, parse_numbers
 from push_ident.cli.identify import (
     CameraOption,
     FrictionOption,
+    NoForcesOption,
     NominalMassOption,
     ObjectOption,
     TotalMassOption,
+    WithoutOption,
+    leave_out,
     prior_of_options,
     read_camera,
 )
@@ -51,6 +54,8 @@ def diagnose_command(
             show_default=False,
         ),
     ] = None,
+    without: WithoutOption = "",
+    no_forces: NoForcesOption = False,
     out: OutOption = None,
     json: JsonOption = None,
     object_id: ObjectOption = "",
@@ -70,31 +75,34 @@ def diagnose_command(
         need("report")
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
+    left_out = parse_numbers(without, "--without") if without else []
     with progress() as report:
         loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
+        loaded, kept = leave_out(loaded, left_out, no_forces=no_forces)
+        records = [loaded[i] for i in kept]
         reference: Sequence[PushRecord] = ()
         if against:
             # Read with those of the bags, so that it is certainly the same object with the same cells.
             both = load_pushes([*bags, *against], object_id=loaded.object_id, camera_in_table=read_camera(camera), on_progress=report)
-            reference = both.records[len(loaded.records) :]
-        diagnosis = diagnose(loaded.records, settings, against=reference, on_progress=report)
-    _show(diagnosis)
+            reference = leave_out(both[len(loaded) :], [], no_forces=no_forces)[0]
+        diagnosis = diagnose(records, settings, against=reference, on_progress=report)
+    _show(diagnosis, loaded.notes)
     content = to_json(diagnosis)
     write_json(json, content)
     if out is not None:
         write_json(out / "diagnosis.json", content)
-        write_report(
-            out / "report.html", diagnosis, object_id=loaded.object_id, sources=[r.source for r in loaded.records], notes=loaded.notes
-        )
+        sources = [record.source for record in records]
+        write_report(out / "report.html", diagnosis, object_id=loaded.object_id, sources=sources, notes=loaded.notes)
         files = ["report.html", "diagnosis.json"]
         if diagnosis.fit is not None and not against:
-            sources = [record.source for record in loaded.records]
             save_model(out / "model.json", diagnosis.fit.posterior, object_id=loaded.object_id, sources=sources)
             files.append("model.json")
         say(f"written: {', '.join(str(out / name) for name in files)}")
 
 
-def _show(diagnosis: Diagnosis) -> None:
+def _show(diagnosis: Diagnosis, notes: Sequence[str]) -> None:
+    for note in notes:
+        warn(f"note: {note}")
     for gate in diagnosis.gates:
         if not gate.passed:
             warn(f"! {gate.finding}: {gate.remedy}")

@@ -10,6 +10,7 @@ import typer
 
 from push_ident.cli.checks import above_zero, writable_file
 from push_ident.cli.output import say, warn
+from push_ident.cli.units import in_unit
 from push_ident.errors import InputError
 from push_ident.identification.export.description import DEFAULT_HEIGHT, describe
 from push_ident.identification.export.files import SUFFIXES, write_description
@@ -27,7 +28,10 @@ def export_command(
         Path | None, typer.Option("--out", metavar="FILE", callback=writable_file, help="Default: beside the model.", show_default=False)
     ] = None,
     height: Annotated[
-        float, typer.Option(metavar="M", callback=above_zero, help="Height of the object, which pushes do not determine [m].")
+        float,
+        typer.Option(
+            metavar="M", parser=in_unit("m"), callback=above_zero, help="Height of the object, which pushes do not determine [m]."
+        ),
     ] = DEFAULT_HEIGHT,
     cells: Annotated[
         str,

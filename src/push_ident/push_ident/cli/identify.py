@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -62,6 +63,8 @@ TrainOption = Annotated[
     str,
     typer.Option(metavar="0,2,5-7", help="Pushes of the fit, counted from 0 over all bags; the others are held out. Default: all."),
 ]
+WithoutOption = Annotated[str, typer.Option(metavar="7,2-5", help="Pushes to leave out, counted from 0 over all bags.", show_default=False)]
+NoForcesOption = Annotated[bool, typer.Option("--no-forces", help="Leave measured forces out.")]
 _RecordOption = Annotated[
     bool, typer.Option("--record", help="In the report: each push predicted from those before it; about a second a push.")
 ]
@@ -71,6 +74,8 @@ def identify_command(
     bags: BagsArgument,
     method: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = DEFAULT_SOLVER,
     train: TrainOption = "",
+    without: WithoutOption = "",
+    no_forces: NoForcesOption = False,
     out: OutOption = None,
     json: JsonOption = None,
     object_id: ObjectOption = "",
@@ -88,11 +93,13 @@ def identify_command(
     if out is not None:
         need("report")
     takes_effects = solver_of(method).capabilities.takes_effects
-    numbers = parse_numbers(train, "--train") if train else None
+    numbers, left_out = (parse_numbers(text, name) if text else [] for text, name in ((train, "--train"), (without, "--without")))
+    if both := set(numbers).intersection(left_out):
+        raise InputError(f"--train and --without both name push {min(both)}; a push that is left out cannot train.")
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
     with progress() as report:
-        loaded = _load(bags, object_id, camera, prior, report)
-        chosen = _chosen(numbers, len(loaded.records))
+        loaded, kept = leave_out(_load(bags, object_id, camera, prior, report), left_out, no_forces=no_forces)
+        chosen = _existing(numbers, "--train", len(loaded)) or kept
         report(f"identifying from {len(chosen)} pushes")
         result = identify(
             [loaded.records[i] for i in chosen],
@@ -104,7 +111,7 @@ def identify_command(
             on_progress=lambda best: report(f"{best.n_simulations} simulations, cost {best.cost:.1f}"),
         )
         report("predicting the pushes")
-        others = [i for i in range(len(loaded.records)) if i not in chosen]
+        others = [i for i in kept if i not in chosen]
         fitted, held_out = (push_errors(result, loaded.records, pushes) for pushes in (chosen, others))
     found = result.explanation.notes([loaded.records[i].source for i in chosen])
     _show_errors([*loaded.notes, *result.notes], loaded, fitted, held_out)
@@ -155,11 +162,25 @@ def read_camera(path: Path | None) -> Float64Array | None:
     return matrix
 
 
-def _chosen(numbers: list[int] | None, n_pushes: int) -> list[int]:
-    if numbers is None:
-        return list(range(n_pushes))
+def leave_out(loaded: LoadedPushes, numbers: list[int], *, no_forces: bool) -> tuple[LoadedPushes, list[int]]:
+    """All pushes, with notes of what is left out and without forces where they shall be, and the numbers of those that stay.
+
+    Raises InputError for numbers that no push has, or where none stays.
+    """
+    kept = sorted(set(range(len(loaded))).difference(_existing(numbers, "--without", len(loaded))))
+    if not kept:
+        raise InputError(f"--without names all {len(loaded)} pushes; leave at least one.")
+    notes = [f"push {i} is left out by --without: {loaded[i].source}" for i in sorted(numbers)]
+    records = loaded.records
+    if no_forces:
+        notes.append(f"forces of {sum(record.wrench is not None for record in records)} pushes are left out by --no-forces")
+        records = [replace(record, wrench=None) for record in records]
+    return replace(loaded, records=records, notes=[*loaded.notes, *notes]), kept
+
+
+def _existing(numbers: list[int], option: str, n_pushes: int) -> list[int]:
     if wrong := [i for i in numbers if i >= n_pushes]:
-        raise InputError(f"--train names push {wrong[0]}, but there are {n_pushes} pushes, 0 to {n_pushes - 1}.")
+        raise InputError(f"{option} names push {wrong[0]}, but there are {n_pushes} pushes, 0 to {n_pushes - 1}.")
     return numbers
 
 

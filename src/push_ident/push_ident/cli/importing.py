@@ -29,12 +29,12 @@ from push_ident.bags.importers.rosbag import parse_map
 from push_ident.bags.importers.shapes import CELL_SIZE
 from push_ident.bags.importers.tables import parse_columns, read_table
 from push_ident.bags.importers.tracked_poses import POSE_ROLES, PUSHER_ROLES
-from push_ident.cli.checks import above_zero, at_least_zero, finite, new_bag, parse_floats, writable_file
+from push_ident.cli.checks import above_zero, at_least_zero, finite, new_bag, writable_file
 from push_ident.cli.identify import read_camera
 from push_ident.cli.output import JsonOption, say, warn, write_json
+from push_ident.cli.units import in_unit, parse_floats
 from push_ident.errors import InputError
 from push_ident.extras import need
-from push_ident.limits import plain_text
 from push_ident.types import Float64Array
 
 BagOption = Annotated[Path, typer.Option("--out", metavar="BAG", help="New bag.", callback=new_bag, show_default=False)]
@@ -53,6 +53,7 @@ PositionStdOption = Annotated[
     float | None,
     typer.Option(
         "--position-std",
+        parser=in_unit("m"),
         callback=above_zero,
         help="Standard deviation of an object position [m]. Default: the scatter at rest; for mit 0.5 mm.",
         show_default=False,
@@ -62,6 +63,7 @@ YawStdOption = Annotated[
     float | None,
     typer.Option(
         "--yaw-std",
+        parser=in_unit("rad"),
         callback=above_zero,
         help="Standard deviation of an object yaw [rad]. Default: the scatter at rest; for mit 0.3 degrees.",
         show_default=False,
@@ -77,7 +79,9 @@ WrenchOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Table time,fx,fy of the force on the object [N].", show_default=False)
 ]
 TableOption = Annotated[Path, typer.Option(metavar="FILE", help="Table x,y of the outline, object frame.", show_default=False)]
-RadiusOption = Annotated[float, typer.Option(callback=at_least_zero, help="Radius of the pusher [m].", show_default=False)]
+RadiusOption = Annotated[
+    float, typer.Option(parser=in_unit("m"), callback=at_least_zero, help="Radius of the pusher [m, or 4.75mm].", show_default=False)
+]
 ColumnsOption = Annotated[str, typer.Option(metavar="ROLE=NAME,…", help="Other names of the columns of POSES.", show_default=False)]
 PusherColumnsOption = Annotated[
     str, typer.Option(metavar="ROLE=NAME,…", help="Other names of the columns of --pusher.", show_default=False)
@@ -115,9 +119,9 @@ PusherFrameOption = Annotated[
 ]
 LiftedOption = Annotated[
     float | None,
-    typer.Option("--lifted-above", callback=finite, help="Height z of the pusher above which it is lifted [m].", show_default=False),
+    typer.Option("--lifted-above", parser=in_unit("m"), help="Height z of the pusher above which it is lifted [m].", show_default=False),
 ]
-CellSizeOption = Annotated[float, typer.Option(callback=above_zero, help="Edge of the cells of the object [m].")]
+CellSizeOption = Annotated[float, typer.Option(parser=in_unit("m"), callback=above_zero, help="Edge of the cells of the object [m].")]
 
 
 import_app = typer.Typer(
@@ -185,7 +189,7 @@ def mit_command(
         str, typer.Option(help=f"Object, one of {', '.join(MIT_SHAPES)}. Default: by the file names.", show_default=False)
     ] = "",
     outline: OutlineOption = None,
-    radius: Annotated[float, typer.Option(callback=above_zero, help="Radius of the probe [m].")] = _MIT.radius,
+    radius: Annotated[float, typer.Option(parser=in_unit("m"), callback=above_zero, help="Radius of the probe [m].")] = _MIT.radius,
     position_std: PositionStdOption = None,
     yaw_std: YawStdOption = None,
     ends_only: Annotated[bool, typer.Option("--ends-only", help="Keep only the poses before and after each push.")] = False,
@@ -209,18 +213,13 @@ def _points(texts: tuple[str, str, str] | None) -> Float64Array | None:
     """Points `x,y` [m], shape (3, 2); raises InputError for another form."""
     if texts is None:
         return None
-    try:
-        points = np.array([[float(number) for number in text.split(",")] for text in texts], dtype=np.float64)
-    except ValueError:
-        points = np.zeros((0, 0))
-    if points.shape != (3, 2) or not np.isfinite(points).all():
-        raise InputError(f"--supports is {plain_text(' '.join(texts))}, expected three points such as 0.03,0.03 0.09,0.03 0.03,0.09.")
-    return points
+    expected = "X,Y of each of three points in metres, such as 0.03,0.03 0.09,0.03 0.03,0.09"
+    return np.array([parse_floats(text, ("m", "m"), "--supports", expected) for text in texts])
 
 
 def _pose(text: str) -> Float64Array | None:
     """Pose of the frame of the pusher (x, y, yaw) [m, m, rad]; None where it is not given."""
-    return parse_floats(text, 3, "--pusher-frame", "X,Y,YAW in metres and radians, such as 0.4,-0.1,1.57") if text else None
+    return parse_floats(text, ("m", "m", "rad"), "--pusher-frame", "X,Y,YAW in metres and radians, such as 0.4,-0.1,1.57") if text else None
 
 
 def _outline(file: Path | None) -> Float64Array | None:

@@ -22,6 +22,7 @@ from push_ident.cli.overrides import overrides_of
 from push_ident.cli.processes import RestartPolicy
 from push_ident.cli.robot import RobotOption, robot_for
 from push_ident.cli.supervisor import Kind, Supervisor, node_commands, node_names
+from push_ident.cli.units import in_unit
 from push_ident.errors import InputError, PushIdentError
 from push_ident.extras import need_ros
 from push_ident.geometry.se3 import quaternion_of_pose
@@ -195,7 +196,7 @@ def doctor_command(
     seconds: Annotated[float, typer.Option(min=0.5, callback=above_zero, help="How long to listen.")] = 4.0,
     robot: RobotOption = None,
     spacing: Annotated[
-        float, typer.Option(min=0.01, max=1.0, help="Distance of the places at which pushes are planned, with --robot [m].")
+        float, typer.Option(parser=in_unit("m", 0.01, 1.0), help="Distance of the places at which pushes are planned, with --robot [m].")
     ] = 0.05,
     out: OutOption = None,
     json: JsonOption = None,

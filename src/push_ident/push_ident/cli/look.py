@@ -12,9 +12,10 @@ import typer
 from push_ident.bags.contract import Role, topic_of
 from push_ident.bags.opening import SUFFIXES
 from push_ident.bags.reader import read_depth
-from push_ident.cli.checks import above_zero, parse_floats, writable_folder
+from push_ident.cli.checks import above_zero, writable_folder
 from push_ident.cli.identify import CameraOption, read_camera
 from push_ident.cli.output import JsonOption, console, millimetres, number_table, say, warn, write_json
+from push_ident.cli.units import in_unit, parse_floats, read_number
 from push_ident.errors import InputError, PerceptionError
 from push_ident.extras import need, need_ros
 from push_ident.files import write_whole
@@ -53,6 +54,7 @@ _DepthUnitOption = Annotated[
     float | None,
     typer.Option(
         metavar="METRES",
+        parser=in_unit("m"),
         callback=above_zero,
         help="Metres per unit of an image. Default: 0.001 for integers, 1 for reals.",
         show_default=False,
@@ -62,7 +64,7 @@ _KnownOption = Annotated[
     str,
     typer.Option(
         metavar="WxDxH",
-        help="Size in metres of a box, or of the legs of a right-angled mark, on the table: checks focal length and depth scale. "
+        help="Size [m] of a box, or of the legs of a right-angled mark, on the table: checks focal length and depth scale. "
         "The height may be left out.",
         show_default=False,
     ),
@@ -159,7 +161,9 @@ def _is_bag(source: Path) -> bool:
 def _intrinsics(text: str) -> tuple[float, float, float, float] | None:
     if not text:
         return None
-    fx, fy, cx, cy = parse_floats(text, 4, "--intrinsics", "four numbers fx,fy,cx,cy in pixels, such as 600,600,319.5,239.5").tolist()
+    fx, fy, cx, cy = parse_floats(
+        text, ["px"] * 4, "--intrinsics", "four numbers fx,fy,cx,cy in pixels, such as 600,600,319.5,239.5"
+    ).tolist()
     return fx, fy, cx, cy
 
 
@@ -167,10 +171,12 @@ def _known(text: str) -> KnownSize | None:
     if not text:
         return None
     try:
-        width, depth, *height = (float(word) for word in text.lower().split("x"))
+        width, depth, *height = (read_number(word, "m") for word in text.lower().split("x"))
         (first,) = height or (None,)
     except ValueError:
-        raise InputError(f"--known is `{text}`, expected width x depth x height in metres, such as 0.2x0.1x0.05.") from None
+        raise InputError(
+            f"--known is `{text}`, expected width x depth x height, such as 0.2x0.1x0.05 in metres or 200mmx100mmx50mm."
+        ) from None
     return KnownSize(width, depth, first)
 
 

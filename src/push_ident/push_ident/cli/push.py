@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import numpy as np
 import typer
 
-from push_ident.cli.checks import at_least_zero, finite, parse_floats
+from push_ident.cli.checks import at_least_zero
 from push_ident.cli.output import JsonOption, console, say, warn, write_json
+from push_ident.cli.units import in_unit, parse_floats
 from push_ident.errors import InputError
 from push_ident.extras import need_ros
 from push_ident.limits import check_object_id, printable
@@ -29,16 +30,22 @@ _POINT: Final = "X,Y in metres, such as 0.05,-0.02"
 def push_command(
     random: Annotated[int | None, typer.Option("--random", metavar="N", min=1, help="So many random pushes.", show_default=False)] = None,
     at: Annotated[
-        str | None, typer.Option(metavar="X,Y", help="Push at the point of the outline next to this one [m].", show_default=False)
+        str | None,
+        typer.Option(metavar="X,Y", help="Push at the point of the outline next to this one [m, or 50mm,-20mm].", show_default=False),
     ] = None,
     direction: Annotated[
-        float | None, typer.Option(metavar="ANGLE", callback=finite, help="Heading of the push, from the x axis [rad].", show_default=False)
+        float | None,
+        typer.Option(metavar="ANGLE", parser=in_unit("rad"), help="Heading, from the x axis [rad, or 90deg].", show_default=False),
     ] = None,
     distance: Annotated[
-        float, typer.Option(min=0.0, callback=at_least_zero, metavar="M", help="Travel after contact [m]; 0: that of the executor.")
+        float,
+        typer.Option(
+            metavar="M", parser=in_unit("m"), callback=at_least_zero, help="Travel after contact [m, or 60mm]; 0: that of the executor."
+        ),
     ] = 0.0,
     speed: Annotated[
-        float, typer.Option(min=0.0, callback=at_least_zero, metavar="M/S", help="Speed [m/s]; 0: that of the executor.")
+        float,
+        typer.Option(metavar="M/S", parser=in_unit("m/s"), callback=at_least_zero, help="Speed [m/s]; 0: that of the executor."),
     ] = 0.0,
     in_object: Annotated[bool, typer.Option("--in-object", help="--at and --direction are in the object frame, not the table's.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of random pushes: the same seed on the same object gives the same pushes.")] = 0,
@@ -57,7 +64,7 @@ def push_command(
     from push_ident_msgs.action import ExecutePush
 
     if at is not None and direction is not None:
-        point = parse_floats(at, 2, "--at", _POINT)
+        point = parse_floats(at, ("m", "m"), "--at", _POINT)
         goals = iter([contact_goal(point, direction, object_id=object_id, in_object=in_object, distance=distance, speed=speed)])
     elif distance or speed or in_object:
         raise InputError("--distance, --speed and --in-object are for a push --at a point; random pushes draw their own.")

@@ -10,12 +10,13 @@ import numpy as np
 import typer
 from rich.markup import escape
 
-from push_ident.cli.checks import above_zero, finite, parse_floats
+from push_ident.cli.checks import above_zero
 from push_ident.cli.goal_report import GoalReport, PathReport, broken_off, edge_message, goal_message, last_feedback, path_message, planar
 from push_ident.cli.output import JsonOption, OutOption, console, say, warn, write_json
+from push_ident.cli.units import in_unit, parse_floats
 from push_ident.errors import InputError
 from push_ident.extras import need_ros
-from push_ident.limits import printable
+from push_ident.limits import plain_text, printable
 from push_ident.types import Float64Array
 
 if TYPE_CHECKING:
@@ -23,11 +24,17 @@ if TYPE_CHECKING:
     from push_ident_msgs.action import PushToGoal
 
 PlaceOption = Annotated[
-    float | None, typer.Option(callback=finite, help="Goal of the object's origin in the table frame [m].", show_default=False)
+    float | None,
+    typer.Option(parser=in_unit("m"), metavar="M", help="Goal of the object's origin, table frame [m, or 50mm].", show_default=False),
 ]
 YawOption = Annotated[
     float | None,
-    typer.Option(callback=finite, help="Goal of the object's turn in the table frame [rad]; with --edge not needed.", show_default=False),
+    typer.Option(
+        parser=in_unit("rad"),
+        metavar="ANGLE",
+        help="Goal of the object's turn, table frame [rad, or 90deg]; with --edge not needed.",
+        show_default=False,
+    ),
 ]
 PathOption = Annotated[
     Path | None,
@@ -36,47 +43,65 @@ PathOption = Annotated[
 SpacingOption = Annotated[
     float | None,
     typer.Option(
-        "--spacing-mm", min=1.0, callback=above_zero, help="Push to poses on the path this far apart instead [mm].", show_default=False
+        "--spacing-mm",
+        metavar="MM",
+        parser=in_unit("mm", 1.0),
+        help="Push to poses on the path this far apart instead [mm, or 4cm].",
+        show_default=False,
     ),
 ]
 SpeedOption = Annotated[
-    float | None, typer.Option("--speed-mm", min=1.0, callback=above_zero, help="Along a path [mm/s].", show_default="50")
+    float | None,
+    typer.Option("--speed-mm", metavar="MM/S", parser=in_unit("mm/s", 1.0), help="Along a path [mm/s, or 0.05m/s].", show_default="50"),
 ]
 EdgeFlag = Annotated[bool, typer.Option("--edge", help="Out over an edge of the table, held on it, instead of to a pose.")]
 EdgeLineOption = Annotated[
     str | None,
     typer.Option(
         metavar="X1,Y1,X2,Y2",
-        help="Two points of the edge, the table on the left [m]. Default: the nearest edge that the node knows.",
+        help="Two points of the edge, the table on the left [m, or with units]. Default: the nearest edge that the node knows.",
         show_default=False,
     ),
 ]
 OverhangOption = Annotated[
-    float | None, typer.Option("--overhang-mm", min=1.0, callback=above_zero, help="Of the object beyond the edge [mm].", show_default="40")
+    float | None,
+    typer.Option(
+        "--overhang-mm", metavar="MM", parser=in_unit("mm", 1.0), help="Of the object beyond the edge [mm, or 4cm].", show_default="40"
+    ),
 ]
 HeldOption = Annotated[
     float | None,
     typer.Option(
         "--held-mm",
-        min=0.1,
-        callback=above_zero,
-        help="Least distance of the centre of mass from the border of what supports it, at the edge [mm].",
+        metavar="MM",
+        parser=in_unit("mm", 0.1),
+        help="Least distance of the centre of mass from the border of what supports it, at the edge [mm, or 1cm].",
         show_default="10",
     ),
 ]
 ToleranceOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="M[,ANGLE]", help="Largest distance from the goal, and angle to it [m, rad, or 20mm,5deg]: both in one.", show_default=False
+    ),
+]
+ToleranceLengthOption = Annotated[
     float | None,
     typer.Option(
-        "--tolerance-mm", min=0.1, callback=above_zero, help="Largest distance from the goal [mm].", show_default="20; along a path 3"
+        "--tolerance-mm",
+        metavar="MM",
+        parser=in_unit("mm", 0.1),
+        help="Largest distance from the goal [mm, or 2cm].",
+        show_default="20; along a path 3",
     ),
 ]
 ToleranceAngleOption = Annotated[
     float | None,
     typer.Option(
         "--tolerance-deg",
-        min=0.1,
-        callback=above_zero,
-        help="Largest angle to the goal [degrees].",
+        metavar="DEG",
+        parser=in_unit("deg", 0.1),
+        help="Largest angle to the goal [degrees, or 0.1rad].",
         show_default="5.73; at an edge 15, along a path 2",
     ),
 ]
@@ -115,14 +140,23 @@ def goals_of(x: float | None, y: float | None, yaw: float | None, path: Path | N
 
 def parse_goal(text: str) -> Float64Array:
     """A pose `X,Y,YAW` [m, m, rad], shape (3,). Raises InputError for another form."""
-    return parse_floats(text, 3, "--goal", "X,Y,YAW in metres and radians, such as 0.05,-0.1,1.57")
+    return parse_floats(text, ("m", "m", "rad"), "--goal", "X,Y,YAW in metres and radians, such as 0.05,-0.1,1.57")
+
+
+def parse_tolerance(text: str) -> tuple[float, float | None]:
+    """`M[,ANGLE]` as millimetres and degrees, None without an angle. Raises InputError for another form, or nothing above 0."""
+    expected = "M or M,ANGLE above 0 in metres and radians, such as 0.02,0.1 or 20mm,5deg"
+    values = parse_floats(text, ("m", "rad")[: 1 + text.count(",")], "--tolerance", expected)
+    if not np.all(values > 0):
+        raise InputError(f"--tolerance is {plain_text(text)!r}, expected {expected}.")
+    return 1e3 * float(values[0]), float(np.degrees(values[1])) if len(values) > 1 else None
 
 
 def parse_edge(text: str) -> Float64Array:
     """Two points of an edge [m], shape (2, 2), with the table on the left of the way from the first to the second. Raises InputError."""
     from push_ident.physics.overhang import TableEdge
 
-    points = parse_floats(text, 4, "--edge-line", "X1,Y1,X2,Y2 in metres, such as 0.15,-0.3,0.15,0.3").reshape(2, 2)
+    points = parse_floats(text, ["m"] * 4, "--edge-line", "X1,Y1,X2,Y2 in metres, such as 0.15,-0.3,0.15,0.3").reshape(2, 2)
     TableEdge.between(*points)
     return points
 
@@ -167,7 +201,8 @@ def push_to_command(
     edge_line: EdgeLineOption = None,
     overhang_mm: OverhangOption = None,
     held_mm: HeldOption = None,
-    tolerance_mm: ToleranceOption = None,
+    tolerance: ToleranceOption = None,
+    tolerance_mm: ToleranceLengthOption = None,
     tolerance_deg: ToleranceAngleOption = None,
     explore: ExploreOption = 0,
     max_pushes: MaxPushesOption = None,
@@ -183,6 +218,10 @@ def push_to_command(
     for_edge = {"--edge-line": edge_line, "--overhang-mm": overhang_mm, "--held-mm": held_mm}
     _check_edge_options(edge, for_edge, {"--x": x, "--y": y, "--path": path})
     line = None if edge_line is None else parse_edge(edge_line)
+    if tolerance is not None:
+        if tolerance_mm is not None or tolerance_deg is not None:
+            raise InputError("--tolerance was given beside --tolerance-mm or --tolerance-deg; give one of both forms.")
+        tolerance_mm, tolerance_deg = parse_tolerance(tolerance)
     poses = np.full((1, 3), np.nan) if edge else goals_of(x, y, yaw, path, spacing_mm)
     need_ros()
     follows = path is not None and spacing_mm is None

@@ -8,12 +8,17 @@ from typing import Annotated
 
 import typer
 
-from push_ident.cli.checks import at_least_zero, new_bag, parse_floats, writable_file
+from push_ident.cli.checks import at_least_zero, new_bag, writable_file
 from push_ident.cli.experiment import sim_module
 from push_ident.cli.output import console, say, write_json
+from push_ident.cli.units import in_unit, parse_floats
 from push_ident.errors import InputError
 
 _YAW_NOISE = round(math.radians(0.5), 5)
+_PositionNoiseOption = Annotated[
+    float, typer.Option(parser=in_unit("m"), callback=at_least_zero, help="Standard deviation of x and y [m].")
+]
+_YawNoiseOption = Annotated[float, typer.Option(parser=in_unit("rad"), callback=at_least_zero, help="Standard deviation of the yaw [rad].")]
 
 
 def simulate_command(
@@ -27,8 +32,8 @@ def simulate_command(
     model: Annotated[int, typer.Option(min=0, help="Ground truth of the object's masses and frictions.")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the pushes and of all noise.")] = 0,
     speed: Annotated[str, typer.Option(metavar="LOW,HIGH", help="Range of the speed of the pushes [m/s].")] = "0.1,0.2",
-    position_noise: Annotated[float, typer.Option(callback=at_least_zero, help="Standard deviation of x and y [m].")] = 0.001,
-    yaw_noise: Annotated[float, typer.Option(callback=at_least_zero, help="Standard deviation of the yaw [rad].")] = _YAW_NOISE,
+    position_noise: _PositionNoiseOption = 0.001,
+    yaw_noise: _YawNoiseOption = _YAW_NOISE,
     force_noise: Annotated[
         float, typer.Option(callback=at_least_zero, help="Standard deviation of each component of the force [N].")
     ] = 0.05,
@@ -52,7 +57,7 @@ def simulate_command(
     if out is None:
         raise InputError("--out is missing; name the new bag, such as --out out/tilted.")
     recording, pushing = sim_module("push_ident_sim.recordings.recording"), sim_module("push_ident_sim.recordings.truth")
-    low, high = parse_floats(speed, 2, "--speed", "LOW,HIGH in m/s such as 0.1,0.2").tolist()
+    low, high = parse_floats(speed, ("m/s", "m/s"), "--speed", "LOW,HIGH in m/s such as 0.1,0.2").tolist()
     settings = recording.RecordingSettings(
         object_name=object_name,
         model=model,

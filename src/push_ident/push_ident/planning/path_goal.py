@@ -194,4 +194,9 @@ def _numbers(file: Path, number: int, row: str) -> Iterable[float]:
         values = []
     if len(values) != 3 or not np.isfinite(values).all():
         raise InputError(f"Line {number} of {file} is {row[:60]!r}, expected x, y, yaw in metres and radians, such as 0.05, -0.1, 1.57.")
+    if abs(values[2]) > 2.0 * np.pi:
+        raise InputError(
+            f"Line {number} of {file} has the yaw {values[2]:g}, expected radians within one turn; {values[2]:g} degrees are "
+            f"{np.radians(values[2]):.4g} rad."
+        )
     return values

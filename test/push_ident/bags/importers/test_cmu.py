@@ -137,7 +137,7 @@ def test_icra16_takes_supports_that_the_user_knows_and_refuses_those_outside(tmp
     done = run_here(*command, tmp_path / "without")
     assert done.returncode == 0 and "--supports" in done.stdout, done.stderr
     assert json.loads((tmp_path / "r.json").read_text())["surface"] is None
-    done = run_here(*command, tmp_path / "bag", "--supports", "0.02,0.02", "0.1,0.02", "0.02,0.1")
+    done = run_here(*command, tmp_path / "bag", "--supports", "0.02,0.02", "100mm,2cm", "0.02,0.1")
     assert done.returncode == 0, done.stderr
     content = json.loads((tmp_path / "r.json").read_text())
     assert content["supports_m"] == [[0.02, 0.02], [0.1, 0.02], [0.02, 0.1]] and content["n_pushes"] == 2 and content["mass"] == 1.518
@@ -145,7 +145,11 @@ def test_icra16_takes_supports_that_the_user_knows_and_refuses_those_outside(tmp
     push, _ = split_pushes(read_bag(tmp_path / "bag"), "1")
     assert push.wrench is not None
     np.testing.assert_allclose(push.wrench.force[-1], [4.0, 0.0], atol=1e-3)
-    for wrong, reason in ((("20,20", "100,20", "20,100"), "outside the object"), (("1", "2", "3"), "three points")):
+    for wrong, reason in (
+        (("2,2", "3,2", "2,3"), "outside the object"),
+        (("20,20", "100,20", "20,100"), "20mm is 0.02 m"),
+        (("1", "2", "3"), "three points"),
+    ):
         check_refused(reason, *command, tmp_path / "other", "--supports", *wrong)
     assert not (tmp_path / "other").exists()
 

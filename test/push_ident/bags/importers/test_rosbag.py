@@ -78,7 +78,7 @@ def test_mapped_topics_become_a_bag_of_the_contract(tmp_path: Path, foreign: Pat
         (("--map", "/ft=object", "--map", "/tf#tool0=pusher"), "needs poses"),
         ((*MAP, "--pusher-frame", "1,2"), "X,Y,YAW"),
         (("--map", "/tf#tool0=pusher"), "no topic for object"),
-        ((*MAP, "--pusher-frame", "500,0,0"), "at most 100 m"),
+        ((*MAP, "--pusher-frame", "500m,0,0"), "at most 100 m"),
     ],
 )
 def test_what_a_map_gets_wrong_ends_in_one_line(

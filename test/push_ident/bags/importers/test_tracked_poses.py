@@ -47,7 +47,18 @@ def test_tables_come_back_from_the_bag(tmp_path: Path, files: TrackedPoses, push
         np.testing.assert_allclose(push.poses.pose[[0, -1], :2], record.poses.pose[[0, -1], :2], atol=2e-3)
         assert len(push.poses.time) > len(record.poses.time) / 2
         assert np.sqrt(push.poses.covariance[0, 0, 0]) == pytest.approx(2e-4, rel=0.3)
-    given = ("--object", files.poses, "--pusher", files.pusher, "--outline", files.outline, "--radius", 0.008)
+    given = (
+        "--object",
+        files.poses,
+        "--pusher",
+        files.pusher,
+        "--outline",
+        files.outline,
+        "--radius",
+        "8mm",
+        "--pusher-frame",
+        "0mm,0,0deg",
+    )
     assert run_here("import", "csv", *given, "--out", tmp_path / "other").returncode == 0  # `--object` may be the file
     assert len(split_pushes(read_bag(tmp_path / "other"), "1")) == N
 

@@ -41,6 +41,8 @@ class Prediction:
     status: SolveStatus
     ends: Float64Array = field(default_factory=lambda: np.empty((0, 3)))
     """Last pose under each of the drawn models, shape (n_draws, 3); none where the prediction failed."""
+    touched: float = np.nan
+    """Share of the drawn models, each with its first pose, under which the pusher touches the object [1]."""
 
 
 def predict(
@@ -70,7 +72,7 @@ def predict(
     draws = np.random.default_rng(0).normal(size=(n_samples, unknowns.size + 3 + n_plane))
     z_root, first_root = square_root(posterior.covariance), square_root(first_covariance)
     surface_std = noise.surface_std(unknowns.shape)
-    poses = []
+    poses, touched = [], []
     for draw in draws:
         drawn = mechanics_at(unknowns, posterior.z + z_root @ draw[: unknowns.size])
         of_push = draw[unknowns.size :]
@@ -80,6 +82,7 @@ def predict(
         motion = drawn.simulate(replace(scenario, pose_object_in_table=start), settings=settings)
         if motion.status is not SolveStatus.SIMULATION_FAILED:
             poses.append(motion.pose + moved)
+            touched.append(motion.status is not SolveStatus.NO_CONTACT)
     mean = posterior.mechanics
     centre = mean.simulate(replace(scenario, pose_object_in_table=true_pose(mean.effects, first)), settings=settings)
     if len(poses) < len(draws) // 2 or centre.status is SolveStatus.SIMULATION_FAILED:
@@ -89,7 +92,7 @@ def predict(
     travel = np.cumsum(np.linalg.norm(np.diff(np.vstack([first, centre.pose])[:, :2], axis=0), axis=1))
     covariance += np.einsum("f,i,ij->fij", travel**2, noise.model_discrepancy**2, np.eye(3))
     error_std = cell_error_std(unknowns.shape.cells, centre.pose[-1], covariance[-1])
-    return Prediction(centre.time, centre.pose, covariance, error_std, centre.status, np.array(poses)[:, -1])
+    return Prediction(centre.time, centre.pose, covariance, error_std, centre.status, np.array(poses)[:, -1], float(np.mean(touched)))
 
 
 def _settings_of(

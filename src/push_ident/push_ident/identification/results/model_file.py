@@ -132,6 +132,11 @@ def failure_of_model(path: Path) -> str:
     return status.value if status is not None and status.is_failure else ""
 
 
+def sources_of_model(path: Path) -> tuple[str, ...]:
+    """Bags and pushes that a model was fitted to. Raises ModelFileError as `load_model`."""
+    return tuple(_read(path).sources)
+
+
 def _read(path: Path) -> ModelContent:
     return read_checked(path, ModelContent, "a model file", "`push-ident identify BAG --out DIR` writes DIR/model.json")
 
