@@ -12,12 +12,15 @@ from rich.table import Column, Table
 from push_ident.cli.checks import above_zero
 from push_ident.cli.identify import (
     CameraOption,
+    DepthUnitOption,
     FrictionOption,
+    MapOption,
     NominalMassOption,
     ObjectOption,
     TotalMassOption,
     prior_of_options,
     read_camera,
+    read_options,
 )
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, progress, say, warn, write_json
 from push_ident.diagnosis.diagnose import diagnose
@@ -55,6 +58,8 @@ def diagnose_command(
     json: JsonOption = None,
     object_id: ObjectOption = "",
     camera: CameraOption = None,
+    map_: MapOption = None,
+    depth_unit: DepthUnitOption = None,
     from_camera: Annotated[
         bool, typer.Option("--from-camera", help="Poses and outline in the bags come from a camera, not from a model.")
     ] = False,
@@ -70,12 +75,13 @@ def diagnose_command(
         need("report")
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
+    options, in_table = read_options(map_, depth_unit), read_camera(camera)
     with progress() as report:
-        loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
+        loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, options=options, on_progress=report)
         reference: Sequence[PushRecord] = ()
         if against:
             # Read with those of the bags, so that it is certainly the same object with the same cells.
-            both = load_pushes([*bags, *against], object_id=loaded.object_id, camera_in_table=read_camera(camera), on_progress=report)
+            both = load_pushes([*bags, *against], object_id=loaded.object_id, camera_in_table=in_table, options=options, on_progress=report)
             reference = both.records[len(loaded.records) :]
         diagnosis = diagnose(loaded.records, settings, against=reference, on_progress=report)
     _show(diagnosis)

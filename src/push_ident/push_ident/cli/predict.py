@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from push_ident.cli.identify import CameraOption, ObjectOption, read_camera
+from push_ident.cli.identify import CameraOption, DepthUnitOption, MapOption, ObjectOption, read_camera, read_options
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, millimetres, number_table, say, warn, write_json
 from push_ident.identification.predicting.scoring import PredictedPush, compare_pushes
 from push_ident.identification.results.model_file import failure_of_model, load_model
@@ -23,10 +23,13 @@ def predict_command(
     out: OutOption = None,
     object_id: ObjectOption = "",
     camera: CameraOption = None,
+    map_: MapOption = None,
+    depth_unit: DepthUnitOption = None,
 ) -> None:
     """Predict recorded pushes with a model and compare with what was observed."""
     in_file, posterior = load_model(model)
-    loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera))
+    options = read_options(map_, depth_unit)
+    loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), options=options)
     compared = compare_pushes(posterior, loaded.records)
     rows = [_row(push) for push in compared]
     for note in loaded.notes:

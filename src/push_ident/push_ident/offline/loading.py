@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, overload
 import numpy as np
 
 from push_ident.bags.pushes import pushes_by_object, split_pushes
+from push_ident.bags.read_options import ReadOptions
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
 from push_ident.errors import BagError
 from push_ident.identification.observing.observation import observe_push, pusher_gaps
@@ -80,6 +81,7 @@ def load_pushes(
     *,
     object_id: str = "",
     camera_in_table: Float64Array | None = None,
+    options: ReadOptions | None = None,
     possible_with: Prior | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> LoadedPushes:
@@ -89,6 +91,7 @@ def load_pushes(
         paths: bags. Where one has no object poses, they are tracked in its depth images.
         object_id: the object; empty: the only one, or the one with the most pushes.
         camera_in_table: extrinsics for depth bags without them, homogeneous, shape (4, 4).
+        options: topics with other names than those of the contract, and the unit of depth images.
         possible_with: prior of the object: poses and pushes that are impossible under it are left out. None: keep all, as for a
             diagnosis.
         on_progress: called with a line of text for each step.
@@ -100,7 +103,7 @@ def load_pushes(
     notes: list[str] = []
     is_contact_measured = True
     for path in paths:
-        contents = read_bag(path)
+        contents = read_bag(path, options)
         if not contents.has_poses:
             if on_progress:
                 on_progress(f"{path.name}: no object poses; tracking the object in {contents.n_depth} depth images")

@@ -29,7 +29,7 @@ from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
 from push_ident.perception.frame.camera_info import check_image_size, intrinsics_of
-from push_ident.perception.frame.depth_image import depth_from_buffer
+from push_ident.perception.frame.depth_image import depth_from_buffer, unit_of
 from push_ident.pushing.cutter import PushInterval
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
 from push_ident_msgs.msg import PushRecord
@@ -347,7 +347,7 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
     if max_skew is not None and abs(skew) > max_skew:
         raise FrameError(f"Depth image and camera info are {skew * 1e3:.0f} ms apart, expected at most {max_skew * 1e3:.0f} ms.")
     depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), memoryview(image.data))
-    return DepthFrame(stamp, depth, intrinsics, image.header.frame_id)
+    return DepthFrame(stamp, depth, intrinsics, image.header.frame_id, unit_of(image.encoding))
 
 
 def depth_frame_to_msgs(frame: DepthFrame, stamp: Time, *, encoding: str = "16UC1") -> tuple[Image, CameraInfo]:
