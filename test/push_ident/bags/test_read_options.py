@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from push_ident.bags.opening import open_bag
 from push_ident.bags.read_options import ReadOptions, parse_topics
 from push_ident.bags.reader import read_bag, read_depth
 from push_ident.bags.writer import BagWriter
-from push_ident.errors import BagError, FrameError, InputError
+from push_ident.errors import BagError, FrameError, InputError, PerceptionError
+from push_ident.perception.frame.depth_unit import wrong_unit
 from push_ident.types import CameraIntrinsics, DepthFrame, Float64Array
 
 OTHER = CameraIntrinsics(320, 240, 500.0, 500.0, 100.0, 100.0)
@@ -175,3 +177,40 @@ def test_roles_and_units_that_are_none_are_refused(tmp_path: Path) -> None:
     for command in ("identify", "diagnose", "look"):
         check_refused("TOPIC=ROLE", command, tmp_path, "--map", "depth")
         check_refused("twice", command, tmp_path, "--map", "a=depth", "--map", "a=pusher")
+
+
+@pytest.mark.parametrize(
+    ("encoding", "unit", "words"),
+    [
+        ("16UC1", 1e-4, "10.0 times too large: its unit is 0.1 mm"),
+        ("16UC1", 2.5e-4, "4.0 times too large: its unit is 0.25 mm"),
+        ("16UC1", 1e-2, "10.0 times too small: its unit is 10 mm"),
+        ("32FC1", 1e-3, "1000.0 times too large: its unit is 1 mm"),
+    ],
+)
+def test_another_unit_of_the_depth_is_named_and_mended(tmp_path: Path, frame: DepthFrame, encoding: str, unit: float, words: str) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_extrinsics(1.0, CAMERA)
+        write_info(writer, "/depth/camera_info", SMALL)
+        write_push(writer, 2.0, poses=False)
+        for number in range(2):
+            write_image(writer, "/depth/image_rect", frame.depth, encoding=encoding, unit=unit, stamp=2.0 + number / 30)
+    wrong = run_here("look", tmp_path / "bag", "--out", tmp_path)
+    assert words in wrong.stderr and f"--depth-unit {unit:g}" in wrong.stderr, wrong.stderr
+    check_refused(f"{words}; `push-ident identify`", "diagnose", tmp_path / "bag")
+    with pytest.raises(PerceptionError, match=f"--depth-unit {unit:g}"):
+        pi.load(tmp_path / "bag")
+    done = run_here("look", tmp_path / "bag", "--depth-unit", unit, "--out", tmp_path)
+    assert done.returncode == 0 and "o1: 20" in done.stdout and "corrects the given pose" in done.stderr, done.stderr
+    (first, _) = read_bag(tmp_path / "bag", ReadOptions(depth_unit=unit)).depth_frames()
+    np.testing.assert_allclose(first.depth, frame.depth, atol=0.51 * min(unit, 1e-2))
+
+
+def test_a_camera_in_another_place_is_no_other_unit(frame: DepthFrame) -> None:
+    millimetres = replace(frame, unit=1e-3)
+    assert wrong_unit(millimetres, CAMERA) is None
+    for higher in (0.1, 0.35, -0.4, 0.85):
+        moved = CAMERA.copy()
+        moved[2, 3] += higher
+        assert wrong_unit(millimetres, moved) is None
+    assert wrong_unit(replace(millimetres, depth=np.full_like(frame.depth, np.nan)), CAMERA) is None

@@ -13,7 +13,7 @@ import numpy as np
 from push_ident.bags.pushes import pushes_by_object, split_pushes
 from push_ident.bags.read_options import ReadOptions
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
-from push_ident.errors import BagError
+from push_ident.errors import BagError, PerceptionError
 from push_ident.identification.observing.observation import observe_push, pusher_gaps
 from push_ident.identification.predicting.possible_poses import check_poses, why_no_object_ends_there
 from push_ident.identification.results.posterior import prior_posterior
@@ -162,6 +162,7 @@ def touching_radius(records: Sequence[PushRecord]) -> float:
 def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None = None) -> BagContents:
     """The same bag with objects detected and tracked in its depth images."""
     # Bags of poses need none of this, and it takes half a second to import.
+    from push_ident.perception.frame.depth_unit import wrong_unit
     from push_ident.perception.frame.robot import Cylinder
     from push_ident.perception.recording import observe_offline
     from push_ident.perception.settings import PerceptionSettings
@@ -184,7 +185,14 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
 
     settings = PerceptionSettings()
     accuracy = contents.camera_accuracy or settings.camera_accuracy
-    tracked = observe_offline(contents.depth_frames(), camera, robot_at=robot_at, settings=replace(settings, camera_accuracy=accuracy))
+    settings = replace(settings, camera_accuracy=accuracy)
+    try:
+        tracked = observe_offline(contents.depth_frames(), camera, robot_at=robot_at, settings=settings)
+    except PerceptionError as error:
+        if (wrong := wrong_unit(next(contents.depth_frames()), camera)) is None:
+            raise PerceptionError(f"{contents.path}: {error}") from None
+        remedy = f"`push-ident identify`, `predict` and `diagnose` take it as --depth-unit {wrong.unit:g}"
+        raise PerceptionError(f"{contents.path}: {wrong}; {remedy}.") from None
     objects = {
         object_id: ObjectTrack(shape=shape, time=track.time, pose=track.pose, covariance=track.covariance)
         for object_id, (shape, track) in tracked.items()
