@@ -44,10 +44,21 @@ PageOption = Annotated[
 ]
 
 
-LengthUnit = Literal["m", "mm"]
+LengthUnit = Literal["m", "cm", "mm", "in"]
 AngleUnit = Literal["rad", "deg"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
-_SI = {"m": 1.0, "mm": 1e-3, "rad": 1.0, "deg": float(np.pi / 180.0), "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_SI = {
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "in": 0.0254,
+    "rad": 1.0,
+    "deg": float(np.pi / 180.0),
+    "s": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
+}
 """Metres, radians or seconds of each of these units."""
 PositionStdOption = Annotated[
     float | None,
@@ -83,6 +94,7 @@ TimeUnitOption = Annotated[TimeUnit, typer.Option(help="Unit of time in columns 
 PosesArgument = Annotated[
     Path | None, typer.Argument(metavar="POSES", help="Table time,x,y,yaw or time,x,y,z,qx,qy,qz,qw of the object.", show_default=False)
 ]
+PusherLengthUnitOption = Annotated[LengthUnit | None, typer.Option(help="Of the pusher, if it has another.", show_default=False)]
 OutlineUnitOption = Annotated[LengthUnit | None, typer.Option(help="Unit of the outline, if it has another.", show_default=False)]
 AxesOption = Annotated[
     str, typer.Option(metavar="A,B,C", help="Axes of the poses that are x, y and z of the table; of a file with y up x,-z,y.")
@@ -236,7 +248,7 @@ def csv_command(
     columns: ColumnsOption = "",
     pusher_columns: PusherColumnsOption = "",
     length_unit: Annotated[LengthUnit, typer.Option(help="Unit of lengths in columns whose names say none.")] = "m",
-    pusher_length_unit: Annotated[LengthUnit | None, typer.Option(help="Of the pusher, if it has another.", show_default=False)] = None,
+    pusher_length_unit: PusherLengthUnitOption = None,
     outline_length_unit: OutlineUnitOption = None,
     angle_unit: Annotated[AngleUnit, typer.Option(help="Unit of yaw in columns whose names say none.")] = "rad",
     time_unit: TimeUnitOption = "s",
@@ -295,7 +307,15 @@ def rosbag_command(
     radius: RadiusOption,
     out: BagOption,
     object_id: Annotated[str, typer.Option("--object", metavar="ID", help="Id of the object in the new bag.")] = "1",
+    length_unit: Annotated[LengthUnit, typer.Option(help="Unit of positions of the object and the pusher.")] = "m",
+    pusher_length_unit: PusherLengthUnitOption = None,
     outline_length_unit: Annotated[LengthUnit, typer.Option(help="Unit of the outline.")] = "m",
+    frame: Annotated[
+        str,
+        typer.Option(
+            help="Frame of /tf with z up to which all is brought. Default: the nearest above object and pusher.", show_default=False
+        ),
+    ] = "",
     axes: AxesOption = "x,y,z",
     pusher_axes: PusherAxesOption = "x,y,z",
     log_time: Annotated[bool, typer.Option("--log-time", help="Take the times of recording, not the stamps.")] = False,
@@ -327,6 +347,8 @@ def rosbag_command(
         topics=parse_map(map_),
         outline=outline,
         options=options,
+        length=_SI[length_unit],
+        pusher_length=None if pusher_length_unit is None else _SI[pusher_length_unit],
         outline_length=_SI[outline_length_unit],
         cell_size=cell_size,
         axes=parse_axes(axes, "--axes"),
@@ -334,6 +356,7 @@ def rosbag_command(
         log_time=log_time,
         wrench_axes=parse_axes(wrench_axes, "--wrench-axes") if wrench_axes else None,
         wrench_on_sensor=wrench_on_sensor,
+        frame=frame.strip("/"),
     )
     run_import(lambda: import_rosbag(source, out), out, bag.name, page, json)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +74,8 @@ class Recording:
     names: tuple[str, str] = ("poses", "pusher")
     """Of poses and pusher, for messages."""
     notes: tuple[str, ...] = ()
+    unit_options: frozenset[str] = frozenset()
+    """Of `--angle-unit` and `--time-unit`, those that mean something for these files."""
 
 
 _Push = tuple[Float64Array, Contact]
@@ -99,22 +101,24 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
     position_std, yaw_std = _noise(poses, runs, recording.names[0], options, notes)
     covariance = pose_covariance(position_std, yaw_std)
     tolerance = contact_tolerance(shape, position_std=position_std, yaw_std=yaw_std)
-    streams = Streams(poses, runs, shape, options.radius, tolerance)
+    streams = Streams(poses, runs, shape, options.radius, tolerance, "--angle-unit" in recording.unit_options)
     spans = _pushes(streams)
     if numbers is None:
         spans = _with_contact(spans, tolerance, notes)
     if not spans:
         overlap = overlap_of(streams)
+        span = 1e3 * float(np.ptp(pusher[:, 1:3], axis=0).max())
+        remedy = overlap.remedy() if runs else f"all it spans is {span:.2g} mm: are lengths in metres, and was another --length-unit given?"
         raise OverlapError(
             f"{recording.names[1]}: no push in it: in none of {len(runs)} motions the pusher comes within {1e3 * tolerance:.1f} mm of the "
-            f"object; {overlap.remedy()}",
+            f"object; {remedy}",
             overlap,
         )
     LIMITS.PUSHES.check(len(spans), recording.names[1], error=BagError, remedy="Split the recording.")
     _write(out_bag, options, streams, force, spans, covariance)
     contacts = [contact for _, contact in spans]
     warnings = contact_warnings(contacts, tolerance)
-    overlap = overlap_of(Streams(poses, [run for run, _ in spans], shape, options.radius, tolerance))
+    overlap = overlap_of(replace(streams, runs=[run for run, _ in spans]))
     if warnings or not overlap.fits:
         warnings = (*warnings, overlap.explanation())
     return ImportReport(
@@ -197,15 +201,18 @@ def _on_one_clock(recording: Recording, options: RecordingOptions) -> tuple[Floa
     poses, pusher, force = recording.poses.copy(), recording.pusher.copy(), recording.force.copy()
     pusher[:, 1:3] = moved_by(options.pusher_frame, pusher[:, 1:3])
     force[:, 1:] = moved_by(options.pusher_frame, force[:, 1:], turn_only=True)
-    for rows, name in ((poses[:, 1:3], recording.names[0]), (pusher[:, 1:], recording.names[1])):
-        largest = float(np.abs(rows).max())
-        LIMITS.COORDINATE.check(largest, name, error=BagError, remedy="Are lengths in millimetres? Then give their unit, as mm.")
+    lengths = (poses[:, 1:3], recording.names[0], "--length-unit"), (pusher[:, 1:], recording.names[1], "--pusher-length-unit")
+    for rows, name, option in lengths:
+        remedy = f"Are lengths in millimetres or centimetres? Then give {option} mm or cm."
+        LIMITS.COORDINATE.check(float(np.abs(rows).max()), name, error=BagError, remedy=remedy)
     for rows in (pusher, force):
         rows[:, 0] += options.time_offset
     streams = [rows for rows in (poses, pusher, force) if len(rows)]
     first, last = min(float(rows[0, 0]) for rows in streams), max(float(rows[-1, 0]) for rows in streams)
     shift = max(0.0, FIRST_STAMP - first)
-    LIMITS.STAMP.check(last + shift, recording.names[0], error=BagError, remedy="Is time in milliseconds? Then give --time-unit ms.")
+    is_table = "--time-unit" in recording.unit_options
+    remedy = "Is time in milliseconds? Then give --time-unit ms." if is_table else "Take the times of recording: --log-time."
+    LIMITS.STAMP.check(last + shift, recording.names[0], error=BagError, remedy=remedy)
     if poses[-1, 0] < pusher[0, 0] or pusher[-1, 0] < poses[0, 0]:
         of_poses, of_pusher = (f"{rows[0, 0]:.10g} to {rows[-1, 0]:.10g} s" for rows in (poses, pusher))
         raise BagError(

@@ -1,4 +1,4 @@
-"""Whether depths came in another unit than they were taken for: the table is then seen at a multiple of its depth by the pose of the camera."""
+"""Whether depths came in another unit than they were taken for: the table is then seen at a multiple of its depth by the camera pose."""
 
 from __future__ import annotations
 
