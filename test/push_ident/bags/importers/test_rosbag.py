@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from helpers.bags import header_msg, new, pose_msg, write_raw
 from helpers.commands import check_refused, run_here
 from helpers.recordings import table_file
+from push_ident.bags.importers.recording import without_lost
 from push_ident.bags.importers.rosbag import parse_map
 from push_ident.bags.opening import open_bag
 from push_ident.bags.pushes import split_pushes
@@ -348,3 +349,23 @@ def test_transforms_that_go_round_in_a_circle_or_are_of_another_time_are_refused
                 write(writer, "/tf", "tf2_msgs/msg/TFMessage", stamp, [one])
         reason = "round in a circle" if name == "circle" else "are of other times"
         check_refused(reason, *arguments(tmp_path / name, tmp_path, pushed, *IN_TF))
+
+
+@pytest.mark.parametrize("turn", [(), (0.0, 0.0, 0.0, 1.0)])
+def test_a_lost_pusher_is_told_from_one_that_is_moved_afar_in_a_pause_or_passes_the_origin(turn: tuple[float, ...]) -> None:
+    rng, dt = np.random.default_rng(0), 0.01
+    time = np.concatenate([k * 5.0 + dt * np.arange(100) for k in range(4)])
+    along = np.tile(np.linspace(-0.05, 0.05, 100), 4)
+    across = np.repeat([0.1, -0.2, 0.3, 0.0], 100)  # in the pauses it goes farther than to the origin
+    rows = np.column_stack([time, along, across, np.full(400, 0.01), np.tile(turn, (400, 1))])
+    rows[:, 1:3] += rng.normal(scale=1e-4, size=(400, 2))
+    lost = rows.copy()
+    at = np.r_[20:25, 130, 180:199, 260]
+    lost[at, 1:4] = 0.0
+    notes: list[str] = []
+    found = without_lost(lost, "/tool", notes)
+    assert np.flatnonzero(np.isnan(found[:, 1])).tolist() == at.tolist() and len(notes) == 1
+    passing = rows.copy()
+    passing[:, 3] = 0.0
+    passing[349, 1:3] = 0.0  # on its path
+    assert not np.isnan(without_lost(passing, "/tool", notes)).any()

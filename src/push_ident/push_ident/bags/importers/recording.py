@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from push_ident.types import BoolArray, Float64Array, ObjectShape
 
 _LEAST_POSITION_STD, _LEAST_YAW_STD = 1e-4, float(np.radians(0.05))
 """Least standard deviations that are taken from the scatter at rest: the error that all poses share does not scatter."""
+_JUMP: Final = 3.0
+"""Speed of a jump to where a lost body is put, over the 0.99 quantile of all other speeds [-]."""
 
 
 class OverlapError(BagError):
@@ -141,7 +144,7 @@ def without_lost(rows: Float64Array, what: str, notes: list[str]) -> Float64Arra
     """Rows with time [s] first and a position next, shape (n, n_columns), with NaN where tracking was lost.
 
     Trackers write a lost body as zeros: all of a quaternion, the last four of eight columns, or the position without any turn. A body may
-    be at the origin: it is lost there where it gets there by a larger step than it makes anywhere else.
+    be at the origin: it is lost there where it gets there and leaves by jumps, several times as fast as it is elsewhere.
     """
     values = rows[:, 1:]
     has_turn = values.shape[1] == 7
@@ -151,10 +154,15 @@ def without_lost(rows: Float64Array, what: str, notes: list[str]) -> Float64Arra
         at_origin = at_origin & (np.abs(values[:, 6]) == 1.0)
     position = values[:, : 3 if has_turn else 2]
     is_usable = ~is_lost & (np.abs(position) < LIMITS.COORDINATE.value).all(axis=1)
-    step = np.linalg.norm(np.diff(position[is_usable], axis=0), axis=1)
+    time = np.diff(rows[is_usable, 0])
+    period = float(np.median(time)) if len(time) else 0.0
     leaves = np.diff(at_origin[is_usable].astype(np.int8)) != 0
-    if leaves.any() and np.min(step[leaves]) > np.max(step[~leaves], initial=0.0):
-        is_lost = np.asarray(is_lost | at_origin)
+    elsewhere = ~leaves & ~at_origin[is_usable][1:]
+    if leaves.any() and elsewhere.any() and period > 0:
+        # Stamps jitter; over a pause a body may go far.
+        speed = np.linalg.norm(np.diff(position[is_usable], axis=0), axis=1) / np.maximum(time, period)
+        if np.median(speed[leaves]) > _JUMP * np.quantile(speed[elsewhere], 0.99):
+            is_lost = np.asarray(is_lost | at_origin)
     if is_lost.all() or not is_lost.any():
         return rows
     notes.append(f"{what.rsplit('/', 1)[-1]}: tracking was lost in {int(is_lost.sum())} of {len(rows)} rows, which are zero")

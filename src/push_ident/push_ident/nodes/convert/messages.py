@@ -31,6 +31,7 @@ from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_
 from push_ident.perception.frame.camera_info import check_image_size, intrinsics_of
 from push_ident.perception.frame.depth_image import depth_from_buffer, unit_of
 from push_ident.pushing.cutter import PushInterval
+from push_ident.pushing.state_intake import no_positions
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
 from push_ident_msgs.msg import PushRecord
 
@@ -296,7 +297,7 @@ def joints_from_msg(msg: JointState) -> tuple[float, dict[str, float]]:
     if len(msg.position) != len(msg.name) or len(position) != len(msg.name):
         raise InputError(f"Joint states have {len(msg.position)} positions for joints {names}; expected one each, each name once.")
     if missing := [name for name, value in position.items() if not math.isfinite(value)]:
-        raise InputError(f"Joint states have no finite position of {plain_text(', '.join(missing))}; check the arm's driver.")
+        raise InputError(f"Joint states: {no_positions(missing)}.")
     return stamp_from_msg(msg.header.stamp), position
 
 
