@@ -110,6 +110,19 @@ PusherFrameOption = Annotated[
     str,
     typer.Option(metavar="X,Y,YAW", help="Where the frame of the pusher lies in that of the poses [m, m, rad].", show_default=False),
 ]
+RosbagMapOption = Annotated[
+    list[str],
+    typer.Option(
+        "--map",
+        metavar="TOPIC=ROLE",
+        help="What a topic holds: object (poses), pusher (poses of the tip), wrench (force on the object). Transforms as /tf#FRAME.",
+        show_default=False,
+    ),
+]
+FrameOption = Annotated[
+    str,
+    typer.Option(help="Frame of /tf with z up to which all is brought. Default: the nearest above object and pusher.", show_default=False),
+]
 LiftedOption = Annotated[
     float | None,
     typer.Option("--lifted-above", callback=finite, help="Height z of the pusher above which it is lifted [m].", show_default=False),
@@ -276,8 +289,10 @@ def csv_command(
         radius=radius,
         wrench=wrench,
         object_id=object_ if poses is not None and object_ else "1",
-        pose_format=TableFormat(parse_columns(columns, POSE_ROLES, "--columns"), **pose_units),
-        pusher_format=TableFormat(parse_columns(pusher_columns, PUSHER_ROLES, "--pusher-columns"), **pusher_units),
+        pose_format=TableFormat(parse_columns(columns, POSE_ROLES, "--columns"), option="--columns", **pose_units),
+        pusher_format=TableFormat(
+            parse_columns(pusher_columns, PUSHER_ROLES, "--pusher-columns"), option="--pusher-columns", **pusher_units
+        ),
         outline_length=_SI[outline_length_unit or length_unit],
         axes=parse_axes(axes, "--axes"),
         pusher_axes=parse_axes(pusher_axes, "--pusher-axes"),
@@ -294,15 +309,7 @@ def csv_command(
 @import_app.command("rosbag")
 def rosbag_command(
     bag: Annotated[Path, typer.Argument(metavar="BAG", help="The recording, of ROS 1 or ROS 2.", show_default=False)],
-    map_: Annotated[
-        list[str],
-        typer.Option(
-            "--map",
-            metavar="TOPIC=ROLE",
-            help="What a topic holds: object (poses), pusher (poses of the tip), wrench (force on the object). Transforms as /tf#FRAME.",
-            show_default=False,
-        ),
-    ],
+    map_: RosbagMapOption,
     outline: TableOption,
     radius: RadiusOption,
     out: BagOption,
@@ -310,12 +317,7 @@ def rosbag_command(
     length_unit: Annotated[LengthUnit, typer.Option(help="Unit of positions of the object and the pusher.")] = "m",
     pusher_length_unit: PusherLengthUnitOption = None,
     outline_length_unit: Annotated[LengthUnit, typer.Option(help="Unit of the outline.")] = "m",
-    frame: Annotated[
-        str,
-        typer.Option(
-            help="Frame of /tf with z up to which all is brought. Default: the nearest above object and pusher.", show_default=False
-        ),
-    ] = "",
+    frame: FrameOption = "",
     axes: AxesOption = "x,y,z",
     pusher_axes: PusherAxesOption = "x,y,z",
     log_time: Annotated[bool, typer.Option("--log-time", help="Take the times of recording, not the stamps.")] = False,

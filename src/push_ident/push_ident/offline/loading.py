@@ -170,7 +170,8 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
     camera = contents.camera_in_table if contents.camera_in_table is not None else camera_in_table
     if camera is None:
         raise BagError(
-            f"{contents.path}: depth images without the pose of the camera; record /tf_static (`table` -> camera), or give --camera FILE."
+            f"{contents.path}: depth images without the pose of the camera; record /tf_static (`table` -> camera), or give "
+            "`push-ident identify`, `predict` or `diagnose` its pose with --camera FILE."
         )
     pusher, radius = contents.pusher, contents.pusher_radius or 0.0
     max_age = 0.1  # [s] between a depth image and the pose that places the pusher in it

@@ -130,7 +130,7 @@ def _rows(table: Table, roles: tuple[str, ...], form: TableFormat, notes: list[s
 
     A row in which tracking was lost is empty. Of the column `push` a cell may be empty.
     """
-    rows = np.column_stack([form.factor(table, role) * table.column(role, form.columns) for role in roles])
+    rows = np.column_stack([form.factor(table, role) * table.column(role, form.columns, form.option) for role in roles])
     if is_pose:
         rows = without_lost(rows, str(table.file), notes)
     return without_gaps(rows, [role != "push" for role in roles], [f"line {line}" for line in table.lines], str(table.file), notes)
