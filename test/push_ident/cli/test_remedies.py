@@ -35,11 +35,9 @@ PRINTED_BY = {
 }
 """Commands by the module whose texts they print, outside `cli`."""
 SHARED = {
-    "checks": (),
     "overrides": ("up",),
     "robot": ("up", "replay"),
     "robot_doctor": ("doctor",),
-    "supervisor": ("up",),
     "live_view": ("up",),
     "output": ("identify",),
 }
