@@ -85,18 +85,22 @@ def map_hint(bag: OpenBag, missing: Sequence[Role], options: ReadOptions) -> str
     """How to name topics of an open bag for roles that are missing, or what to record."""
     wanted = [Role.DEPTH, *missing] if Role.POSE in missing else list(missing)
     free = [topic for topic in _each_once(bag) if not options.role_of(topic.topic)]
-    maps, without = [], []
+    maps: dict[Role, list[str]] = {}
+    without = []
     for role in wanted:
+        # Depth images may stand for poses.
+        named = maps.setdefault(Role.POSE if role is Role.DEPTH else role, [])
         fitting = [topic for topic in free if topic.msgtype in message_types(role) and (role is not Role.DEPTH or _is_depth(bag, topic))]
         without += [role.name.lower()] if not fitting and role in missing and role is not Role.POSE else []
         for topic in fitting[:4]:
             name = plain_text(topic.topic)
-            maps.append(f"--map {name}={role.name.lower()}{':ID' if role in OBJECT_ROLES else ''}")
+            named.append(f"--map {name}={role.name.lower()}{':ID' if role in OBJECT_ROLES else ''}")
             if role is Role.DEPTH and not _has_camera_info(bag, topic.topic, options):
-                maps[-1] += "".join(f" --map {plain_text(info)}=camera_info" for info in _nearest(topic.topic, _camera_infos(free))[:1])
-    if maps:
+                named[-1] += "".join(f" --map {plain_text(info)}=camera_info" for info in _nearest(topic.topic, _camera_infos(free))[:1])
+    if any(maps.values()):
+        listed = ", and ".join(" or ".join(named) for named in maps.values() if named)
         lacking = f" There is none for {' and '.join(without)}: record it." if without else ""
-        return f"{MAPPING} another topic as {', or '.join(maps)}.{lacking}"
+        return f"{MAPPING} other topics as {listed}.{lacking}"
     if any(topic.msgtype.rpartition("/")[2] in _POSES for topic in free) and {Role.POSE, Role.PUSHER} & set(missing):
         return "`push-ident import rosbag` converts poses of other topics and types, with the outline of the object."
     if Role.CAMERA_INFO in missing:
