@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import push_ident as pi
-from helpers.bags import header_msg, new, write_push, write_raw
+from helpers.bags import header_msg, new, pose_msg, write_push, write_raw
 from helpers.commands import check_refused, run_here
 from helpers.depth_scene import CAMERA, SMALL, box, render
 from push_ident.bags.contract import Role, TopicRole
@@ -214,3 +214,24 @@ def test_a_camera_in_another_place_is_no_other_unit(frame: DepthFrame) -> None:
         moved[2, 3] += higher
         assert wrong_unit(millimetres, moved) is None
     assert wrong_unit(replace(millimetres, depth=np.full_like(frame.depth, np.nan)), CAMERA) is None
+
+
+def test_a_pusher_in_another_frame_than_the_camera_is_noted(tmp_path: Path, frame: DepthFrame) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_extrinsics(1.0, CAMERA)
+        write_info(writer, "/depth/camera_info", SMALL)
+        write_image(writer, "/depth/image_rect", frame.depth)
+        write_raw(writer, Role.PUSHER.msgtype, "/tool", 2 * 10**9, header_msg(2.0, "base_link"), pose_msg())
+    notes = read_bag(tmp_path / "bag", ReadOptions(parse_topics({"/tool": "pusher"}))).notes
+    assert any("in 'base_link', the camera in 'table'" in note for note in notes), notes
+
+
+def test_of_two_cameras_the_one_that_is_mapped_has_its_own_camera_info(tmp_path: Path, frame: DepthFrame) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        for name, camera in (("left", OTHER), ("right", SMALL)):
+            write_image(writer, f"/{name}/depth/image_rect", frame.depth)
+            write_info(writer, f"/{name}/depth/camera_info", camera)
+    with pytest.raises(BagError, match=r"--map /left/depth/image_rect=depth"):
+        read_depth(tmp_path / "bag")
+    (seen,) = read_depth(tmp_path / "bag", ReadOptions(parse_topics({"/right/depth/image_rect": "depth"}))).frames()
+    assert seen.intrinsics == SMALL

@@ -190,6 +190,10 @@ def _contents(
     if missing:
         _fail_for_missing(bag, missing, options)
     _check_frames(path, recorded)
+    camera_in_table = _camera_in_table(recorded, camera_frame, notes)
+    other = next((frame for frame in recorded[TopicRole(Role.PUSHER)].frames if frame.strip("/") not in ("", TABLE_FRAME)), "")
+    if camera_in_table is not None and n_depth and other:
+        notes.append(f"the pusher is in {plain_text(other)!r}, the camera in {TABLE_FRAME!r}: they are taken for one frame.")
     origin = min(int(stamps[0]) for stamps, _ in samples.values() if len(stamps))
     wrench = samples.get(TopicRole(Role.WRENCH), _NOTHING)
     return BagContents(
@@ -200,7 +204,7 @@ def _contents(
         pusher_radius=_pusher_radius(path, recorded, notes),
         wrench=_samples(wrench, origin) if len(wrench[0]) else None,
         push_intervals=_push_intervals(recorded, origin, notes),
-        camera_in_table=_camera_in_table(recorded, camera_frame, notes),
+        camera_in_table=camera_in_table,
         camera_accuracy=_camera_accuracy(recorded, notes),
         n_depth=n_depth,
         topics=bag.counts(),
@@ -337,7 +341,7 @@ def _check_frames(path: Path, recorded: dict[TopicRole, _Recorded]) -> None:
     frames.pop("", None)
     if len(frames) > 1:
         listed = ", ".join(f"`{topic}` in {frame!r}" for frame, topic in sorted(frames.items()))
-        raise BagError(f"{path}: {listed}; expected all in {TABLE_FRAME!r}. Transform them before recording.")
+        raise BagError(f"{path}: {listed}; expected all in {TABLE_FRAME!r}. `push-ident import rosbag` brings poses to one frame.")
 
 
 def _object_track(
