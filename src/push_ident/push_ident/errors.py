@@ -15,6 +15,10 @@ class BagError(PushIdentError):
     """A bag cannot be read, or lacks something that the bag contract requires."""
 
 
+class ContentError(BagError):
+    """A bag that is whole holds something that cannot be used: recording or recovering it again does not help."""
+
+
 class ModelFileError(PushIdentError):
     """A model file cannot be read or was not written by this package."""
 

@@ -91,6 +91,8 @@ class DepthFrame:
     """Depth along the optical axis [m], shape (height, width); NaN where nothing was measured."""
     intrinsics: CameraIntrinsics
     frame_id: str = "camera_depth_optical_frame"
+    unit: float = 1.0
+    """Length that a unit of the image was taken for [m]: 0.001 where it came in millimetres."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -149,6 +150,8 @@ def test_running_arm_and_camera_are_compared_with_the_file_and_a_controller_that
         well = {("arm", Level.OK), ("camera", Level.OK)}
         await_findings(robot, lambda findings: {(finding.about, finding.level) for finding in findings} == well)
         await_findings(deaf, lambda findings: are_wrong(findings, ("nobody listens to /another/joint_trajectory",)))
+        driver.joints = JointState(name=driver.joints.name, position=[math.nan] * len(driver.joints.name))
+        await_findings(robot, lambda findings: are_wrong(findings, ("the driver has no data of the arm yet", "shoulder_pan_joint")))
         driver.joints = JointState(name=["A1", "A2"], position=[0.0, 0.0])
         driver.frame = "camera_link"
         joints = ("no joint shoulder_pan_joint", "it has A1, A2")

@@ -24,7 +24,7 @@ from std_msgs.msg import String
 
 from helpers.executor_cell import wait_for
 from helpers.spinning import BareNode, spinning
-from push_ident.errors import InputError
+from push_ident.errors import InputError, PlanningError
 from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.messages import force_to_msg
@@ -207,3 +207,18 @@ def test_one_executor_has_the_arm_and_a_killed_one_leaves_it_free(context: Conte
         holder.kill()
         holder.communicate()
     ArmLease(7, "/arm").release()
+
+
+def test_states_without_numbers_say_that_the_driver_has_no_arm_yet(arm: Arm, driver: Node, listener: BareNode) -> None:
+    arm.describe()
+    states = driver.create_publisher(JointState, "joint_states", qos_profile_sensor_data)
+
+    def is_named() -> bool:
+        states.publish(JointState(name=list(JOINT_NAMES), position=[math.nan] * len(JOINT_NAMES)))
+        return "are not numbers (NaN)" in arm.port.why_silent
+
+    wait_for(is_named)
+    assert arm.port.n_dropped and listener.guard.refused
+    with pytest.raises(PlanningError, match="the driver has no data of the arm yet"):
+        arm.port.fresh_state(0.5)
+    arm.until(lambda: arm.port.state is not None and not arm.port.why_silent)

@@ -11,7 +11,7 @@ from push_ident.errors import InputError
 from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.arm_motion import nearest_on_path
 from push_ident.pushing.hand import HandState
-from push_ident.pushing.state_intake import StateCheck
+from push_ident.pushing.state_intake import StateCheck, no_positions
 
 # --- which states are believed
 
@@ -125,3 +125,9 @@ FIST = HandState(activated=True, mode=0, going=True, readiness=3, motion=2, faul
 def test_hand_is_a_fist_only_when_closed_still_and_without_fault(change: dict[str, int], text: str) -> None:
     reason = replace(FIST, **change).why_no_fist
     assert text in reason and bool(reason) == bool(text)
+
+
+def test_joints_without_numbers_are_told_from_joints_with_other_names() -> None:
+    text = no_positions(["elbow", "wrist\n1"])
+    assert text.startswith("positions are not numbers (NaN): the driver has no data of the arm yet") and "elbow, wrist" in text
+    assert "\n" not in text and "names" not in text

@@ -11,7 +11,7 @@ Everything that can go wrong with data raises a `PushIdentError` of one line; a 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import wraps
 from os import PathLike
@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeAlias, TypeVar, ove
 import numpy as np
 from numpy.typing import ArrayLike
 
+from push_ident.bags.read_options import ReadOptions, parse_topics
 from push_ident.diagnosis.diagnose import diagnose as _diagnose
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
@@ -74,25 +75,35 @@ def in_one_thread(call: Callable[_P, _R]) -> Callable[_P, _R]:
     return called
 
 
-def load(*bags: str | PathLike[str], object_id: str = "", camera_in_table: ArrayLike | None = None) -> LoadedPushes:
+def load(
+    *bags: str | PathLike[str],
+    object_id: str = "",
+    camera_in_table: ArrayLike | None = None,
+    topics: Mapping[str, str] | None = None,
+    depth_unit: float | None = None,
+) -> LoadedPushes:
     """Read the pushes of one object from bags of the contract; where a bag has no poses, the object is tracked in its depth images.
 
     Args:
         bags: folders, `.mcap`, `.db3` or ROS 1 `.bag` files, in the order of the pushes.
         object_id: the object; empty: the one with the most pushes.
         camera_in_table: pose of the depth camera in `table`, homogeneous, shape (4, 4), for depth bags without `tf_static`.
+        topics: role of topics with other names than those of the contract, as `{"/camera/depth/image_raw": "depth"}`; of an object with its
+            id, as `"pose:hammer"`.
+        depth_unit: metres per unit of a depth image, where its encoding does not say it: 0.00025 for quarters of a millimetre.
 
     Returns:
         A sequence of `PushRecord`; a slice of it is again such a sequence. `notes` says what was missing, dropped or assumed.
 
     Raises:
         BagError: a bag cannot be read, lacks what is needed, or has another object than the others.
-        InputError: no bag is named.
+        InputError: no bag is named, or a role or a unit is none.
     """
     if not bags:
         raise InputError("load() needs the path of a bag; there is an example in bags/hammer_depth.")
     camera = None if camera_in_table is None else np.asarray(camera_in_table, dtype=np.float64)
-    return load_pushes([Path(bag) for bag in bags], object_id=object_id, camera_in_table=camera)
+    options = ReadOptions(parse_topics(topics or {}), depth_unit)
+    return load_pushes([Path(bag) for bag in bags], object_id=object_id, camera_in_table=camera, options=options)
 
 
 @in_one_thread

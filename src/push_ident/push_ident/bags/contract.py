@@ -9,7 +9,7 @@ from typing import Final
 
 from push_ident.limits import LIMITS, Limit
 
-_LARGE: Final = frozenset({"sensor_msgs/msg/Image", "nav_msgs/msg/OccupancyGrid"})
+_LARGE: Final = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "nav_msgs/msg/OccupancyGrid"})
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,12 +6,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from push_ident.errors import BagError
+from push_ident.errors import BagError, ContentError
 from push_ident.geometry.outline import polygon_area
 from push_ident.geometry.se2 import transform_points, yaw_of_quaternion
 from push_ident.limits import LIMITS, check_coordinates
 from push_ident.perception.frame.camera_info import check_image_size
-from push_ident.perception.frame.depth_image import depth_from_buffer
+from push_ident.perception.frame.depth_image import depth_from_buffer, unit_of
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array
 
 DEFAULT_COVARIANCE: Final = np.diag([1e-3**2, 1e-3**2, np.radians(0.5) ** 2])
@@ -116,7 +116,7 @@ def cylinder_radius_of(primitive: Any) -> float | None:
 
 
 def homogeneous_of(transform: Any) -> Float64Array:
-    """Homogeneous matrix, shape (4, 4), of a geometry_msgs/Transform. Raises BagError where it is no rigid motion."""
+    """Homogeneous matrix, shape (4, 4), of a geometry_msgs/Transform. Raises ContentError where it is no rigid motion."""
     from scipy.spatial.transform import Rotation
 
     turn, shift = transform.rotation, transform.translation
@@ -124,15 +124,29 @@ def homogeneous_of(transform: Any) -> Float64Array:
     matrix = np.eye(4)
     matrix[:3, 3] = (shift.x, shift.y, shift.z)
     if not (np.isfinite(matrix).all() and np.isfinite(quaternion).all() and np.linalg.norm(quaternion) > 1e-3):
-        raise BagError(f"static transform has quaternion {quaternion} and translation {matrix[:3, 3]}, expected a finite rigid motion.")
-    check_coordinates(matrix[:3, 3], "static transform", error=BagError)
+        raise ContentError(f"static transform has quaternion {quaternion} and translation {matrix[:3, 3]}, expected a finite rigid motion.")
+    check_coordinates(matrix[:3, 3], "static transform", error=ContentError)
     matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     return matrix
 
 
-def depth_frame_of(image: Any, intrinsics: CameraIntrinsics, stamp: float) -> DepthFrame:
-    """Depth frame of a sensor_msgs/Image. Raises FrameError for an unknown encoding or inconsistent sizes."""
+def depth_frame_of(image: Any, intrinsics: CameraIntrinsics, stamp: float, unit: float | None = None) -> DepthFrame:
+    """Depth frame of a sensor_msgs/Image or CompressedImage; `unit`: metres per unit, None: by the encoding.
+
+    Raises FrameError for an unknown encoding or inconsistent sizes.
+    """
     data = memoryview(image.data).cast("B")
-    depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), data)
-    check_image_size(int(image.width), int(image.height), intrinsics)
-    return DepthFrame(stamp, depth, intrinsics, str(image.header.frame_id))
+    encoding = depth_encoding_of(image)
+    if hasattr(image, "encoding"):
+        depth = depth_from_buffer(encoding, image.height, image.width, image.step, bool(image.is_bigendian), data, unit=unit)
+    else:
+        from push_ident.perception.frame.compressed_depth import depth_from_compressed  # OpenCV, for these alone
+
+        depth = depth_from_compressed(encoding, bytes(data), unit)
+    check_image_size(depth.shape[1], depth.shape[0], intrinsics)
+    return DepthFrame(stamp, depth, intrinsics, str(image.header.frame_id), unit_of(encoding) if unit is None else unit)
+
+
+def depth_encoding_of(image: Any) -> str:
+    """Encoding of a sensor_msgs/Image, format of a CompressedImage."""
+    return str(image.encoding if hasattr(image, "encoding") else image.format)

@@ -28,7 +28,7 @@ from push_ident.bags.mcap_records import IntactRecords, Message
 from push_ident.bags.migration import Migration, migration_of
 from push_ident.bags.preflight import check_claims
 from push_ident.bags.typestore import jazzy_typestore
-from push_ident.errors import BagError, PushIdentError
+from push_ident.errors import BagError, ContentError, PushIdentError
 from push_ident.limits import LIMITS
 
 SUFFIXES: Final = (".mcap", ".db3", ".bag")
@@ -104,7 +104,7 @@ class OpenBag:
         """Messages of these (registered) topics with their log time [ns], decoded one at a time."""
         decode = self._store.deserialize_ros1 if self._is_ros1 else self._store.deserialize_cdr
         for topic, log_time, raw in self._raw(topics):
-            size_limit(topic.msgtype).check(len(raw), topic.topic, error=BagError)
+            size_limit(topic.msgtype).check(len(raw), topic.topic, error=ContentError)
             yield topic, log_time, decode(raw, _lower_package(topic.msgtype))
 
     def raw_messages(self) -> Iterator[tuple[Connection, int, bytes]]:
@@ -145,7 +145,8 @@ def _checked(reader: _Reader) -> list[Connection]:
 def _check_serialisation(topic: Connection) -> None:
     """Raise BagError for a topic that is to be read and is not CDR; others may be anything."""
     if isinstance(topic.ext, ConnectionExtRosbag2) and topic.ext.serialization_format != "cdr":
-        raise BagError(f"topic {topic.topic} is serialised as {topic.ext.serialization_format[:40]!r}, expected 'cdr'; record with ROS 2.")
+        form = topic.ext.serialization_format[:40]
+        raise ContentError(f"topic {topic.topic} is serialised as {form!r}, expected 'cdr'; record with ROS 2.")
 
 
 def _messages(reader: _Reader, topics: list[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
@@ -185,7 +186,9 @@ def _definitions(topic: Connection, known: Typestore) -> dict[str, Any]:
     else:
         types = jazzy_typestore().fielddefs
         if topic.msgtype not in types:
-            raise BagError(f"type {topic.msgtype} of topic {topic.topic} is neither described in the bag nor known.")
+            raise ContentError(
+                f"type {topic.msgtype} of topic {topic.topic} is neither described in the bag nor known; record in MCAP, which has it."
+            )
     return {name: fields for name, fields in types.items() if name not in known.fielddefs}
 
 
@@ -293,7 +296,11 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
             yield _opened(path, stack)
     except BagError as error:
         text = str(error)
-        raise error if text.startswith(str(path)) else BagError(f"{path}: cannot be read ({text.rstrip('.')}){_remedy(path)}") from None
+        if text.startswith(str(path)):
+            raise
+        if isinstance(error, ContentError):
+            raise ContentError(f"{path}: {text}") from None
+        raise BagError(f"{path}: cannot be read ({text.rstrip('.')}){_remedy(path)}") from None
     except PushIdentError:
         raise
     except MemoryError:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.bags.contract import Role, role_of
+from push_ident.bags.contract import Role
 from push_ident.bags.reader import BagContents
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
@@ -107,4 +107,4 @@ def _has_record_topic(contents: BagContents) -> bool:
     One that died in its first push leaves one push without a record. Several of them are not an executor's: it would have left a record
     of all but the last.
     """
-    return any((found := role_of(topic)) is not None and found.role is Role.PUSH_RECORD for topic in contents.topics)
+    return any((found := contents.options.role_of(topic)) is not None and found.role is Role.PUSH_RECORD for topic in contents.topics)

@@ -6,15 +6,16 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 
 from push_ident.bags import decode
-from push_ident.bags.contract import OBJECT_ROLES, Role, TopicRole, role_of
+from push_ident.bags.contract import OBJECT_ROLES, Role, TopicRole
 from push_ident.bags.opening import Connection, OpenBag, open_bag
+from push_ident.bags.read_options import MAPPING, ReadOptions, map_hint, message_types, word_of
 from push_ident.bags.records import LATE
-from push_ident.errors import BagError, FrameError, InputError
+from push_ident.errors import BagError, ContentError, FrameError, InputError
 from push_ident.geometry.frames import CAMERA_FRAME, TABLE_FRAME
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
@@ -84,6 +85,8 @@ class BagContents:
     """Messages by topic, all topics."""
     notes: list[str] = field(default_factory=list)
     """Data that was missing, dropped or assumed; one line each."""
+    options: ReadOptions = field(default_factory=ReadOptions)
+    """How it was read."""
 
     @property
     def has_poses(self) -> bool:
@@ -96,7 +99,7 @@ class BagContents:
         Raises BagError when the bag has no depth images or no camera info, FrameError when no image is usable.
         """
         with open_bag(self.path) as bag:
-            yield from _depth_frames(bag, self.origin_ns, self.notes)
+            yield from _depth_frames(bag, self.origin_ns, self.notes, self.options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,11 +111,13 @@ class DepthRecording:
     """Pose of the optical frame in `table`, homogeneous, shape (4, 4), where the bag has it."""
     notes: list[str] = field(default_factory=list)
     """Images that are not usable, and what else was left out."""
+    options: ReadOptions = field(default_factory=ReadOptions)
+    """How it was read."""
 
     def frames(self) -> Iterator[DepthFrame]:
         """As `BagContents.depth_frames`; stamps are seconds since 1970 or since the start of the clock [s]."""
         with open_bag(self.path) as bag:
-            yield from _depth_frames(bag, 0, self.notes)
+            yield from _depth_frames(bag, 0, self.notes, self.options)
 
 
 @dataclass(slots=True)
@@ -128,40 +133,37 @@ class _Recorded:
     """[ns]"""
 
 
-def read_bag(path: Path) -> BagContents:
-    """Read a bag of the contract: a folder, an MCAP or sqlite3 file, or a ROS 1 bag.
+def read_bag(path: Path, options: ReadOptions | None = None) -> BagContents:
+    """Read a bag of the contract: a folder, an MCAP or sqlite3 file, or a ROS 1 bag; `options` names topics that are not of the contract.
 
     Header stamps are used as time, the log time where they are zero. Raises BagError for anything that is not such a bag or lacks
     required topics: pusher poses, and object poses or depth images.
     """
-    path = Path(path)
-    notes: list[str] = []
-    with open_bag(path) as bag:
-        topics = bag.counts()
-        by_role = _connections_by_role(bag, notes)
+    options, notes = options or ReadOptions(), list[str]()
+    with open_bag(Path(path)) as bag:
+        by_role = _connections_by_role(bag, notes, options)
         wanted = {role: connections for role, connections in by_role.items() if role.role not in _DEPTH}
         camera_frame = _camera_frame(bag, by_role)
         n_depth = sum(c.msgcount for role, connections in by_role.items() if role.role is Role.DEPTH for c in connections)
         recorded = _read(bag, wanted)
-        return _contents(
-            path, topics, recorded, sorted({role.object_id for role in by_role if role.role in OBJECT_ROLES}), n_depth, notes, camera_frame
-        )
+        object_ids = sorted({role.object_id for role in by_role if role.role in OBJECT_ROLES})
+        return _contents(bag, recorded, object_ids, n_depth, notes, camera_frame, options)
 
 
-def read_depth(path: Path) -> DepthRecording:
-    """The depth images of a bag that need not have poses or a pusher.
+def read_depth(path: Path, options: ReadOptions | None = None) -> DepthRecording:
+    """The depth images of a bag that need not have poses or a pusher; `options` names topics that are not of the contract.
 
     Raises BagError for anything that is no bag, or one without depth images.
     """
-    path = Path(path)
-    notes: list[str] = []
-    with open_bag(path) as bag:
-        by_role = _connections_by_role(bag, notes)
+    options, notes = options or ReadOptions(), list[str]()
+    with open_bag(Path(path)) as bag:
+        by_role = _connections_by_role(bag, notes, options)
         if not sum(topic.msgcount for topic in by_role.get(TopicRole(Role.DEPTH), [])):
-            _fail_for_missing(path, bag.counts(), [Role.DEPTH])
+            _fail_for_missing(bag, [Role.DEPTH], options)
         static = {role: topics for role, topics in by_role.items() if role.role is Role.TF_STATIC}
         camera_frame = _camera_frame(bag, by_role)
-        return DepthRecording(path, _camera_in_table(_read(bag, static), camera_frame, notes) if static else None, notes)
+        camera_in_table = _camera_in_table(_read(bag, static), camera_frame, notes) if static else None
+        return DepthRecording(bag.path, camera_in_table, notes, options)
 
 
 _Stamped = tuple[np.ndarray[Any, np.dtype[np.int64]], Float64Array]
@@ -169,14 +171,15 @@ _NOTHING: Final[_Stamped] = (np.empty(0, dtype=np.int64), np.empty((0, 0)))
 
 
 def _contents(
-    path: Path,
-    topics: dict[str, int],
+    bag: OpenBag,
     recorded: dict[TopicRole, _Recorded],
     object_ids: list[str],
     n_depth: int,
     notes: list[str],
     camera_frame: str,
+    options: ReadOptions,
 ) -> BagContents:
+    path = bag.path
     stamped = {role: record for role, record in recorded.items() if role.role in _STAMPED}
     # Log times are those of another clock where anything is stamped.
     by_log_time = not any(any(record.stamps) for record in stamped.values())
@@ -185,8 +188,12 @@ def _contents(
     if not n_depth and not any(role.role is Role.POSE and len(stamps) for role, (stamps, _) in samples.items()):
         missing.append(Role.POSE)
     if missing:
-        _fail_for_missing(path, topics, missing)
+        _fail_for_missing(bag, missing, options)
     _check_frames(path, recorded)
+    camera_in_table = _camera_in_table(recorded, camera_frame, notes)
+    other = next((frame for frame in recorded[TopicRole(Role.PUSHER)].frames if frame.strip("/") not in ("", TABLE_FRAME)), "")
+    if camera_in_table is not None and n_depth and other:
+        notes.append(f"the pusher is in {plain_text(other)!r}, the camera in {TABLE_FRAME!r}: they are taken for one frame.")
     origin = min(int(stamps[0]) for stamps, _ in samples.values() if len(stamps))
     wrench = samples.get(TopicRole(Role.WRENCH), _NOTHING)
     return BagContents(
@@ -197,34 +204,61 @@ def _contents(
         pusher_radius=_pusher_radius(path, recorded, notes),
         wrench=_samples(wrench, origin) if len(wrench[0]) else None,
         push_intervals=_push_intervals(recorded, origin, notes),
-        camera_in_table=_camera_in_table(recorded, camera_frame, notes),
+        camera_in_table=camera_in_table,
         camera_accuracy=_camera_accuracy(recorded, notes),
         n_depth=n_depth,
-        topics=topics,
+        topics=bag.counts(),
         notes=notes,
+        options=options,
     )
 
 
-def _fail_for_missing(path: Path, topics: dict[str, int], missing: list[Role]) -> None:
+def _fail_for_missing(bag: OpenBag, missing: list[Role], options: ReadOptions) -> NoReturn:
     names = " and ".join(f"`{role.value.name.replace('{id}', '<id>')}` ({role.msgtype})" for role in missing)
-    present = ", ".join(f"{plain_text(topic)} ({count})" for topic, count in topics.items() if count)[:500]
-    raise BagError(f"{path}: no usable messages of {names}; the bag has {present or 'no messages at all'}. Record or remap these topics.")
+    raise ContentError(f"{bag.path}: no usable messages of {names}; the bag has {_present(bag)}. {map_hint(bag, missing, options)}")
 
 
-def _connections_by_role(bag: OpenBag, notes: list[str]) -> dict[TopicRole, list[Connection]]:
-    """Topics of the contract in this bag. Raises BagError for two topics of one role, which would mix two cells."""
+def _present(bag: OpenBag) -> str:
+    return ", ".join(f"{plain_text(topic)} ({count})" for topic, count in bag.counts().items() if count)[:500] or "no messages at all"
+
+
+def _connections_by_role(bag: OpenBag, notes: list[str], options: ReadOptions) -> dict[TopicRole, list[Connection]]:
+    """Topics with a role in this bag. Raises BagError for two topics of one role, which would mix two cells, and for topics that are mapped
+    to a role and are not there or hold something else.
+    """
     by_role: dict[TopicRole, list[Connection]] = defaultdict(list)
+    recorded = {topic.strip("/") for topic in bag.counts()}
+    if absent := [topic for topic in options.topics if topic not in recorded]:
+        word = word_of(options.topics[absent[0]])
+        raise ContentError(
+            f"{bag.path}: no topic {plain_text(absent[0])}, which is mapped to {word}; the bag has {_present(bag)}. Map one of these."
+        )
+    options = options.with_camera_info(bag)
     for connection in bag.topics:
-        if not (role := role_of(connection.topic)):
+        if not (role := options.role_of(connection.topic)):
             continue
-        if connection.msgtype != role.role.msgtype:
-            notes.append(f"topic {connection.topic} is of type {connection.msgtype}, expected {role.role.msgtype}; it is not used.")
+        if connection.msgtype not in message_types(role.role):
+            expected = " or ".join(message_types(role.role))
+            if connection.topic.strip("/") in options.topics:
+                other = "; `push-ident import rosbag` takes other types" if role.role in _STAMPED else ""
+                raise ContentError(
+                    f"{bag.path}: {plain_text(connection.topic)} holds {plain_text(connection.msgtype)}, expected {expected} for "
+                    f"{role.role.name.lower()}; map another topic{other}."
+                )
+            notes.append(f"topic {connection.topic} is of type {connection.msgtype}, expected {expected}; it is not used.")
             continue
         by_role[role].append(connection)
-    for role, connections in by_role.items():
+    has_depth = TopicRole(Role.DEPTH) in by_role
+    # The camera info beside depth images that are chosen among several belongs to them, and without images none counts.
+    for role, connections in sorted(by_role.items(), key=lambda item: item[0].role is Role.CAMERA_INFO):
+        if role.role is Role.CAMERA_INFO and not has_depth:
+            continue
         names = sorted({connection.topic for connection in connections})
         if len(names) > 1 and role.role is not Role.TF_STATIC:
-            raise BagError(f"{bag.path}: topics {' and '.join(names)} all have the role of `{role}`; keep the topics of one cell.")
+            raise BagError(
+                f"{bag.path}: topics {' and '.join(names)} all have the role of `{role}`; keep the topics of one cell, or choose one: "
+                f"{MAPPING} --map {plain_text(names[0])}={word_of(role)}."
+            )
     LIMITS.OBJECTS.check(len({role.object_id for role in by_role if role.role in OBJECT_ROLES}), str(bag.path), error=BagError)
     records = sum(topic.msgcount for topic in by_role.get(TopicRole(Role.PUSH_RECORD), []))
     LIMITS.PUSHES.check(records, str(bag.path), error=BagError, remedy="Split the bag.")
@@ -307,7 +341,7 @@ def _check_frames(path: Path, recorded: dict[TopicRole, _Recorded]) -> None:
     frames.pop("", None)
     if len(frames) > 1:
         listed = ", ".join(f"`{topic}` in {frame!r}" for frame, topic in sorted(frames.items()))
-        raise BagError(f"{path}: {listed}; expected all in {TABLE_FRAME!r}. Transform them before recording.")
+        raise BagError(f"{path}: {listed}; expected all in {TABLE_FRAME!r}. `push-ident import rosbag` brings poses to one frame.")
 
 
 def _object_track(
@@ -384,7 +418,7 @@ def _camera_in_table(recorded: dict[TopicRole, _Recorded], camera_frame: str, no
     """Pose of the frame of the camera from the chain of static transforms to the table, if there is one."""
     parents = {}
     for message in _messages(recorded, Role.TF_STATIC):
-        LIMITS.TRANSFORMS.check(len(message.transforms), "tf_static", error=BagError)
+        LIMITS.TRANSFORMS.check(len(message.transforms), "tf_static", error=ContentError)
         for stamped in message.transforms:
             parents[stamped.child_frame_id.strip("/")] = (stamped.header.frame_id.strip("/"), stamped.transform)
     frame, camera_in_frame = camera_frame or CAMERA_FRAME, np.eye(4)
@@ -412,13 +446,12 @@ def _camera_accuracy(recorded: dict[TopicRole, _Recorded], notes: list[str]) -> 
     return accuracy
 
 
-def _depth_frames(bag: OpenBag, origin: int, notes: list[str]) -> Iterator[DepthFrame]:
+def _depth_frames(bag: OpenBag, origin: int, notes: list[str], options: ReadOptions) -> Iterator[DepthFrame]:
     """As `BagContents.depth_frames`, from an open bag."""
-    by_role = _connections_by_role(bag, [])
+    by_role = _connections_by_role(bag, [], options)
     images, infos = (by_role.get(TopicRole(role), []) for role in (Role.DEPTH, Role.CAMERA_INFO))
     if not images or not infos:
-        absent = Role.CAMERA_INFO if images else Role.DEPTH
-        raise BagError(f"{bag.path}: no `{absent.value.name}` ({absent.msgtype}); record depth images together with their camera info.")
+        _fail_for_missing(bag, [Role.CAMERA_INFO if images else Role.DEPTH], options)
     bag.register([*images, *infos])
     intrinsics: CameraIntrinsics | None = next((intrinsics_of(info) for _, _, info in bag.messages(infos)), None)
     refused: list[FrameError] = []
@@ -436,7 +469,7 @@ def _depth_frames(bag: OpenBag, origin: int, notes: list[str]) -> Iterator[Depth
             if is_stamped and not stamp:
                 raise FrameError("it has no stamp, others have.")
             stamp = stamp if is_stamped else log_time
-            yield decode.depth_frame_of(message, intrinsics, (stamp - origin) * 1e-9)
+            yield decode.depth_frame_of(message, intrinsics, (stamp - origin) * 1e-9, options.depth_unit)
         except FrameError as error:
             refused.append(error)
     if refused and len(refused) >= total:

@@ -23,8 +23,18 @@ _TURNS: Final = np.linspace(-0.4, 0.4, 9)
 """About the turn that the ways of pusher and object suggest, which the turning of the object falsifies [rad]."""
 _PLACES: Final = np.linspace(-1.0, 1.0, 9)
 """Where the origin of its frame is looked for, about where the path of the pusher comes to the middle of the object, in radii of it [-]."""
-_UNITS: Final = ((1e-3, "mm"), (1e-2, "cm"), (1e3, "m instead of mm"), (1e2, "m instead of cm"), (0.0254, "inches"))
+_UNITS: Final = (
+    (1e-3, "mm"),
+    (1e-2, "cm"),
+    (1e3, "m instead of mm"),
+    (1e2, "m instead of cm"),
+    (0.0254, "inches"),
+    (0.1, "mm instead of cm"),
+    (10.0, "cm instead of mm"),
+)
 """Factors by which lengths are wrong where they were in fact of this unit."""
+_LEAST_SPAN: Final = 0.01
+"""Least distance between two places of an object that pushes have moved [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +50,8 @@ class Streams:
     """Of the pusher [m]."""
     tolerance: float
     """Distance between pusher and outline that noise explains [m]."""
+    yaw_has_unit: bool = True
+    """Whether the yaw of the poses came as an angle, not as a quaternion."""
     pusher_axes: Float64Array = field(default_factory=lambda: np.eye(3))
     """Rotation from the axes of the pusher's file to those of the table, shape (3, 3)."""
 
@@ -249,11 +261,29 @@ def _unit_causes(frames: _Frames) -> Iterator[_Found]:
         scaled = np.column_stack([factor * pose[:, :2], pose[:, 2]])
         yield _cause(f"the lengths of the poses are in {unit}", "check --length-unit", frames.distance(pusher, pose=scaled))
         yield _cause(f"the outline is in {unit}", "check --outline-length-unit", frames.distance(pusher, outline=factor * outline))
-    for factor, unit in ((np.pi / 180.0, "degrees"), (180.0 / np.pi, "radians")):
+    yield from _scale_cause(frames)
+    for factor, unit in ((np.pi / 180.0, "degrees"), (180.0 / np.pi, "radians")) if frames.streams.yaw_has_unit else ():
         turned = np.column_stack([pose[:, :2], factor * pose[:, 2]])
         yield _cause(f"the yaw of the poses is in {unit}", "check --angle-unit", frames.distance(pusher, pose=turned))
     flipped = np.column_stack([pose[:, :2], -pose[:, 2]])
     yield _cause("the yaw has the other sign", "the z axis of the poses points down", frames.distance(pusher, pose=flipped))
+
+
+def _scale_cause(frames: _Frames) -> Iterator[_Found]:
+    """Poses and pusher in one other unit, the one that fits the outline best; one in which nothing moves fits it by accident."""
+    pusher, pose = frames.pusher(), frames.pose
+    span = float(np.ptp(pose[:, :2], axis=0).max())
+    found = [
+        _cause(
+            f"the lengths of poses and pusher are in {unit}",
+            "check --length-unit",
+            frames.distance(factor * pusher, pose=np.column_stack([factor * pose[:, :2], pose[:, 2]])),
+        )
+        for factor, unit in _UNITS
+        if factor * span >= _LEAST_SPAN
+    ]
+    if found:
+        yield min(found, key=lambda one: one[0].error)
 
 
 def _axes_causes(frames: _Frames) -> Iterator[_Found]:

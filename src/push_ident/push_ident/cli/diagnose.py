@@ -12,7 +12,9 @@ from rich.table import Column, Table
 from push_ident.cli.checks import above_zero, parse_numbers
 from push_ident.cli.identify import (
     CameraOption,
+    DepthUnitOption,
     FrictionOption,
+    MapOption,
     NoForcesOption,
     NominalMassOption,
     ObjectOption,
@@ -21,6 +23,7 @@ from push_ident.cli.identify import (
     leave_out,
     prior_of_options,
     read_camera,
+    read_options,
 )
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, progress, say, warn, write_json
 from push_ident.diagnosis.diagnose import diagnose
@@ -60,6 +63,8 @@ def diagnose_command(
     json: JsonOption = None,
     object_id: ObjectOption = "",
     camera: CameraOption = None,
+    map_: MapOption = None,
+    depth_unit: DepthUnitOption = None,
     from_camera: Annotated[
         bool, typer.Option("--from-camera", help="Poses and outline in the bags come from a camera, not from a model.")
     ] = False,
@@ -76,14 +81,15 @@ def diagnose_command(
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
     left_out = parse_numbers(without, "--without") if without else []
+    options, in_table = read_options(map_, depth_unit), read_camera(camera)
     with progress() as report:
-        loaded = load_pushes(bags, object_id=object_id, camera_in_table=read_camera(camera), on_progress=report)
+        loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, options=options, on_progress=report)
         loaded, kept = leave_out(loaded, left_out, no_forces=no_forces)
         records = [loaded[i] for i in kept]
         reference: Sequence[PushRecord] = ()
         if against:
             # Read with those of the bags, so that it is certainly the same object with the same cells.
-            both = load_pushes([*bags, *against], object_id=loaded.object_id, camera_in_table=read_camera(camera), on_progress=report)
+            both = load_pushes([*bags, *against], object_id=loaded.object_id, camera_in_table=in_table, options=options, on_progress=report)
             reference = leave_out(both[len(loaded) :], [], no_forces=no_forces)[0]
         diagnosis = diagnose(records, settings, against=reference, on_progress=report)
     _show(diagnosis, loaded.notes)

@@ -13,6 +13,7 @@ import numpy as np
 import typer
 from rich.table import Column, Table
 
+from push_ident.bags.read_options import ROLE_WORDS, ReadOptions, parse_topics
 from push_ident.cli.checks import above_zero, parse_numbers
 from push_ident.cli.output import (
     BagsArgument,
@@ -37,6 +38,7 @@ from push_ident.identification.results.identifiability import before_text, ident
 from push_ident.identification.results.result import Identification
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS, solver_of
 from push_ident.identification.unknowns.prior import Prior
+from push_ident.limits import plain_text
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.physics.simulation import compile_kernels
 from push_ident.types import Float64Array
@@ -50,6 +52,24 @@ CameraOption = Annotated[
     typer.Option(
         metavar="FILE",
         help="Pose of the depth camera in `table` (4x4 numbers, text), for depth bags without tf_static.",
+        show_default=False,
+    ),
+]
+MapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map",
+        metavar="TOPIC=ROLE",
+        help=f"Use this topic of a bag as {', '.join(ROLE_WORDS)}; roles of an object with its id, as pose:hammer. May be repeated.",
+        show_default=False,
+    ),
+]
+DepthUnitOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="METRES",
+        callback=above_zero,
+        help="Metres per unit of a depth image. Default: 0.001 for integers, 1 for reals.",
         show_default=False,
     ),
 ]
@@ -80,6 +100,8 @@ def identify_command(
     json: JsonOption = None,
     object_id: ObjectOption = "",
     camera: CameraOption = None,
+    map_: MapOption = None,
+    depth_unit: DepthUnitOption = None,
     total_mass: TotalMassOption = None,
     nominal_mass: NominalMassOption = _NOMINAL.total_mass,
     friction: FrictionOption = _NOMINAL.friction,
@@ -97,8 +119,9 @@ def identify_command(
     if both := set(numbers).intersection(left_out):
         raise InputError(f"--train and --without both name push {min(both)}; a push that is left out cannot train.")
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
+    options = read_options(map_, depth_unit)
     with progress() as report:
-        loaded, kept = leave_out(_load(bags, object_id, camera, prior, report), left_out, no_forces=no_forces)
+        loaded, kept = leave_out(_load(bags, object_id, camera, options, prior, report), left_out, no_forces=no_forces)
         chosen = _existing(numbers, "--train", len(loaded)) or kept
         report(f"identifying from {len(chosen)} pushes")
         result = identify(
@@ -138,15 +161,29 @@ def prior_of_options(weighed: float | None, nominal_mass: float, friction: float
     return Prior(total_mass=weighed, total_mass_std=0.0, friction=friction, pusher_friction=pusher_friction)
 
 
-def _load(bags: Sequence[Path], object_id: str, camera: Path | None, prior: Prior, report: Callable[[str], None]) -> LoadedPushes:
+def _load(
+    bags: Sequence[Path], object_id: str, camera: Path | None, options: ReadOptions, prior: Prior, report: Callable[[str], None]
+) -> LoadedPushes:
     """The pushes. Kernels are loaded meanwhile, most of which needs no interpreter; the first time they are compiled, in a minute."""
     in_table = read_camera(camera)
     with ThreadPoolExecutor(1) as pool:
         kernels = pool.submit(compile_kernels, gradients=False)
-        loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, possible_with=prior, on_progress=report)
+        loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, options=options, possible_with=prior, on_progress=report)
         report("loading the kernels")
         kernels.result()
     return loaded
+
+
+def read_options(maps: Sequence[str] | None, depth_unit: float | None) -> ReadOptions:
+    """How bags are read, from `--map` and `--depth-unit`. Raises InputError for another form, or two roles of one topic."""
+    roles: dict[str, str] = {}
+    for text in maps or ():
+        topic, equals, role = (part.strip() for part in text.rpartition("="))
+        if not (equals and topic) or topic in roles:
+            what = "names a topic twice" if topic in roles else "expected TOPIC=ROLE, such as /camera/depth/image_raw=depth"
+            raise InputError(f"--map is `{plain_text(text)}`, {what}.")
+        roles[topic] = role
+    return ReadOptions(parse_topics(roles), depth_unit)
 
 
 def read_camera(path: Path | None) -> Float64Array | None:

@@ -44,10 +44,21 @@ PageOption = Annotated[
 ]
 
 
-LengthUnit = Literal["m", "mm"]
+LengthUnit = Literal["m", "cm", "mm", "in"]
 AngleUnit = Literal["rad", "deg"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
-_SI = {"m": 1.0, "mm": 1e-3, "rad": 1.0, "deg": float(np.pi / 180.0), "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_SI = {
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "in": 0.0254,
+    "rad": 1.0,
+    "deg": float(np.pi / 180.0),
+    "s": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "ns": 1e-9,
+}
 """Metres, radians or seconds of each of these units."""
 PositionStdOption = Annotated[
     float | None,
@@ -95,6 +106,7 @@ PosesArgument = Annotated[
         show_default=False,
     ),
 ]
+PusherLengthUnitOption = Annotated[LengthUnit | None, typer.Option(help="Of the pusher, if it has another.", show_default=False)]
 OutlineUnitOption = Annotated[LengthUnit | None, typer.Option(help="Unit of the outline, if it has another.", show_default=False)]
 AxesOption = Annotated[
     str,
@@ -116,6 +128,19 @@ TimeOffsetOption = Annotated[
 PusherFrameOption = Annotated[
     str,
     typer.Option(metavar="X,Y,YAW", help="Where the frame of the pusher lies in that of the poses [m, m, rad].", show_default=False),
+]
+RosbagMapOption = Annotated[
+    list[str],
+    typer.Option(
+        "--map",
+        metavar="TOPIC=ROLE",
+        help="What a topic holds: object (poses), pusher (poses of the tip), wrench (force on the object). Transforms as /tf#FRAME.",
+        show_default=False,
+    ),
+]
+FrameOption = Annotated[
+    str,
+    typer.Option(help="Frame of /tf with z up to which all is brought. Default: the nearest above object and pusher.", show_default=False),
 ]
 LiftedOption = Annotated[
     float | None,
@@ -250,7 +275,7 @@ def csv_command(
     columns: ColumnsOption = "",
     pusher_columns: PusherColumnsOption = "",
     length_unit: Annotated[LengthUnit, typer.Option(help="Unit of lengths in columns whose names say none.")] = "m",
-    pusher_length_unit: Annotated[LengthUnit | None, typer.Option(help="Of the pusher, if it has another.", show_default=False)] = None,
+    pusher_length_unit: PusherLengthUnitOption = None,
     outline_length_unit: OutlineUnitOption = None,
     angle_unit: Annotated[AngleUnit, typer.Option(help="Unit of yaw in columns whose names say none.")] = "rad",
     time_unit: TimeUnitOption = "s",
@@ -278,8 +303,10 @@ def csv_command(
         radius=radius,
         wrench=wrench,
         object_id=object_ if poses is not None and object_ else "1",
-        pose_format=TableFormat(parse_columns(columns, POSE_ROLES, "--columns"), **pose_units),
-        pusher_format=TableFormat(parse_columns(pusher_columns, PUSHER_ROLES, "--pusher-columns"), **pusher_units),
+        pose_format=TableFormat(parse_columns(columns, POSE_ROLES, "--columns"), option="--columns", **pose_units),
+        pusher_format=TableFormat(
+            parse_columns(pusher_columns, PUSHER_ROLES, "--pusher-columns"), option="--pusher-columns", **pusher_units
+        ),
         outline_length=_SI[outline_length_unit or length_unit],
         axes=parse_axes(axes, "--axes") if axes else None,
         pusher_axes=parse_axes(pusher_axes, "--pusher-axes") if pusher_axes else None,
@@ -296,20 +323,15 @@ def csv_command(
 @import_app.command("rosbag")
 def rosbag_command(
     bag: Annotated[Path, typer.Argument(metavar="BAG", help="The recording, of ROS 1 or ROS 2.", show_default=False)],
-    map_: Annotated[
-        list[str],
-        typer.Option(
-            "--map",
-            metavar="TOPIC=ROLE",
-            help="What a topic holds: object (poses), pusher (poses of the tip), wrench (force on the object). Transforms as /tf#FRAME.",
-            show_default=False,
-        ),
-    ],
+    map_: RosbagMapOption,
     outline: TableOption,
     radius: RadiusOption,
     out: BagOption,
     object_id: Annotated[str, typer.Option("--object", metavar="ID", help="Id of the object in the new bag.")] = "1",
+    length_unit: Annotated[LengthUnit, typer.Option(help="Unit of positions of the object and the pusher.")] = "m",
+    pusher_length_unit: PusherLengthUnitOption = None,
     outline_length_unit: Annotated[LengthUnit, typer.Option(help="Unit of the outline.")] = "m",
+    frame: FrameOption = "",
     axes: AxesOption = "x,y,z",
     pusher_axes: PusherAxesOption = "",
     log_time: Annotated[bool, typer.Option("--log-time", help="Take the times of recording, not the stamps.")] = False,
@@ -341,6 +363,8 @@ def rosbag_command(
         topics=parse_map(map_),
         outline=outline,
         options=options,
+        length=_SI[length_unit],
+        pusher_length=None if pusher_length_unit is None else _SI[pusher_length_unit],
         outline_length=_SI[outline_length_unit],
         cell_size=cell_size,
         axes=parse_axes(axes, "--axes"),
@@ -348,6 +372,7 @@ def rosbag_command(
         log_time=log_time,
         wrench_axes=parse_axes(wrench_axes, "--wrench-axes") if wrench_axes else None,
         wrench_on_sensor=wrench_on_sensor,
+        frame=frame.strip("/"),
     )
     run_import(lambda: import_rosbag(source, out), out, bag.name, page, json)
 

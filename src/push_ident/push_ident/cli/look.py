@@ -11,11 +11,12 @@ import typer
 
 from push_ident.bags.contract import Role, topic_of
 from push_ident.bags.opening import SUFFIXES
+from push_ident.bags.read_options import ReadOptions
 from push_ident.bags.reader import read_depth
 from push_ident.cli.checks import above_zero, writable_folder
-from push_ident.cli.identify import CameraOption, read_camera
+from push_ident.cli.identify import CameraOption, DepthUnitOption, MapOption, read_camera, read_options
 from push_ident.cli.output import JsonOption, console, millimetres, number_table, say, warn, write_json
-from push_ident.cli.units import in_unit, parse_floats, read_number
+from push_ident.cli.units import parse_floats, read_number
 from push_ident.errors import InputError, PerceptionError
 from push_ident.extras import need, need_ros
 from push_ident.files import write_whole
@@ -50,16 +51,6 @@ _IntrinsicsOption = Annotated[
         show_default=False,
     ),
 ]
-_DepthUnitOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="METRES",
-        parser=in_unit("m"),
-        callback=above_zero,
-        help="Metres per unit of an image. Default: 0.001 for integers, 1 for reals.",
-        show_default=False,
-    ),
-]
 _KnownOption = Annotated[
     str,
     typer.Option(
@@ -81,19 +72,19 @@ def look_command(
     json: JsonOption = None,
     camera: CameraOption = None,
     intrinsics: _IntrinsicsOption = "",
-    depth_unit: _DepthUnitOption = None,
+    depth_unit: DepthUnitOption = None,
+    map_: MapOption = None,
     known: _KnownOption = "",
 ) -> None:
     """Find table, noise and objects in depth images, without any setting, and say what is refused and why."""
     need("report")
     size, given = _known(known), read_camera(camera)
-    if depth_unit is not None and not 0 < depth_unit < 1000:
-        raise InputError(f"--depth-unit is {depth_unit:g}, expected metres per unit, such as 0.001 for millimetres.")
+    options = read_options(map_, depth_unit)
     name = source or _TOPIC if live else Path(source).name
     with console.status("reading") as status:
         if live:
-            _check_live(source, intrinsics, depth_unit)
-        seen = _listen(name, seconds, status.update) if live else _read(source, _intrinsics(intrinsics), depth_unit)
+            _check_live(source, intrinsics, options)
+        seen = _listen(name, seconds, status.update) if live else _read(source, _intrinsics(intrinsics), options)
         survey = survey_frames(seen.frames, seen.camera_in_table if given is None else given, seen.notes)
         check, unchecked = _checked(survey, size)
     parameters = parameter_text(survey, name)
@@ -117,25 +108,30 @@ class _Seen:
     notes: list[str]
 
 
-def _read(text: str, intrinsics: tuple[float, float, float, float] | None, unit: float | None) -> _Seen:
+def _read(text: str, intrinsics: tuple[float, float, float, float] | None, options: ReadOptions) -> _Seen:
     if not text:
         raise InputError("There is no SOURCE; give a bag, a folder of depth images, or --live for a camera that runs.")
     source = Path(text)
     if not _is_bag(source):
-        images = DepthImages(source, intrinsics, unit)
+        if options.topics:
+            raise InputError(f"{source} is no bag, and has no topics; leave out --map.")
+        images = DepthImages(source, intrinsics, options.depth_unit)
         frames, passed = frames_at_rest(images.frames())
         return _Seen(frames, None, [*images.skipped, passed])
-    if intrinsics is not None or unit is not None:
-        raise InputError(f"{source} is a bag, which has intrinsics and unit of its images; leave out --intrinsics and --depth-unit.")
-    recording = read_depth(source)
+    if intrinsics is not None:
+        raise InputError(f"{source} is a bag, which has the intrinsics of its images; leave out --intrinsics.")
+    recording = read_depth(source, options)
     frames, passed = frames_at_rest(recording.frames())
     return _Seen(frames, recording.camera_in_table, [*recording.notes, passed])
 
 
-def _check_live(source: str, intrinsics: str, unit: float | None) -> None:
+def _check_live(source: str, intrinsics: str, options: ReadOptions) -> None:
     """Raises InputError for what a live camera does not have."""
-    if intrinsics or unit is not None:
-        raise InputError("--live has intrinsics from camera_info and the unit from the encoding; leave out --intrinsics and --depth-unit.")
+    if intrinsics or options != ReadOptions():
+        raise InputError(
+            "--live has intrinsics from camera_info, the unit from the encoding, and its topic as SOURCE; leave out --intrinsics, "
+            "--depth-unit and --map."
+        )
     if source and Path(source).exists():
         raise InputError(f"{source} is a file or folder, expected a topic such as {_TOPIC}; leave out --live to look at it.")
 

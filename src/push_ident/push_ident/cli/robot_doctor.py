@@ -28,6 +28,7 @@ from push_ident.pushing.robot.node_parameters import node_parameters
 from push_ident.pushing.robot.reach import Reach, Trial, find_reach
 from push_ident.pushing.robot.reach_page import write_reach_page
 from push_ident.pushing.robot.robot_file import Camera, Robot, motion_settings, push_settings, read_robot
+from push_ident.pushing.state_intake import no_positions
 from push_ident.types import DepthFrame
 
 if TYPE_CHECKING:
@@ -176,11 +177,14 @@ def _arm(robot: Robot, kinematics: ArmKinematics | None, heard: Heard) -> Iterat
     states, commands = plain_text(heard.names.states), plain_text(heard.names.commands)
     joints = robot.file.joints.names
     missing = [name for name in joints if name not in heard.positions]
+    without = [name for name in joints if not np.isfinite(heard.positions.get(name, 0.0))]
     if not heard.n_states:
         yield Finding("arm", Level.WRONG, f"{states} has a publisher, and no message came", remedy="see the log of the driver")
     elif missing:
         has = plain_text(", ".join(heard.positions)) or "none"
         yield Finding("arm", Level.WRONG, f"{states} has no joint {', '.join(missing)}; it has {has}", "joints.names", "correct the names")
+    elif without:
+        yield Finding("arm", Level.WRONG, f"{states}: {no_positions(without)}")
     else:
         yield Finding("arm", Level.OK, f"{states}: {len(joints)} joints, {heard.n_states} messages")
         if kinematics is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -62,7 +62,7 @@ class DepthImages:
                     raise
                 self.skipped.append(str(error))
                 continue
-            first = DepthFrame(0.0 if first is None else first.stamp + 1 / 30, frame.depth, frame.intrinsics)
+            first = replace(frame, stamp=0.0 if first is None else first.stamp + 1 / 30)
             yield first
         if first is None:
             why = f"the first: {self.skipped[0]}" if self.skipped else f"it has no {', '.join(_SUFFIXES)}"
@@ -79,8 +79,10 @@ class DepthImages:
         if path.suffix.lower() == ".pcd":
             depth, intrinsics = _read_cloud(path)
             return DepthFrame(stamp, depth, intrinsics if self.intrinsics is None else self._camera(path, depth.shape))
-        depth = _metres(path, _array_of(path), self.unit)
-        frame = DepthFrame(stamp, depth, self._camera(path, depth.shape))
+        image = _array_of(path)
+        unit = self.unit if self.unit is not None else 1e-3 if image.dtype.kind in "ui" else 1.0
+        depth = _metres(path, image, unit)
+        frame = DepthFrame(stamp, depth, self._camera(path, depth.shape), unit=unit)
         try:
             check_intrinsics(frame.intrinsics)
             check_size(frame)
@@ -211,12 +213,11 @@ def _array_of(path: Path) -> NDArray[Any]:
     return image
 
 
-def _metres(path: Path, image: NDArray[Any], unit: float | None) -> NDArray[np.float32]:
+def _metres(path: Path, image: NDArray[Any], unit: float) -> NDArray[np.float32]:
     """Depth [m], NaN where nothing was measured. Raises InputError for types and values that are no depths."""
     if image.dtype.kind not in "uif" or image.dtype.itemsize < 2:
         raise InputError(f"{path} has pixels of type {image.dtype}, expected 16-bit integers or 32-bit real numbers; 8 bits hold no depth.")
-    scale = unit if unit is not None else 1e-3 if image.dtype.kind in "ui" else 1.0
-    depth = np.asarray(image, dtype=np.float32) * np.float32(scale)
+    depth = np.asarray(image, dtype=np.float32) * np.float32(unit)
     with np.errstate(invalid="ignore"):
         depth[~(np.isfinite(depth) & (depth > 0))] = np.nan
     if not np.isfinite(depth).any():
@@ -224,7 +225,7 @@ def _metres(path: Path, image: NDArray[Any], unit: float | None) -> NDArray[np.f
     middle = float(np.nanmedian(depth))
     if not _PLAUSIBLE[0] <= middle <= _PLAUSIBLE[1]:
         raise InputError(
-            f"{path} has a median depth of {middle:.3g} m at {scale:g} m a unit, expected {_PLAUSIBLE[0]:g} to {_PLAUSIBLE[1]:g} m; "
+            f"{path} has a median depth of {middle:.3g} m at {unit:g} m a unit, expected {_PLAUSIBLE[0]:g} to {_PLAUSIBLE[1]:g} m; "
             "give the metres per unit with --depth-unit."
         )
     return depth

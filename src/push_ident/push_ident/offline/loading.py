@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Final, overload
 import numpy as np
 
 from push_ident.bags.pushes import pushes_by_object, split_pushes
+from push_ident.bags.read_options import ReadOptions
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
-from push_ident.errors import BagError
+from push_ident.errors import BagError, PerceptionError
 from push_ident.identification.observing.observation import observe_push, pusher_gaps
 from push_ident.identification.predicting.possible_poses import check_poses, why_no_object_ends_there
 from push_ident.identification.results.posterior import prior_posterior
@@ -80,6 +81,7 @@ def load_pushes(
     *,
     object_id: str = "",
     camera_in_table: Float64Array | None = None,
+    options: ReadOptions | None = None,
     possible_with: Prior | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> LoadedPushes:
@@ -89,6 +91,7 @@ def load_pushes(
         paths: bags. Where one has no object poses, they are tracked in its depth images.
         object_id: the object; empty: the only one, or the one with the most pushes.
         camera_in_table: extrinsics for depth bags without them, homogeneous, shape (4, 4).
+        options: topics with other names than those of the contract, and the unit of depth images.
         possible_with: prior of the object: poses and pushes that are impossible under it are left out. None: keep all, as for a
             diagnosis.
         on_progress: called with a line of text for each step.
@@ -100,7 +103,7 @@ def load_pushes(
     notes: list[str] = []
     is_contact_measured = True
     for path in paths:
-        contents = read_bag(path)
+        contents = read_bag(path, options)
         if not contents.has_poses:
             if on_progress:
                 on_progress(f"{path.name}: no object poses; tracking the object in {contents.n_depth} depth images")
@@ -159,6 +162,7 @@ def touching_radius(records: Sequence[PushRecord]) -> float:
 def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None = None) -> BagContents:
     """The same bag with objects detected and tracked in its depth images."""
     # Bags of poses need none of this, and it takes half a second to import.
+    from push_ident.perception.frame.depth_unit import wrong_unit
     from push_ident.perception.frame.robot import Cylinder
     from push_ident.perception.recording import observe_offline
     from push_ident.perception.settings import PerceptionSettings
@@ -166,7 +170,8 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
     camera = contents.camera_in_table if contents.camera_in_table is not None else camera_in_table
     if camera is None:
         raise BagError(
-            f"{contents.path}: depth images without the pose of the camera; record /tf_static (`table` -> camera), or give --camera FILE."
+            f"{contents.path}: depth images without the pose of the camera; record /tf_static (`table` -> camera), or give "
+            "`push-ident identify`, `predict` or `diagnose` its pose with --camera FILE."
         )
     pusher, radius = contents.pusher, contents.pusher_radius or 0.0
     max_age = 0.1  # [s] between a depth image and the pose that places the pusher in it
@@ -181,7 +186,14 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
 
     settings = PerceptionSettings()
     accuracy = contents.camera_accuracy or settings.camera_accuracy
-    tracked = observe_offline(contents.depth_frames(), camera, robot_at=robot_at, settings=replace(settings, camera_accuracy=accuracy))
+    settings = replace(settings, camera_accuracy=accuracy)
+    try:
+        tracked = observe_offline(contents.depth_frames(), camera, robot_at=robot_at, settings=settings)
+    except PerceptionError as error:
+        if (wrong := wrong_unit(next(contents.depth_frames()), camera)) is None:
+            raise PerceptionError(f"{contents.path}: {error}") from None
+        remedy = f"`push-ident identify`, `predict` and `diagnose` take it as --depth-unit {wrong.unit:g}"
+        raise PerceptionError(f"{contents.path}: {wrong}; {remedy}.") from None
     objects = {
         object_id: ObjectTrack(shape=shape, time=track.time, pose=track.pose, covariance=track.covariance)
         for object_id, (shape, track) in tracked.items()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,8 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
+from push_ident.limits import plain_text
 from push_ident.pushing.ports import ArmState
 from push_ident.types import Float64Array
+
+
+def no_positions(names: Sequence[str]) -> str:
+    """What is wrong with joint states whose positions of these joints are no numbers, and what to do; `names` not empty."""
+    return (
+        "positions are not numbers (NaN): the driver has no data of the arm yet; expected radians of "
+        f"{plain_text(', '.join(names))}; connect the driver to the arm, and see its log"
+    )
 
 
 @dataclass(frozen=True, slots=True)

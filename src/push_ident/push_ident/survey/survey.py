@@ -18,6 +18,7 @@ from push_ident.errors import FrameError, PerceptionError
 from push_ident.geometry.outline import points_in_polygon
 from push_ident.geometry.se2 import transform_points
 from push_ident.perception.calibration import camera_over_table, table_extent
+from push_ident.perception.frame.depth_unit import WrongUnit, wrong_unit
 from push_ident.perception.frame.table import TablePlane
 from push_ident.perception.frame.view import median_frame, points_in_table
 from push_ident.perception.observation import Observation
@@ -131,8 +132,12 @@ def survey_frames(frames: Sequence[DepthFrame], camera_in_table: Float64Array | 
     if not frames:
         raise FrameError("There are no depth frames; record or give at least one.")
     picture = median_frame(frames)
-    fitted, plane_noise, share = camera_over_table(picture)
-    camera, is_given, note = _agreed(camera_in_table, fitted, plane_noise)
+    wrong = None if camera_in_table is None else wrong_unit(picture, camera_in_table)
+    try:
+        fitted, plane_noise, share = camera_over_table(picture)
+    except PerceptionError as error:
+        raise PerceptionError(_unit_text(wrong) or str(error)) from None
+    camera, is_given, note = _agreed(camera_in_table, fitted, plane_noise, _unit_text(wrong))
     low, high = table_extent(picture, camera, plane_noise)
     if not is_given:
         middle = 0.5 * np.add(low, high)
@@ -188,9 +193,15 @@ def _is_moved(first: DepthFrame, frame: DepthFrame) -> bool:
     return bool(np.count_nonzero(patches) > 0.002 * differs.size)
 
 
-def _agreed(given: Float64Array | None, fitted: Float64Array, noise: float) -> tuple[Float64Array, bool, str]:
-    """The given pose corrected by the plane, or the fitted one where none is given or the plane contradicts it; whether it is the given
-    one; and a note."""
+def _unit_text(wrong: WrongUnit | None) -> str:
+    if wrong is None:
+        return ""
+    return f"{wrong}; give --depth-unit {wrong.unit:g}, or let the driver of a live camera publish millimetres (16UC1)"
+
+
+def _agreed(given: Float64Array | None, fitted: Float64Array, noise: float, cause: str) -> tuple[Float64Array, bool, str]:
+    """The given pose corrected by the plane, or the fitted one where none is given or the plane contradicts it, of which the `cause` may be
+    known; whether it is the given one; and a note."""
     if given is None:
         return fitted, False, ""
     plane_in_table = np.asarray(given, dtype=np.float64) @ np.linalg.inv(fitted)
@@ -201,7 +212,8 @@ def _agreed(given: Float64Array | None, fitted: Float64Array, noise: float) -> t
     if tilt > accepted.max_tilt or abs(offset) > accepted.max_offset:
         wrong = (
             f"the given camera pose is not used: the table is {np.degrees(tilt):.1f} degrees and {offset * 1e3:.0f} mm from its place, "
-            f"expected at most {np.degrees(accepted.max_tilt):.1f} degrees and {accepted.max_offset * 1e3:.0f} mm; calibrate anew"
+            f"expected at most {np.degrees(accepted.max_tilt):.1f} degrees and {accepted.max_offset * 1e3:.0f} mm; "
+            f"{cause or 'calibrate anew'}"
         )
         return fitted, False, wrong
     slope = (float(-normal[0] / normal[2]), float(-normal[1] / normal[2]))

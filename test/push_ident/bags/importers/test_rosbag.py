@@ -9,11 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from helpers.bags import header_msg, new, pose_msg, write_raw
 from helpers.commands import check_refused, run_here
 from helpers.recordings import table_file
+from push_ident.bags.importers.recording import without_lost
 from push_ident.bags.importers.rosbag import parse_map
+from push_ident.bags.opening import open_bag
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import read_bag
 from push_ident.bags.writer import BagWriter
@@ -186,3 +189,183 @@ def test_roles_that_are_none_are_refused() -> None:
     for wrong in (["/a"], ["/a=arm"], ["=object"], ["/a=object", "/b=object", "/c=pusher"]):
         with pytest.raises(InputError, match="--map"):
             parse_map(wrong)
+
+
+def scaled(messages: list[Message], factor: float, topics: tuple[str, ...] = ("/body", "/tool")) -> list[Message]:
+    return [replace(m, values=(factor * m.values[0], factor * m.values[1], *m.values[2:])) if m.topic in topics else m for m in messages]
+
+
+@pytest.mark.parametrize(
+    ("factor", "topics", "options", "words", "mended"),
+    [
+        (1e3, ("/body", "/tool"), (), "Then give --length-unit mm or cm", ("--length-unit", "mm")),
+        (1e3, ("/tool",), (), "Then give --pusher-length-unit mm or cm", ("--pusher-length-unit", "mm")),
+        (1e2, ("/body", "/tool"), (), "poses and pusher are in cm: check --length-unit", ("--length-unit", "cm")),
+        (1e2, ("/tool",), (), "pusher are in cm: check --pusher-length-unit", ("--pusher-length-unit", "cm")),
+        (1e3, ("/body", "/tool"), ("--length-unit", "cm"), "are in mm instead of cm: check --length-unit", ("--length-unit", "mm")),
+        (1.0, ("/body", "/tool"), ("--length-unit", "mm"), "another --length-unit given", ()),
+    ],
+)
+def test_lengths_in_another_unit_are_named_with_an_option_that_mends_them(
+    tmp_path: Path,
+    rows: tuple[Float64Array, Float64Array],
+    pushed: list[PushRecord],
+    factor: float,
+    topics: tuple[str, ...],
+    options: tuple[str, ...],
+    words: str,
+    mended: tuple[str, ...],
+) -> None:
+    bag = write_messages(tmp_path / "units", scaled(messages_of(rows), factor, topics))
+    wrong = run_here(*arguments(bag, tmp_path, pushed, *OWN_MAP, *options, "--out", tmp_path / "wrong"))
+    assert words in wrong.stderr and "--angle-unit" not in wrong.stderr, wrong.stderr
+    done = run_here(*arguments(bag, tmp_path, pushed, *OWN_MAP, *mended))
+    assert done.returncode == 0 and "warning" not in done.stderr, done.stderr
+    for push, record in zip(split_pushes(read_bag(tmp_path / "own"), "1"), pushed, strict=True):
+        np.testing.assert_allclose(push.poses.pose[[0, -1], :2], record.poses.pose[[0, -1], :2], atol=2e-3)
+
+
+@pytest.mark.parametrize("role", ["object", "pusher", "wrench"])
+def test_a_message_of_another_type_is_named_and_the_bag_not_called_damaged(
+    tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord], role: str
+) -> None:
+    bag = write_messages(tmp_path / "types", messages_of(rows))
+    with BagWriter(tmp_path / "with_joints") as writer, open_bag(bag) as recorded:
+        for topic, stamp, data in recorded.raw_messages():
+            writer.write_raw(topic.topic, topic.msgtype, stamp, bytes(data))
+        numbers = np.zeros(2)
+        write(writer, "/joints", "sensor_msgs/msg/JointState", 10.0, header_msg(10.0, "world"), ["a", "b"], numbers, numbers, numbers)
+    maps = {"object": "/body", "pusher": "/tool", "wrench": "/ft"} | {role: "/joints"}
+    options = [word for own, topic in maps.items() for word in ("--map", f"{topic}={own}")]
+    done = run_here(*arguments(tmp_path / "with_joints", tmp_path, pushed, *options))
+    assert done.returncode == 1 and "holds JointState (sensor_msgs/msg/JointState); expected one of" in done.stderr, done.stderr
+    assert not {"salvage", "damaged", "recovered"} & set(done.stderr.replace("`", " ").split())
+
+
+def turned_msg(child: str, parent: str, stamp: float, shift: Sequence[float], turn: Rotation) -> Any:
+    pose = new("geometry_msgs/msg/Vector3", *map(float, shift)), new("geometry_msgs/msg/Quaternion", *map(float, turn.as_quat()))
+    return new("geometry_msgs/msg/TransformStamped", header_msg(stamp, parent), child, new("geometry_msgs/msg/Transform", *pose))
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A camera that looks down obliquely, and an arm that moves: `world` -> `rig` -> `eye`, `world` -> `base` -> `arm` -> `tool`."""
+
+    rig: tuple[tuple[float, ...], Rotation] = ((0.3, -0.2, 0.8), Rotation.from_euler("xyz", [2.4, 0.1, 0.5]))
+    eye: tuple[tuple[float, ...], Rotation] = ((0.0, 0.02, 0.01), Rotation.from_euler("z", -0.4))
+    base: tuple[tuple[float, ...], Rotation] = ((-0.5, 0.1, 0.05), Rotation.from_euler("z", 1.1))
+    tool: tuple[tuple[float, ...], Rotation] = ((0.01, 0.02, 0.1), Rotation.from_euler("x", np.pi))
+
+    def in_world(self, *links: str) -> tuple[Rotation, Float64Array]:
+        turn, shift = Rotation.identity(), np.zeros(3)
+        for link in links:
+            own_shift, own_turn = getattr(self, link)
+            turn, shift = turn * own_turn, shift + turn.apply(own_shift)
+        return turn, shift
+
+    def write(
+        self, bag: Path, rows: tuple[Float64Array, Float64Array], *, with_links: tuple[str, ...] = ("rig", "eye", "base", "tool")
+    ) -> Path:
+        """Poses in `eye`, forces in `tool`, the arm as a transform that turns while it moves."""
+        poses, pusher = (np.add(table, [10.0, 0, 0, 0]) for table in rows)
+        parents = {"rig": "world", "eye": "rig", "base": "world", "tool": "arm"}
+        zero = new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+        with BagWriter(bag) as writer:
+            static = [turned_msg(child, parents[child], 1.0, *getattr(self, child)) for child in with_links]
+            if static:
+                write(writer, "/tf_static", "tf2_msgs/msg/TFMessage", 1.0, static)
+            camera, at = self.in_world("rig", "eye")
+            for t, x, y, yaw in poses.tolist():
+                turn = (camera.inv() * Rotation.from_euler("z", yaw)).as_quat()
+                place = new("geometry_msgs/msg/Point", *map(float, camera.inv().apply(np.array([x, y, 0.02]) - at)))
+                pose = new("geometry_msgs/msg/Pose", place, new("geometry_msgs/msg/Quaternion", *map(float, turn)))
+                write(writer, "/body", "geometry_msgs/msg/PoseStamped", t, header_msg(t, "eye"), pose)
+            base, at = self.in_world("base")
+            for t, x, y, _ in pusher.tolist():
+                spin = Rotation.from_euler("z", 0.3 * t)
+                arm = base.inv() * spin
+                tip = base.inv().apply(np.array([x, y, 0.03]) - at)
+                write(writer, "/tf", "tf2_msgs/msg/TFMessage", t, [turned_msg("arm", "base", t, tip - arm.apply(self.tool[0]), arm)])
+                force = (spin * self.tool[1]).inv().apply([1.0, -0.5, 0.0])
+                vectors = new("geometry_msgs/msg/Vector3", *map(float, force)), zero
+                write(writer, "/ft", "geometry_msgs/msg/WrenchStamped", t, header_msg(t, "tool"), new("geometry_msgs/msg/Wrench", *vectors))
+        return bag
+
+
+IN_TF = ("--map", "/body=object", "--map", "/tf_static#tool=pusher", "--map", "/ft=wrench")
+
+
+@pytest.mark.parametrize("topic", ["/tf", "/tf_static"])
+def test_frames_are_followed_through_the_transforms_of_the_bag(
+    tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord], topic: str
+) -> None:
+    bag = Cell().write(tmp_path / "cell", rows)
+    done = run_here(*arguments(bag, tmp_path, pushed, *(word.replace("/tf_static", topic) for word in IN_TF)))
+    assert done.returncode == 0 and "warning" not in done.stderr, done.stderr
+    assert "from `eye` to `world`" in done.stdout and "from `tool` to `world` by the transforms of the bag at the time" in done.stdout
+    pushes = split_pushes(read_bag(tmp_path / "own"), "1")
+    assert len(pushes) == N
+    for push, record in zip(pushes, pushed, strict=True):
+        np.testing.assert_allclose(push.pusher.position[[0, -1]], record.pusher.position[[0, -1]], atol=1e-3)
+        np.testing.assert_allclose(push.poses.pose[[0, -1]], record.poses.pose[[0, -1]], atol=1e-2)
+        assert push.wrench is not None
+        np.testing.assert_allclose(push.wrench.force, np.tile([1.0, -0.5], (len(push.wrench.force), 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("lacking", "more", "reason", "offered"),
+    [
+        ("rig", (), "no transforms of the bag lead", False),  # the arm moves in `base`
+        ("tool", (), "holds transforms of base, eye, rig", False),
+        ("", ("--frame", "rig"), "define the rigid body with z up", False),
+        ("", ("--frame", "nose"), "it has arm, base, eye", False),
+    ],
+)
+def test_what_transforms_lack_ends_in_one_line_without_a_remedy_that_cannot_be(
+    tmp_path: Path,
+    rows: tuple[Float64Array, Float64Array],
+    pushed: list[PushRecord],
+    lacking: str,
+    more: tuple[str, ...],
+    reason: str,
+    offered: bool,
+) -> None:
+    bag = Cell().write(tmp_path / "cell", rows, with_links=tuple(name for name in ("rig", "eye", "base", "tool") if name != lacking))
+    done = run_here(*arguments(bag, tmp_path, pushed, *IN_TF, *more))
+    assert done.returncode == 1 and reason in done.stderr and done.stderr.strip().count("\n") == 0, done.stderr
+    assert ("--pusher-frame" in done.stderr) is offered
+
+
+def test_transforms_that_go_round_in_a_circle_or_are_of_another_time_are_refused(
+    tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord]
+) -> None:
+    bag = Cell().write(tmp_path / "cell", rows)
+    for name, child, parent, shift in (("circle", "world", "eye", 0.0), ("times", "base", "world", 1e4)):
+        with BagWriter(tmp_path / name) as writer, open_bag(bag) as recorded:
+            for topic, stamp, data in recorded.raw_messages():
+                writer.write_raw(topic.topic, topic.msgtype, stamp, bytes(data))
+            for stamp in (100.0, 101.0):
+                one = turned_msg(child, parent, stamp + shift, *Cell().base)
+                write(writer, "/tf", "tf2_msgs/msg/TFMessage", stamp, [one])
+        reason = "round in a circle" if name == "circle" else "are of other times"
+        check_refused(reason, *arguments(tmp_path / name, tmp_path, pushed, *IN_TF))
+
+
+@pytest.mark.parametrize("turn", [(), (0.0, 0.0, 0.0, 1.0)])
+def test_a_lost_pusher_is_told_from_one_that_is_moved_afar_in_a_pause_or_passes_the_origin(turn: tuple[float, ...]) -> None:
+    rng, dt = np.random.default_rng(0), 0.01
+    time = np.concatenate([k * 5.0 + dt * np.arange(100) for k in range(4)])
+    along = np.tile(np.linspace(-0.05, 0.05, 100), 4)
+    across = np.repeat([0.1, -0.2, 0.3, 0.0], 100)  # in the pauses it goes farther than to the origin
+    rows = np.column_stack([time, along, across, np.full(400, 0.01), np.tile(turn, (400, 1))])
+    rows[:, 1:3] += rng.normal(scale=1e-4, size=(400, 2))
+    lost = rows.copy()
+    at = np.r_[20:25, 130, 180:199, 260]
+    lost[at, 1:4] = 0.0
+    notes: list[str] = []
+    found = without_lost(lost, "/tool", notes)
+    assert np.flatnonzero(np.isnan(found[:, 1])).tolist() == at.tolist() and len(notes) == 1
+    passing = rows.copy()
+    passing[:, 3] = 0.0
+    passing[349, 1:3] = 0.0  # on its path
+    assert not np.isnan(without_lost(passing, "/tool", notes)).any()

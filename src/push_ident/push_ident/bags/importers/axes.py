@@ -33,12 +33,12 @@ def parse_axes(text: str, option: str) -> Float64Array:
     return rotation
 
 
-def planar_of(quaternion: Float64Array, axes: Float64Array, what: str, notes: list[str]) -> Float64Array:
+def planar_of(quaternion: Float64Array, axes: Float64Array, what: str, notes: list[str], remedy: str = "") -> Float64Array:
     """Yaw [rad], shape (n,), of quaternions (x, y, z, w) of a body in a file, shape (n, 4), which has the axes of the file while its yaw is
     zero.
 
-    `axes`: as of `parse_axes`; `what`: file or topic, for messages; `notes` gets a line where the body tilts. Raises BagError for
-    quaternions that are none, or a body whose z axis is not up.
+    `axes`: as of `parse_axes`; `what`: file or topic, `remedy`: another remedy, for messages; `notes` gets a line where the body tilts.
+    Raises BagError for quaternions that are none, or a body whose z axis is not up.
     """
     from scipy.spatial.transform import Rotation
 
@@ -50,7 +50,8 @@ def planar_of(quaternion: Float64Array, axes: Float64Array, what: str, notes: li
     if (middle := float(np.median(tilt))) > _MOST_TILT:
         raise BagError(
             f"{what}: the body's z axis is tilted by {np.degrees(middle):.0f} degrees, expected at most {np.degrees(_MOST_TILT):.0f}; "
-            "define the rigid body with z up while the object lies on the table; give --axes x,-z,y for a file with y up, x,y,z for z up."
+            "define the rigid body with z up while the object lies on the table; give --axes x,-z,y for a file with y up, x,y,z for "
+            f"z up{remedy}."
         )
     if (most := float(tilt.max())) > _NOTED_TILT:
         notes.append(f"the object tilts by up to {np.degrees(most):.1f} degrees; its planar pose is used")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from push_ident.types import BoolArray, Float64Array, ObjectShape
 
 _LEAST_POSITION_STD, _LEAST_YAW_STD = 1e-4, float(np.radians(0.05))
 """Least standard deviations that are taken from the scatter at rest: the error that all poses share does not scatter."""
+_JUMP: Final = 3.0
+"""Speed of a jump to where a lost body is put, over the 0.99 quantile of all other speeds [-]."""
 
 
 class OverlapError(BagError):
@@ -75,6 +78,8 @@ class Recording:
     names: tuple[str, str] = ("poses", "pusher")
     """Of poses and pusher, for messages."""
     notes: tuple[str, ...] = ()
+    unit_options: frozenset[str] = frozenset()
+    """Of `--angle-unit` and `--time-unit`, those that mean something for these files."""
     pusher_axes: Float64Array = field(default_factory=lambda: np.eye(3))
     """Rotation from the axes in which the pusher was recorded to those of `pusher`, shape (3, 3); for messages."""
 
@@ -102,15 +107,18 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
     position_std, yaw_std = _noise(poses, runs, recording.names[0], options, notes)
     covariance = pose_covariance(position_std, yaw_std)
     tolerance = contact_tolerance(shape, position_std=position_std, yaw_std=yaw_std)
-    streams = Streams(poses, runs, shape, options.radius, tolerance, recording.pusher_axes)
+    has_yaw = "--angle-unit" in recording.unit_options
+    streams = Streams(poses, runs, shape, options.radius, tolerance, has_yaw, recording.pusher_axes)
     spans = _pushes(streams)
     if numbers is None:
         spans = _with_contact(spans, tolerance, notes)
     if not spans:
         overlap = overlap_of(streams)
+        span = 1e3 * float(np.ptp(pusher[:, 1:3], axis=0).max())
+        remedy = overlap.remedy() if runs else f"all it spans is {span:.2g} mm: are lengths in metres, and was another --length-unit given?"
         raise OverlapError(
             f"{recording.names[1]}: no push in it: in none of {len(runs)} motions the pusher comes within {1e3 * tolerance:.1f} mm of the "
-            f"object; {overlap.remedy()}",
+            f"object; {remedy}",
             overlap,
         )
     LIMITS.PUSHES.check(len(spans), recording.names[1], error=BagError, remedy="Split the recording.")
@@ -140,7 +148,7 @@ def without_lost(rows: Float64Array, what: str, notes: list[str]) -> Float64Arra
     """Rows with time [s] first and a position next, shape (n, n_columns), with NaN where tracking was lost.
 
     Trackers write a lost body as zeros: all of a quaternion, the last four of eight columns, or the position without any turn. A body may
-    be at the origin: it is lost there where it gets there by a larger step than it makes anywhere else.
+    be at the origin: it is lost there where it gets there and leaves by jumps, several times as fast as it is elsewhere.
     """
     values = rows[:, 1:]
     has_turn = values.shape[1] == 7
@@ -150,10 +158,15 @@ def without_lost(rows: Float64Array, what: str, notes: list[str]) -> Float64Arra
         at_origin = at_origin & (np.abs(values[:, 6]) == 1.0)
     position = values[:, : 3 if has_turn else 2]
     is_usable = ~is_lost & (np.abs(position) < LIMITS.COORDINATE.value).all(axis=1)
-    step = np.linalg.norm(np.diff(position[is_usable], axis=0), axis=1)
+    time = np.diff(rows[is_usable, 0])
+    period = float(np.median(time)) if len(time) else 0.0
     leaves = np.diff(at_origin[is_usable].astype(np.int8)) != 0
-    if leaves.any() and np.min(step[leaves]) > np.max(step[~leaves], initial=0.0):
-        is_lost = np.asarray(is_lost | at_origin)
+    elsewhere = ~leaves & ~at_origin[is_usable][1:]
+    if leaves.any() and elsewhere.any() and period > 0:
+        # Stamps jitter; over a pause a body may go far.
+        speed = np.linalg.norm(np.diff(position[is_usable], axis=0), axis=1) / np.maximum(time, period)
+        if np.median(speed[leaves]) > _JUMP * np.quantile(speed[elsewhere], 0.99):
+            is_lost = np.asarray(is_lost | at_origin)
     if is_lost.all() or not is_lost.any():
         return rows
     notes.append(f"{what.rsplit('/', 1)[-1]}: tracking was lost in {int(is_lost.sum())} of {len(rows)} rows, which are zero")
@@ -200,15 +213,18 @@ def _on_one_clock(recording: Recording, options: RecordingOptions) -> tuple[Floa
     poses, pusher, force = recording.poses.copy(), recording.pusher.copy(), recording.force.copy()
     pusher[:, 1:3] = moved_by(options.pusher_frame, pusher[:, 1:3])
     force[:, 1:] = moved_by(options.pusher_frame, force[:, 1:], turn_only=True)
-    for rows, name in ((poses[:, 1:3], recording.names[0]), (pusher[:, 1:], recording.names[1])):
-        largest = float(np.abs(rows).max())
-        LIMITS.COORDINATE.check(largest, name, error=BagError, remedy="Are lengths in millimetres? Then give their unit, as mm.")
+    lengths = (poses[:, 1:3], recording.names[0], "--length-unit"), (pusher[:, 1:], recording.names[1], "--pusher-length-unit")
+    for rows, name, option in lengths:
+        remedy = f"Are lengths in millimetres or centimetres? Then give {option} mm or cm."
+        LIMITS.COORDINATE.check(float(np.abs(rows).max()), name, error=BagError, remedy=remedy)
     for rows in (pusher, force):
         rows[:, 0] += options.time_offset
     streams = [rows for rows in (poses, pusher, force) if len(rows)]
     first, last = min(float(rows[0, 0]) for rows in streams), max(float(rows[-1, 0]) for rows in streams)
     shift = max(0.0, FIRST_STAMP - first)
-    LIMITS.STAMP.check(last + shift, recording.names[0], error=BagError, remedy="Is time in milliseconds? Then give --time-unit ms.")
+    is_table = "--time-unit" in recording.unit_options
+    remedy = "Is time in milliseconds? Then give --time-unit ms." if is_table else "Take the times of recording: --log-time."
+    LIMITS.STAMP.check(last + shift, recording.names[0], error=BagError, remedy=remedy)
     if poses[-1, 0] < pusher[0, 0] or pusher[-1, 0] < poses[0, 0]:
         of_poses, of_pusher = (f"{rows[0, 0]:.10g} to {rows[-1, 0]:.10g} s" for rows in (poses, pusher))
         raise BagError(

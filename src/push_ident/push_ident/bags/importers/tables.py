@@ -49,6 +49,8 @@ class TableFormat:
     """[rad] per unit of the file, likewise."""
     time: float = 1.0
     """[s] per unit of the file, likewise."""
+    option: str = ""
+    """Option of the command line that names the columns of the file; empty where there is none."""
 
     def factor(self, table: Table, role: str) -> float:
         """By what the numbers of a column are to be multiplied for metres, radians and seconds."""
@@ -82,15 +84,16 @@ class Table:
         found = None if at is None else _UNIT.fullmatch(self._lower()[at])
         return UNITS[found["unit"]] if found else None
 
-    def column(self, role: str, columns: Mapping[str, str]) -> Float64Array:
-        """Numbers of the column for this role, shape (n_rows,); NaN where a cell is empty or `nan`.
+    def column(self, role: str, columns: Mapping[str, str], option: str = "") -> Float64Array:
+        """Numbers of the column for this role, shape (n_rows,); NaN where a cell is empty or `nan`. `option` names other columns.
 
         Raises BagError where there is no such column or a cell holds something else.
         """
         at = self._at(role, columns)
         if at is None:
             name, got = plain_text(columns.get(role, role)), ", ".join(self.names[:12])
-            raise BagError(f"{self.file}: no column `{name}` for {role}; it has {got}. Name it with {role}=NAME in --columns.")
+            remedy = f"Name it with {role}=NAME in {option}" if option else f"Rename the one that holds {role}"
+            raise BagError(f"{self.file}: no column `{name}` for {role}; it has {got}. {remedy}.")
         if isinstance(self.rows, np.ndarray):
             return np.asarray(self.rows[:, at])
         cells = [row[at] for row in self.rows]

@@ -59,10 +59,11 @@ def import_tracked_poses(tables: TrackedPoses, out_bag: Path) -> ImportReport:
     tables.check()
     shape = read_outline(tables.outline, length=tables.outline_length or tables.pose_format.length, cell_size=tables.cell_size)
     notes: list[str] = []
-    poses = _read_poses(tables, notes)
+    poses, has_yaw = _read_poses(tables, notes)
     pusher, numbers, axes = _read_pusher(tables, notes)
     force = _read_force(tables, notes)
-    recording = Recording(poses, pusher, shape, numbers, force, (str(tables.poses), str(tables.pusher)), tuple(notes), axes)
+    options = frozenset({"--time-unit", *(("--angle-unit",) if has_yaw else ())})
+    recording = Recording(poses, pusher, shape, numbers, force, (str(tables.poses), str(tables.pusher)), tuple(notes), options, axes)
     return import_recording(recording, tables, out_bag)
 
 
@@ -78,20 +79,22 @@ def read_outline(file: Path, *, length: float, cell_size: float) -> ObjectShape:
     return shape_of_outline(outline, cell_size=cell_size, what=str(file))
 
 
-def _read_poses(tables: TrackedPoses, notes: list[str]) -> Float64Array:
-    """Rows (time, x, y, yaw) of the object [s, m, m, rad], shape (n, 4)."""
+def _read_poses(tables: TrackedPoses, notes: list[str]) -> tuple[Float64Array, bool]:
+    """Rows (time, x, y, yaw) of the object [s, m, m, rad], shape (n, 4), and whether the file has a yaw, not a quaternion."""
     table, form = read_body(tables.poses), tables.pose_format
     axes = parse_axes(table.axes, str(table.file)) if tables.axes is None else tables.axes
     has_z = table.has("z", form.columns)
     position = ("x", "y", *(("z",) if has_z else ()))
-    if not table.has("yaw", form.columns) and any(table.has(role, form.columns) for role in _QUATERNION):
+    has_yaw = table.has("yaw", form.columns) or not any(table.has(role, form.columns) for role in _QUATERNION)
+    if not has_yaw:
         rows = _rows(table, ("time", *position, *_QUATERNION), form, notes, is_pose=True)
         yaw = planar_of(rows[:, -4:], axes, str(tables.poses), notes)
     else:
         rows = _rows(table, ("time", *position, "yaw"), form, notes, is_pose=True)
         # Turned about the vertical axis of the file, which may point down.
         yaw = rows[:, -1] * axes[2].sum()
-    return np.column_stack([rows[:, 0], _turned(rows[:, 1 : 1 + len(position)], axes, table)[:, :2], np.unwrap(yaw)])
+    turned = _turned(rows[:, 1 : 1 + len(position)], axes, table)[:, :2]
+    return np.column_stack([rows[:, 0], turned, np.unwrap(yaw)]), has_yaw
 
 
 def _turned(position: Float64Array, axes: Float64Array, table: Table) -> Float64Array:
@@ -131,7 +134,7 @@ def _rows(table: Table, roles: tuple[str, ...], form: TableFormat, notes: list[s
 
     A row in which tracking was lost is empty. Of the column `push` a cell may be empty.
     """
-    rows = np.column_stack([form.factor(table, role) * table.column(role, form.columns) for role in roles])
+    rows = np.column_stack([form.factor(table, role) * table.column(role, form.columns, form.option) for role in roles])
     if is_pose:
         rows = without_lost(rows, str(table.file), notes)
     return without_gaps(rows, [role != "push" for role in roles], [f"line {line}" for line in table.lines], str(table.file), notes)

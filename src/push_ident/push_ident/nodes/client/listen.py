@@ -92,7 +92,7 @@ class Heard:
     n_states: int = 0
     """Joint states that came."""
     positions: dict[str, float] = field(default_factory=dict)
-    """Latest position of every joint [rad]."""
+    """Latest position of every joint [rad]; NaN where a state names the joint without one."""
     controllers: tuple[str, ...] = ()
     """Types that the listeners of the trajectories take."""
     n_cameras: int = 0
@@ -127,6 +127,5 @@ def listen_to_arms(cells: Sequence[CellNames], seconds: float) -> list[Heard]:
 
 def _take(heard: Heard, msg: JointState) -> None:
     heard.n_states += 1
-    for name, position in zip(msg.name[: LIMITS.JOINTS.value], msg.position, strict=False):
-        if math.isfinite(position):
-            heard.positions[name] = position
+    for number, name in enumerate(msg.name[: LIMITS.JOINTS.value]):
+        heard.positions[name] = msg.position[number] if number < len(msg.position) else math.nan

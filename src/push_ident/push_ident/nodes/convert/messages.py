@@ -29,8 +29,9 @@ from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
 from push_ident.perception.frame.camera_info import check_image_size, intrinsics_of
-from push_ident.perception.frame.depth_image import depth_from_buffer
+from push_ident.perception.frame.depth_image import depth_from_buffer, unit_of
 from push_ident.pushing.cutter import PushInterval
+from push_ident.pushing.state_intake import no_positions
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
 from push_ident_msgs.msg import PushRecord
 
@@ -296,7 +297,7 @@ def joints_from_msg(msg: JointState) -> tuple[float, dict[str, float]]:
     if len(msg.position) != len(msg.name) or len(position) != len(msg.name):
         raise InputError(f"Joint states have {len(msg.position)} positions for joints {names}; expected one each, each name once.")
     if missing := [name for name, value in position.items() if not math.isfinite(value)]:
-        raise InputError(f"Joint states have no finite position of {plain_text(', '.join(missing))}; check the arm's driver.")
+        raise InputError(f"Joint states: {no_positions(missing)}.")
     return stamp_from_msg(msg.header.stamp), position
 
 
@@ -347,7 +348,7 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
     if max_skew is not None and abs(skew) > max_skew:
         raise FrameError(f"Depth image and camera info are {skew * 1e3:.0f} ms apart, expected at most {max_skew * 1e3:.0f} ms.")
     depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), memoryview(image.data))
-    return DepthFrame(stamp, depth, intrinsics, image.header.frame_id)
+    return DepthFrame(stamp, depth, intrinsics, image.header.frame_id, unit_of(image.encoding))
 
 
 def depth_frame_to_msgs(frame: DepthFrame, stamp: Time, *, encoding: str = "16UC1") -> tuple[Image, CameraInfo]:

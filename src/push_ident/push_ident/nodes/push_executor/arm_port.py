@@ -33,7 +33,7 @@ from push_ident.nodes.push_executor.settings import EXECUTOR
 from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.ports import ArmState
 from push_ident.pushing.push import PushCode
-from push_ident.pushing.state_intake import StateCheck, StateIntake
+from push_ident.pushing.state_intake import StateCheck, StateIntake, no_positions
 from push_ident.pushing.trajectory import JointTrajectory
 
 
@@ -75,6 +75,7 @@ class ArmPort:
         self._intake: StateIntake | None = None
         self._clock = ArmClock()
         self._reported: set[str] = set()
+        self._unread = (-math.inf, "")
         self._is_standing = True
         self._n_users = 0
         self._offered = ""
@@ -110,6 +111,12 @@ class ArmPort:
         """Wall time since the last joint state [s]."""
         return math.inf if self.state is None else time.monotonic() - self.state.received
 
+    @property
+    def why_silent(self) -> str:
+        """Why states that come since the latest one cannot be read; empty where none come."""
+        received, why = self._unread
+        return why if self.state is None or received > self.state.received else ""
+
     def fresh_state(self, timeout: float, *, is_late: bool = False) -> ArmState:
         """Latest state; raises PlanningError ARM_SILENT early enough for the arm to be held `timeout` [s] of wall time after the last one.
 
@@ -126,7 +133,7 @@ class ArmPort:
         if state is None or silence > limit:
             since = "yet" if state is None else f"for {1e3 * silence:.0f} ms, and the arm must be held after {1e3 * timeout:.0f} ms"
             refused = self.impossible_state(time.monotonic() - EXECUTOR.rest_silence)
-            why = f"; those that come cannot be true: {refused}" if refused else "."
+            why = f"; those that come cannot be true: {refused}" if refused else f"; {self.why_silent}." if self.why_silent else "."
             raise PlanningError(PushCode.ARM_SILENT, f"no joint states on {self._node.resolve_topic_name('joint_states')} {since}{why}")
         return state
 
@@ -224,15 +231,19 @@ class ArmPort:
         if len(set(msg.name)) < len(msg.name):
             self.n_dropped += 1
             raise InputError(f"a joint is named twice: {', '.join(sorted(msg.name))}; which of its positions counts?")
-        missing = [name for name in self._kinematics.joint_names if not math.isfinite(position.get(name, math.nan))]
-        if missing:
+        names = self._kinematics.joint_names
+        if without := [name for name in names if name in msg.name and not math.isfinite(position.get(name, math.nan))]:
+            self.n_dropped += 1
+            self._unread = (received, no_positions(without))
+            raise InputError(f"{self._unread[1]}.")
+        if missing := [name for name in names if name not in position]:
             self.n_dropped += 1
             self._node.get_logger().warning(
-                f"joint_states dropped: no finite position of {', '.join(missing)}; it has {', '.join(msg.name) or 'no joints'}.",
+                f"joint_states dropped: no position of {', '.join(missing)}; it has {', '.join(msg.name) or 'no joints'}.",
                 throttle_duration_sec=5.0,
             )
             return
-        q = np.array([position[name] for name in self._kinematics.joint_names])
+        q = np.array([position[name] for name in names])
         stamp = stamp_from_msg(msg.header.stamp)
         try:
             state = self._intake.take(received, stamp, q)

@@ -217,8 +217,11 @@ class _PushExecutor(Component):
         self._n_received_before = self._arm.n_received
         silent = self._arm.silence > self._settings["arm_timeout"]
         no_clock = self._cell_clock.is_simulated and self._cell_clock.now() == 0.0
+        because = f": {self._arm.why_silent}" if self._arm.why_silent else ""
         hand, recording = self._hand.why_no_fist(), self._recording.fault
-        reasons = [text for text, true in (("arm silent", silent), ("use_sim_time is set but /clock is silent", no_clock)) if true]
+        reasons = [
+            text for text, true in ((f"arm silent{because}", silent), ("use_sim_time is set but /clock is silent", no_clock)) if true
+        ]
         reasons += [text for text in (hand, recording, self._arm.description_fault) if text]
         level = DiagnosticStatus.OK
         if silent or hand or recording:

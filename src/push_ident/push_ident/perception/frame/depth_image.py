@@ -28,8 +28,13 @@ _MAX_TANGENT: Final = 12.0
 """Of the angle between the optical axis and a line of sight [-], 85 degrees; the widest depth cameras reach 60 degrees."""
 
 
+def unit_of(encoding: str) -> float:
+    """Metres per unit of an encoding, also of one that was compressed, as `16UC1; compressedDepth png`."""
+    return ACCEPTED_ENCODINGS.get(encoding.split(";")[0].strip(), ACCEPTED_ENCODINGS["16UC1"])[1]
+
+
 def depth_from_buffer(
-    encoding: str, height: int, width: int, step: int, is_bigendian: bool, data: bytes | memoryview
+    encoding: str, height: int, width: int, step: int, is_bigendian: bool, data: bytes | memoryview, *, unit: float | None = None
 ) -> NDArray[np.float32]:
     """Decode the pixels of a depth image.
 
@@ -39,6 +44,7 @@ def depth_from_buffer(
         step: Length of a row in bytes, padding included.
         is_bigendian: Byte order of the pixels.
         data: The rows, `step * height` bytes.
+        unit: Metres per unit; None: by the encoding.
 
     Returns:
         Depth along the optical axis [m], shape (height, width); NaN where nothing was measured.
@@ -47,7 +53,8 @@ def depth_from_buffer(
     """
     if encoding not in ACCEPTED_ENCODINGS:
         raise FrameError(f"Depth encoding is {encoding[:40]!r}, expected one of {', '.join(ACCEPTED_ENCODINGS)}; publish rectified depth.")
-    pixel, unit = ACCEPTED_ENCODINGS[encoding]
+    pixel, own = ACCEPTED_ENCODINGS[encoding]
+    unit = own if unit is None else unit
     if not (0 < height <= _MAX_SIDE and 0 < width <= _MAX_SIDE):
         raise FrameError(f"Depth image is {width} x {height} pixels, expected 1 to {_MAX_SIDE} per side.")
     if step < width * pixel.itemsize or step % pixel.itemsize:
