@@ -41,6 +41,16 @@ from push_ident.types import PushRecord
 
 _NOMINAL = Prior()
 
+_AgainstOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--against",
+        metavar="BAG",
+        help="Name what changed since this recording of the same object and cell; may be repeated.",
+        show_default=False,
+    ),
+]
+
 
 def diagnose_command(
     bags: BagsArgument,
@@ -48,15 +58,7 @@ def diagnose_command(
         list[str] | None,
         typer.Option("--with", metavar="EFFECT", help="Put this effect into the base model; may be repeated.", show_default=False),
     ] = None,
-    against: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--against",
-            metavar="BAG",
-            help="Name what changed since this recording of the same object and cell; may be repeated.",
-            show_default=False,
-        ),
-    ] = None,
+    against: _AgainstOption = None,
     without: WithoutOption = "",
     no_forces: NoForcesOption = False,
     out: OutOption = None,
@@ -88,22 +90,22 @@ def diagnose_command(
         records = [loaded[i] for i in kept]
         reference: Sequence[PushRecord] = ()
         if against:
-            # Read with those of the bags, so that it is certainly the same object with the same cells.
+            # Read together, so that it is certainly the same object with the same cells.
             both = load_pushes([*bags, *against], object_id=loaded.object_id, camera_in_table=in_table, options=options, on_progress=report)
             reference = leave_out(both[len(loaded) :], [], no_forces=no_forces)[0]
         diagnosis = diagnose(records, settings, against=reference, on_progress=report)
     _show(diagnosis, loaded.notes)
     content = to_json(diagnosis)
-    write_json(json, content)
+    for file in (json, None if out is None else out / "diagnosis.json"):
+        write_json(file, content)
     if out is not None:
-        write_json(out / "diagnosis.json", content)
         sources = [record.source for record in records]
         write_report(out / "report.html", diagnosis, object_id=loaded.object_id, sources=sources, notes=loaded.notes)
-        files = ["report.html", "diagnosis.json"]
+        names = ["report.html", "diagnosis.json"]
         if diagnosis.fit is not None and not against:
             save_model(out / "model.json", diagnosis.fit.posterior, object_id=loaded.object_id, sources=sources)
-            files.append("model.json")
-        say(f"written: {', '.join(str(out / name) for name in files)}")
+            names.append("model.json")
+        say(f"written: {', '.join(str(out / name) for name in names)}")
 
 
 def _show(diagnosis: Diagnosis, notes: Sequence[str]) -> None:

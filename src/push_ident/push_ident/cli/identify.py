@@ -144,14 +144,7 @@ def identify_command(
         write_json(file, content)
     if out is not None:
         _write_files(out, result, loaded, fitted, held_out, record=record)
-    for line in result.warnings:
-        warn(f"warning: {line}")
-    for line in found:
-        warn(f"! {line}")
-    if result.status.is_failure:
-        warn(f"push-ident: {result.status.value}; the maps that are written are the prior")
-    if result.status.is_failure or result.warnings:
-        raise typer.Exit(1)
+    _end(result, found)
 
 
 def prior_of_options(weighed: float | None, nominal_mass: float, friction: float, pusher_friction: float) -> Prior:
@@ -237,6 +230,16 @@ def _show_errors(notes: Sequence[str], loaded: LoadedPushes, fitted: PushErrors,
             row = [millimetres(float(np.mean(own))) for own in (errors.uniform, errors.scalar, errors.identified)]
             table.add_row(f"{name} ({len(errors.pushes)})", *row)
     console.print(table)
+
+
+def _end(result: Identification, found: Sequence[str]) -> None:
+    """Say what is wrong; raises typer.Exit with status 1 where the pushes contradict themselves, or nothing was learned."""
+    for line in (*(f"warning: {text}" for text in result.warnings), *(f"! {text}" for text in found)):
+        warn(line)
+    if result.status.is_failure:
+        warn(f"push-ident: {result.status.value}; the maps that are written are the prior")
+    if result.status.is_failure or result.warnings:
+        raise typer.Exit(1)
 
 
 def _show_identifiability(result: Identification) -> None:

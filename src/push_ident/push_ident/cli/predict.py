@@ -26,6 +26,14 @@ _FOR_PEOPLE: Final = ((1e3, "mm"), (1e3, "mm"), (180.0 / np.pi, "°"))
 """Factor and unit of x, y and yaw."""
 
 
+_PoseOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y,YAW", help="Without bags: pose of the object before the push [m, m, rad, or 5cm,0,90deg].", show_default=False
+    ),
+]
+
+
 def predict_command(
     model: Annotated[
         Path, typer.Argument(metavar="MODEL", help="Model file, as `identify --out DIR` writes it (DIR/model.json).", show_default=False)
@@ -34,12 +42,7 @@ def predict_command(
         list[Path] | None,
         typer.Argument(metavar="[BAG...]", help="Recorded pushes: folders, .mcap, .db3 or ROS 1 .bag files.", show_default=False),
     ] = None,
-    pose: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X,Y,YAW", help="Without bags: pose of the object before the push [m, m, rad, or 5cm,0,90deg].", show_default=False
-        ),
-    ] = None,
+    pose: _PoseOption = None,
     path: Annotated[
         Path | None,
         typer.Option(
@@ -83,9 +86,8 @@ def predict_command(
     else:
         loaded = load_pushes(bags or [], object_id=object_id, camera_in_table=read_camera(camera), options=read_options(map_, depth_unit))
         content = _of_recorded(posterior, loaded, in_file, sources_of_model(model))
-    write_json(json, content)
-    if out is not None:
-        write_json(out / "prediction.json", content)
+    for file in (json, None if out is None else out / "prediction.json"):
+        write_json(file, content)
     if content.get("warnings"):
         raise typer.Exit(1)
 

@@ -23,7 +23,9 @@ from push_ident.types import BoolArray, Float64Array, ObjectShape
 _LEAST_POSITION_STD, _LEAST_YAW_STD = 1e-4, float(np.radians(0.05))
 """Least standard deviations that are taken from the scatter at rest: the error that all poses share does not scatter."""
 _JUMP: Final = 3.0
-"""Speed of a jump to where a lost body is put, over the 0.99 quantile of all other speeds [-]."""
+"""Speed of a jump to where a lost body is put, over any speed before or after it [-]."""
+_AROUND: Final = 5
+"""Steps before and after a jump with which it is compared: a body that begins to move reaches most of its speed in them."""
 
 
 class OverlapError(BagError):
@@ -148,7 +150,7 @@ def without_lost(rows: Float64Array, what: str, notes: list[str]) -> Float64Arra
     """Rows with time [s] first and a position next, shape (n, n_columns), with NaN where tracking was lost.
 
     Trackers write a lost body as zeros: all of a quaternion, the last four of eight columns, or the position without any turn. A body may
-    be at the origin: it is lost there where it gets there and leaves by jumps, several times as fast as it is elsewhere.
+    be at the origin: it is lost there where it gets there and leaves by jumps, several times as fast as it moves before and after.
     """
     values = rows[:, 1:]
     has_turn = values.shape[1] == 7
@@ -158,19 +160,27 @@ def without_lost(rows: Float64Array, what: str, notes: list[str]) -> Float64Arra
         at_origin = at_origin & (np.abs(values[:, 6]) == 1.0)
     position = values[:, : 3 if has_turn else 2]
     is_usable = ~is_lost & (np.abs(position) < LIMITS.COORDINATE.value).all(axis=1)
-    time = np.diff(rows[is_usable, 0])
-    period = float(np.median(time)) if len(time) else 0.0
-    leaves = np.diff(at_origin[is_usable].astype(np.int8)) != 0
-    elsewhere = ~leaves & ~at_origin[is_usable][1:]
-    if leaves.any() and elsewhere.any() and period > 0:
-        # Stamps jitter; over a pause a body may go far.
-        speed = np.linalg.norm(np.diff(position[is_usable], axis=0), axis=1) / np.maximum(time, period)
-        if np.median(speed[leaves]) > _JUMP * np.quantile(speed[elsewhere], 0.99):
-            is_lost = np.asarray(is_lost | at_origin)
+    if _is_jump(rows[is_usable, 0], position[is_usable], at_origin[is_usable]):
+        is_lost = np.asarray(is_lost | at_origin)
     if is_lost.all() or not is_lost.any():
         return rows
     notes.append(f"{what.rsplit('/', 1)[-1]}: tracking was lost in {int(is_lost.sum())} of {len(rows)} rows, which are zero")
     return np.where(is_lost[:, None] & (np.arange(rows.shape[1]) > 0), np.nan, rows)
+
+
+def _is_jump(time: Float64Array, position: Float64Array, at_origin: BoolArray) -> bool:
+    """Whether a body gets to the origin and leaves it by jumps, much faster than it moves before and after; shapes (n,), (n, k), (n,)."""
+    if len(time) < 2:
+        return False
+    step = np.diff(time)
+    # Stamps jitter; over a pause a body may go far.
+    speed = np.linalg.norm(np.diff(position, axis=0), axis=1) / np.maximum(step, np.median(step))
+    away = ~at_origin[:-1] & ~at_origin[1:]
+    jumps = []
+    for at in np.flatnonzero(at_origin[:-1] != at_origin[1:]):
+        outer = slice(max(at - _AROUND, 0), at) if at_origin[at + 1] else slice(at + 1, at + 1 + _AROUND)
+        jumps.append(speed[at] > _JUMP * np.max(speed[outer][away[outer]], initial=0.0))
+    return len(jumps) > 0 and bool(np.mean(jumps) > 0.5)
 
 
 def without_gaps(rows: Float64Array, needed: Sequence[bool], places: Sequence[object], what: str, notes: list[str]) -> Float64Array:
