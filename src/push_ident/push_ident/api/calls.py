@@ -21,7 +21,9 @@ from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeAlias, TypeVar, ove
 import numpy as np
 from numpy.typing import ArrayLike
 
+from push_ident.api.arrays import record, records
 from push_ident.bags.read_options import ReadOptions, parse_topics
+from push_ident.checking.records import RecordCheck, check_records
 from push_ident.diagnosis.diagnose import diagnose as _diagnose
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
@@ -47,6 +49,8 @@ if TYPE_CHECKING:
 
 Model: TypeAlias = Identification | ModelPosterior | str | PathLike[str]
 """A result of `identify`, its posterior, or the path of a model file."""
+__all__ = ["check", "diagnose", "identify", "in_one_thread", "load", "next_push", "plot", "predict", "record", "records"]
+
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _CHOSEN: Final = "OPENBLAS_NUM_THREADS"
@@ -104,6 +108,30 @@ def load(
     camera = None if camera_in_table is None else np.asarray(camera_in_table, dtype=np.float64)
     options = ReadOptions(parse_topics(topics or {}), depth_unit)
     return load_pushes([Path(bag) for bag in bags], object_id=object_id, camera_in_table=camera, options=options)
+
+
+def check(pushes: Sequence[PushRecord], *, page: str | PathLike[str] | None = None) -> RecordCheck:
+    """Whether pusher and object meet while the object moves, and forces are those of the pusher, before anything is learned from pushes.
+
+    Args:
+        pushes: of one object, at least one.
+        page: where to write the pictures and findings, as of an import (HTML).
+
+    Returns:
+        `agrees`, `warnings` in words with the probable cause (a clock, a frame, a unit, a radius), `overlap` with the numbers.
+
+    Raises:
+        InputError: no push, or the page cannot be written.
+    """
+    if not pushes:
+        raise InputError("There is no push to check; give at least one push record.")
+    checked = check_records(pushes)
+    if page is not None:
+        need("report")
+        from push_ident.bags.importers.import_page import write_check_page
+
+        write_check_page(Path(page), checked)
+    return checked
 
 
 @in_one_thread

@@ -11,6 +11,7 @@ import numpy as np
 from push_ident.checking.contact import Contact, contact_of, contact_tolerance_of, contact_warnings
 from push_ident.checking.forces import check_forces
 from push_ident.checking.overlap import Overlap, Streams, overlap_of
+from push_ident.pages.tables import html_table
 from push_ident.types import Float64Array, PushRecord
 
 _APART: Final = 60.0
@@ -29,6 +30,22 @@ class RecordCheck:
     """What was corrected."""
     warnings: tuple[str, ...] = ()
     """What is wrong with the pushes: results of them are wrong, too."""
+
+    def __repr__(self) -> str:
+        return f"RecordCheck({len(self.records)} pushes {'agree' if self.agrees else 'contradict themselves'}{self._list()})"
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        rows = [(text,) for text in (*self.warnings, *self.notes)]
+        return html_table(f"{len(self.records)} pushes {'agree' if self.agrees else 'contradict themselves'}", ("finding",), rows)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing is wrong as far as contacts, clocks and forces show it."""
+        return not self.warnings
+
+    def _list(self) -> str:
+        return "".join(f"; {text.rstrip('.')}" for text in (*self.warnings, *self.notes))
 
 
 def check_records(records: Sequence[PushRecord]) -> RecordCheck:

@@ -16,6 +16,7 @@ from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
 from push_ident.checking.overlap import Overlap
+from push_ident.checking.records import RecordCheck
 from push_ident.errors import BagError
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.pages.outline_chart import Placed, outline_panel
@@ -101,6 +102,32 @@ def write_refusal_page(path: Path, overlap: Overlap, reason: str) -> None:
             "steps": [*_mend(overlap), ("Then import again.", "")],
         },
     )
+
+
+def write_check_page(path: Path, checked: RecordCheck) -> None:
+    """Write the page of pushes that were checked as they are in memory. Raises InputError where it cannot be written."""
+    overlap, facts = checked.overlap, []
+    if overlap is not None:
+        facts = [
+            ("object", f"{_size(overlap.shape.outline)}, {len(overlap.shape.cells)} cells"),
+            ("pusher", _pusher(overlap.radius)),
+            ("accepted distance of pusher and outline", f"{1e3 * overlap.tolerance:.1f} mm"),
+        ]
+    step = "Nothing is wrong as far as these pushes show it." if checked.agrees else "Mend it where they are recorded or read."
+    content = {
+        "title": f"{_count(len(checked.records), 'push')}: {'they agree' if checked.agrees else 'they contradict themselves'}",
+        "headline": "Contacts, clocks and forces of pushes, checked against each other.",
+        "explanation": "" if overlap is None else f"{overlap.finding()}.",
+        "wrong": list(checked.warnings),
+        "checks": [],
+        "rows": [],
+        "n_pushes": len(checked.records),
+        "facts_title": "What was checked",
+        "facts": facts,
+        "notes": list(checked.notes),
+        "steps": [(step, "")],
+    }
+    write_page(path, __package__, "import.html.j2", _context(overlap) | content)
 
 
 def _context(overlap: Overlap | None) -> dict[str, Any]:
