@@ -45,7 +45,7 @@ def test_every_name_that_is_offered_exists_and_is_documented_and_typed() -> None
     assert (Path(pi.__file__).parent / "py.typed").is_file()
     for name in pi.__all__:
         assert name == "__version__" or "Raises" in (getattr(pi, name).__doc__ or "") or name == "next_push", name
-    with pytest.raises(AttributeError, match=r"no attribute 'identfy'; it offers diagnose, identify"):
+    with pytest.raises(AttributeError, match=r"no attribute 'identfy'; it offers check, diagnose"):
         pi.identfy  # type: ignore[attr-defined]  # noqa: B018
 
 
