@@ -49,8 +49,10 @@ def test_right_pushes_pass_with_their_forces(pushes: list[PushRecord], measured:
 
 def test_a_late_clock_is_named_with_its_size_by_everything_that_takes_the_pushes(pushes: list[PushRecord]) -> None:
     wrong = [late(record, 0.1) for record in pushes]
-    (warning,) = check_records(wrong).warnings
+    checked = check_records([with_forces(record, MODEL) for record in wrong])
+    (warning,) = checked.warnings
     assert "the clock of the pusher is 0.1" in warning and "--" not in warning
+    assert all(record.wrench is None for record in checked.records), "nothing shows whether they are right"
     result = pi.identify(wrong, max_seconds=5.0)
     assert result.warnings == (warning,)
     assert pi.diagnose(wrong[:3]).warnings

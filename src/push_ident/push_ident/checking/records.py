@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -23,7 +23,7 @@ class RecordCheck:
     """Whether poses, path of the pusher and forces of pushes agree with each other."""
 
     records: tuple[PushRecord, ...]
-    """The pushes; forces that cannot be those of the pusher are left out, and offsets of the sensor taken off."""
+    """The pushes; forces that cannot be those of the pusher, or that no contact confirms, are left out, offsets of the sensor taken off."""
     overlap: Overlap | None
     """Pusher and object while the object moves; None for a pusher that is no cylinder."""
     notes: tuple[str, ...] = ()
@@ -64,7 +64,9 @@ def check_records(records: Sequence[PushRecord]) -> RecordCheck:
     if not overlap.fits:
         causes = "; or ".join(cause.finding for cause in overlap.causes)
         why = f"probably {causes}" if causes else "no single mistake explains it"
-        return RecordCheck(tuple(records), overlap, warnings=(*warnings, f"{overlap.finding()} in the median; {why}."))
+        # Where the contacts are wrong, nothing shows whether the forces are right.
+        poses_only = tuple(replace(record, wrench=None) for record in records)
+        return RecordCheck(poses_only, overlap, warnings=(*warnings, f"{overlap.finding()} in the median; {why}."))
     forces = check_forces(records)
     return RecordCheck(forces.records, overlap, forces.notes, (*warnings, *forces.warnings))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -383,7 +384,7 @@ def run_import(importer: Callable[[], ImportReport], out: Path, source: str, pag
     Where the pusher never comes near the object, there is no bag, and the page shows where the pusher is instead.
     """
     need("report")
-    from push_ident.bags.importers.import_page import write_import_page, write_refusal_page
+    from push_ident.bags.importers.import_page import force_warnings, write_import_page, write_refusal_page
 
     file = out.with_name(f"{out.stem}_import.html") if page is None else page
     try:
@@ -392,6 +393,8 @@ def run_import(importer: Callable[[], ImportReport], out: Path, source: str, pag
         write_refusal_page(file, error.overlap, str(error))
         say(f"page of the import: {file}")
         raise
+    # Forces are checked as all other commands will read them.
+    report = replace(report, warnings=(*report.warnings, *force_warnings(report.bag)))
     write_import_page(file, report, source)
     _show(report)
     say(f"page of the import: {file}")

@@ -15,6 +15,7 @@ from push_ident import __version__
 from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
+from push_ident.checking.forces import check_forces
 from push_ident.checking.overlap import Overlap
 from push_ident.checking.records import RecordCheck
 from push_ident.errors import BagError
@@ -102,6 +103,16 @@ def write_refusal_page(path: Path, overlap: Overlap, reason: str) -> None:
             "steps": [*_mend(overlap), ("Then import again.", "")],
         },
     )
+
+
+def force_warnings(bag: Path) -> tuple[str, ...]:
+    """Why the forces of a bag that was imported cannot be those of the pusher; empty where they can, or where it has none."""
+    try:
+        contents = read_bag(bag)
+        pushes = split_pushes(contents, next(iter(contents.objects)))
+    except BagError:  # the page says so
+        return ()
+    return check_forces(pushes).warnings
 
 
 def write_check_page(path: Path, checked: RecordCheck) -> None:
