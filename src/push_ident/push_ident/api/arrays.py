@@ -84,7 +84,7 @@ def records(
     with tempfile.TemporaryDirectory() as folder:
         report = import_recording(recording, options, bag := Path(folder) / "arrays")
         loaded = load_pushes([bag])
-    return LoadedPushes(loaded.object_id, loaded.records, [*report.notes, *loaded.notes], loaded.nuisances)
+    return LoadedPushes(loaded.object_id, loaded.records, [*report.notes, *report.warnings, *loaded.notes], loaded.nuisances)
 
 
 def record(

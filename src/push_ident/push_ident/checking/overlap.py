@@ -23,6 +23,8 @@ _TURNS: Final = np.linspace(-0.4, 0.4, 9)
 """About the turn that the ways of pusher and object suggest, which the turning of the object falsifies [rad]."""
 _PLACES: Final = np.linspace(-1.0, 1.0, 9)
 """Where the origin of its frame is looked for, about where the path of the pusher comes to the middle of the object, in radii of it [-]."""
+_SHOWN: Final = 3.0
+"""Tolerances that an object moves at least in a push that shows whether it meets the pusher [-]: less fits anything."""
 _UNITS: Final = (
     (1e-3, "mm"),
     (1e-2, "cm"),
@@ -33,8 +35,6 @@ _UNITS: Final = (
     (10.0, "cm instead of mm"),
 )
 """Factors by which lengths are wrong where they were in fact of this unit."""
-_LEAST_SPAN: Final = 0.01
-"""Least distance between two places of an object that pushes have moved [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +50,8 @@ class Streams:
     """Of the pusher [m]."""
     tolerance: float
     """Distance between pusher and outline that noise explains [m]."""
-    yaw_has_unit: bool = True
-    """Whether the yaw of the poses came as an angle, not as a quaternion."""
+    units: frozenset[str] = frozenset({"length", "angle"})
+    """What came as numbers whose unit somebody named: lengths, and a yaw, which a quaternion is not."""
     pusher_axes: Float64Array = field(default_factory=lambda: np.eye(3))
     """Rotation from the axes of the pusher's file to those of the table, shape (3, 3)."""
 
@@ -235,7 +235,7 @@ def _best(causes: Sequence[Cause], tolerance: float) -> tuple[Cause, ...]:
 def _causes(frames: _Frames) -> Iterator[Cause]:
     """Each mistake that brings pusher and object together; one with more unknowns needs more pushes to be believed."""
     tolerance = frames.streams.tolerance
-    found = [*_unit_causes(frames), *_axes_causes(frames)]
+    found = [*(_unit_causes(frames) if frames.streams.units else ()), *_flipped_cause(frames), *_axes_causes(frames)]
     if frames.n_pushes > 1:
         found += [_radius_cause(frames), _clock_cause(frames)]
     explained = [(cause, distance) for cause, distance in found if _meet(distance, tolerance)]
@@ -262,9 +262,13 @@ def _unit_causes(frames: _Frames) -> Iterator[_Found]:
         yield _cause(f"the lengths of the poses are in {unit}", "check --length-unit", frames.distance(pusher, pose=scaled))
         yield _cause(f"the outline is in {unit}", "check --outline-length-unit", frames.distance(pusher, outline=factor * outline))
     yield from _scale_cause(frames)
-    for factor, unit in ((np.pi / 180.0, "degrees"), (180.0 / np.pi, "radians")) if frames.streams.yaw_has_unit else ():
+    for factor, unit in ((np.pi / 180.0, "degrees"), (180.0 / np.pi, "radians")) if "angle" in frames.streams.units else ():
         turned = np.column_stack([pose[:, :2], factor * pose[:, 2]])
         yield _cause(f"the yaw of the poses is in {unit}", "check --angle-unit", frames.distance(pusher, pose=turned))
+
+
+def _flipped_cause(frames: _Frames) -> Iterator[_Found]:
+    pusher, pose = frames.pusher(), frames.pose
     flipped = np.column_stack([pose[:, :2], -pose[:, 2]])
     yield _cause("the yaw has the other sign", "the z axis of the poses points down", frames.distance(pusher, pose=flipped))
 
@@ -272,7 +276,7 @@ def _unit_causes(frames: _Frames) -> Iterator[_Found]:
 def _scale_cause(frames: _Frames) -> Iterator[_Found]:
     """Poses and pusher in one other unit, the one that fits the outline best; one in which nothing moves fits it by accident."""
     pusher, pose = frames.pusher(), frames.pose
-    span = float(np.ptp(pose[:, :2], axis=0).max())
+    ways = [np.ptp(pose[frames.push == push, :2], axis=0).max() for push in np.unique(frames.push)]
     found = [
         _cause(
             f"the lengths of poses and pusher are in {unit}",
@@ -280,7 +284,7 @@ def _scale_cause(frames: _Frames) -> Iterator[_Found]:
             frames.distance(factor * pusher, pose=np.column_stack([factor * pose[:, :2], pose[:, 2]])),
         )
         for factor, unit in _UNITS
-        if factor * span >= _LEAST_SPAN
+        if factor * float(np.median(ways)) >= _SHOWN * frames.streams.tolerance
     ]
     if found:
         yield min(found, key=lambda one: one[0].error)

@@ -88,4 +88,4 @@ def _one_stream(records: Sequence[PushRecord], tolerance: float) -> Streams:
         poses.append(np.column_stack([record.poses.time + shift, record.poses.pose]))
         runs.append(np.column_stack([record.pusher.time + shift, record.pusher.position, np.zeros(len(record.pusher.time))]))
         start = max(poses[-1][-1, 0], runs[-1][-1, 0]) + _APART
-    return Streams(np.vstack(poses), runs, records[0].shape, records[0].pusher.radius, tolerance)
+    return Streams(np.vstack(poses), runs, records[0].shape, records[0].pusher.radius, tolerance, units=frozenset())

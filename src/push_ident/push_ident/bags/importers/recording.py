@@ -109,8 +109,8 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
     position_std, yaw_std = _noise(poses, runs, recording.names[0], options, notes)
     covariance = pose_covariance(position_std, yaw_std)
     tolerance = contact_tolerance(shape, position_std=position_std, yaw_std=yaw_std)
-    has_yaw = "--angle-unit" in recording.unit_options
-    streams = Streams(poses, runs, shape, options.radius, tolerance, has_yaw, recording.pusher_axes)
+    units = frozenset({"length", *(("angle",) if "--angle-unit" in recording.unit_options else ())})
+    streams = Streams(poses, runs, shape, options.radius, tolerance, units, recording.pusher_axes)
     spans = _pushes(streams)
     if numbers is None:
         spans = _with_contact(spans, tolerance, notes)
