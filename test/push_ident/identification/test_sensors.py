@@ -72,13 +72,17 @@ def test_total_mass_and_friction_of_the_object_are_known_together_better_than_ea
 
 
 @pytest.mark.parametrize(
-    ("effect", "value", "accuracy"), [("force_offset", [0.6, -0.4], 0.1), ("force_delay", [0.03], 0.004)], ids=["offset", "delay"]
+    ("effect", "value", "left", "accuracy"),
+    [("force_offset", [0.6, -0.4], [0.0, 0.0], 0.1), ("force_delay", [0.03], [0.03], 0.004)],
+    ids=["offset, which is taken off", "delay"],
 )
 def test_errors_of_the_sensor_are_found_and_leave_the_maps_alone(
-    measured: ModelPosterior, effect: str, value: list[float], accuracy: float
+    measured: ModelPosterior, effect: str, value: list[float], left: list[float], accuracy: float
 ) -> None:
-    wrong = identify([with_forces(r, TRUTH, {effect: value}) for r in RECORDS[:4]]).posterior
-    assert wrong.effects.values[wrong.effects.slice_of(effect)] == pytest.approx(value, abs=accuracy)
+    result = identify([with_forces(r, TRUTH, {effect: value}) for r in RECORDS[:4]])
+    wrong = result.posterior
+    assert wrong.effects.values[wrong.effects.slice_of(effect)] == pytest.approx(left, abs=accuracy)
+    assert any("0.7 N are measured without contact" in note for note in result.notes) == (value != left)
     change = wrong.model.mass * wrong.model.friction - measured.model.mass * measured.model.friction
     assert np.abs(change).max() < np.max(measured.mass_friction_std)
 

@@ -70,10 +70,11 @@ class _Samples:
     """When the object has certainly moved [s]; NaN where it does not."""
 
 
-def check_forces(records: Sequence[PushRecord]) -> ForceCheck:
+def check_forces(records: Sequence[PushRecord], *, tare: bool = True) -> ForceCheck:
     """Compare measured forces with the contacts of pushes whose poses and paths agree with each other (`check_records`).
 
-    Without a push in which forces were measured, or where the pusher is no cylinder, the pushes are returned as they are.
+    Without a push in which forces were measured, or where the pusher is no cylinder, the pushes are returned as they are; without `tare`
+    offsets are, too.
     """
     measured = [record for record in records if record.wrench is not None and record.pusher.polygon is None]
     if not measured:
@@ -83,7 +84,7 @@ def check_forces(records: Sequence[PushRecord]) -> ForceCheck:
     tared = [replace(s, force=s.force - offset) for s, offset in zip(samples, offsets, strict=True)]
     if problem := _problem(tared):
         return ForceCheck(tuple(replace(record, wrench=None) for record in records), warnings=(f"{problem}; forces are left out.",))
-    if not np.any(offsets):
+    if not (tare and np.any(offsets)):
         return ForceCheck(tuple(records))
     most = float(np.max(np.linalg.norm(offsets, axis=1)))
     force = {id(s.record): s.force for s in tared}

@@ -48,11 +48,11 @@ class RecordCheck:
         return "".join(f"; {text.rstrip('.')}" for text in (*self.warnings, *self.notes))
 
 
-def check_records(records: Sequence[PushRecord]) -> RecordCheck:
+def check_records(records: Sequence[PushRecord], *, tare: bool = True) -> RecordCheck:
     """Check pushes of one object, at least one.
 
     Pusher and object have to meet where the object moves, to within the accuracy of their poses; then forces have to point into the
-    object, and to be zero without contact. A fit can hide such an error in its maps.
+    object, and to be zero without contact. A fit can hide such an error in its maps. `tare`: take offsets of the force sensor off.
     """
     if any(record.pusher.polygon is not None for record in records):
         return RecordCheck(tuple(records), None)
@@ -67,7 +67,7 @@ def check_records(records: Sequence[PushRecord]) -> RecordCheck:
         # Where the contacts are wrong, nothing shows whether the forces are right.
         poses_only = tuple(replace(record, wrench=None) for record in records)
         return RecordCheck(poses_only, overlap, warnings=(*warnings, f"{overlap.finding()} in the median; {why}."))
-    forces = check_forces(records)
+    forces = check_forces(records, tare=tare)
     return RecordCheck(forces.records, overlap, forces.notes, (*warnings, *forces.warnings))
 
 

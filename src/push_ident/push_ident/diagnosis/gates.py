@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from push_ident.checking.records import RecordCheck, check_records
+from push_ident.checking.records import check_records
 from push_ident.diagnosis.policy import GatePolicy
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.diagnosis.verdict import Gate
@@ -35,9 +35,10 @@ def check_pushes(state: DiagnosisState) -> DiagnosisState:
     settings = state.settings
     policy, noise = settings.policy.gates, settings.noise
     bursts = [in_burst(record, policy) for record in state.records]
-    checked = check_records([_without(record, burst) for record, burst in zip(state.records, bursts, strict=True)])
+    # An offset of the sensor is a cause that a diagnosis looks for.
+    checked = check_records([_without(record, burst) for record, burst in zip(state.records, bursts, strict=True)], tare=False)
     records = checked.records
-    gates = [*_bursts(bursts), *check_data(records, noise, policy), *_corrections(checked)]
+    gates = [*_bursts(bursts), *check_data(records, noise, policy)]
     records = tuple(at_rest(record) if _missing_share(record, policy) >= policy.max_missing_share else record for record in records)
     return replace(
         state,
@@ -133,11 +134,6 @@ def _bursts(bursts: Sequence[BoolArray]) -> list[Gate]:
     share = n / sum(map(len, bursts))
     finding = f"{n} poses ({100 * share:.1f} %) jump away together and come back, and are left out"
     return [Gate(True, finding, "Find out why the tracker loses the object for a moment.")]
-
-
-def _corrections(checked: RecordCheck) -> list[Gate]:
-    """What was done to measured forces; nothing where they were as they should be."""
-    return [Gate(True, note.rstrip("."), "Tare the sensor before a push.") for note in checked.notes]
 
 
 def _missing_frames(records: Sequence[PushRecord], policy: GatePolicy) -> list[Gate]:
