@@ -393,8 +393,8 @@ def run_import(importer: Callable[[], ImportReport], out: Path, source: str, pag
         write_refusal_page(file, error.overlap, str(error))
         say(f"page of the import: {file}")
         raise
-    # Forces are checked as all other commands will read them.
-    report = replace(report, warnings=(*report.warnings, *force_warnings(report.bag)))
+    if report.overlap is None or report.overlap.fits:  # else no contact shows whether the forces are right
+        report = replace(report, warnings=(*report.warnings, *force_warnings(report.bag)))
     write_import_page(file, report, source)
     _show(report)
     say(f"page of the import: {file}")

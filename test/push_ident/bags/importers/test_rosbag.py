@@ -63,7 +63,7 @@ MAP = ("--map", "/vrpn/hammer/pose=object", "--map", "/tf#tool0=pusher")
 def test_mapped_topics_become_a_bag_of_the_contract(tmp_path: Path, foreign: Path, pushed: list[PushRecord]) -> None:
     more = ("--map", "ft=wrench", "--wrench-on-sensor", "--pusher-frame", "0,0,0", "--object", "hammer")
     done = run_here(*arguments(foreign, tmp_path, pushed, *MAP, *more))
-    assert done.returncode == 0 and ("warning" not in done.stderr or CONSTANT in done.stderr), done.stderr
+    assert done.returncode == 0 and done.stderr.count("warning") == done.stderr.count(CONSTANT), done.stderr
     pushes = split_pushes(read_bag(tmp_path / "own"), "hammer")
     assert len(pushes) == N and (tmp_path / "own_import.html").exists()
     for push, record in zip(pushes, pushed, strict=True):
@@ -220,7 +220,7 @@ def test_lengths_in_another_unit_are_named_with_an_option_that_mends_them(
     wrong = run_here(*arguments(bag, tmp_path, pushed, *OWN_MAP, *options, "--out", tmp_path / "wrong"))
     assert words in wrong.stderr and "--angle-unit" not in wrong.stderr, wrong.stderr
     done = run_here(*arguments(bag, tmp_path, pushed, *OWN_MAP, *mended))
-    assert done.returncode == 0 and ("warning" not in done.stderr or CONSTANT in done.stderr), done.stderr
+    assert done.returncode == 0 and done.stderr.count("warning") == done.stderr.count(CONSTANT), done.stderr
     for push, record in zip(split_pushes(read_bag(tmp_path / "own"), "1"), pushed, strict=True):
         np.testing.assert_allclose(push.poses.pose[[0, -1], :2], record.poses.pose[[0, -1], :2], atol=2e-3)
 
@@ -303,7 +303,7 @@ def test_frames_are_followed_through_the_transforms_of_the_bag(
 ) -> None:
     bag = Cell().write(tmp_path / "cell", rows)
     done = run_here(*arguments(bag, tmp_path, pushed, *(word.replace("/tf_static", topic) for word in IN_TF)))
-    assert done.returncode == 0 and ("warning" not in done.stderr or CONSTANT in done.stderr), done.stderr
+    assert done.returncode == 0 and done.stderr.count("warning") == done.stderr.count(CONSTANT), done.stderr
     assert "from `eye` to `world`" in done.stdout and "from `tool` to `world` by the transforms of the bag at the time" in done.stdout
     pushes = split_pushes(read_bag(tmp_path / "own"), "1")
     assert len(pushes) == N

@@ -102,12 +102,12 @@ class Transforms:
 
     def chain(self, frame: str) -> list[str]:
         """A frame, its parent and so on to the root. Raises ContentError where it is its own ancestor."""
-        found = [frame]
-        while (link := self._links.get(found[-1])) is not None:
-            if link.parent in found:
+        ancestry = [frame]
+        while (link := self._links.get(ancestry[-1])) is not None:
+            if link.parent in ancestry:
                 raise ContentError(f"the transforms lead from {plain_text(frame)} round in a circle; one frame has two parents in them.")
-            found.append(link.parent)
-        return found
+            ancestry.append(link.parent)
+        return ancestry
 
     def common(self, frames: Iterable[str]) -> str:
         """The nearest frame from which there are links to all of these; empty where there is none."""

@@ -13,7 +13,7 @@ from push_ident.errors import BagError
 from push_ident.limits import plain_text
 from push_ident.types import Float64Array
 
-Found = dict[str, dict[str, int]]
+Columns = dict[str, dict[str, int]]
 """Name of a body -> name of a column of it -> number of that column."""
 
 
@@ -31,7 +31,8 @@ class Attitude:
 class Export:
     """Content of an export."""
 
-    found: Found
+    columns: Columns
+    """Of each body."""
     time: tuple[int, float]
     """Number of the column of time, and its unit [s]."""
     position: Mapping[str, float]
@@ -50,7 +51,7 @@ class Export:
         body = self._chosen(file, body, needed)
         columns = [
             ("time", *self.time),
-            *((f"{name} of {plain_text(body)}", self.found[body][name], unit) for name, unit in needed.items()),
+            *((f"{name} of {plain_text(body)}", self.columns[body][name], unit) for name, unit in needed.items()),
         ]
         lines = range(self.first_line, self.first_line + len(self.rows))
         values = np.column_stack(
@@ -72,7 +73,7 @@ class Export:
         )
 
     def _chosen(self, file: Path, body: str, needed: Collection[str]) -> str:
-        bodies = [name for name, columns in self.found.items() if columns.keys() >= set(needed)]
+        bodies = [name for name, own in self.columns.items() if own.keys() >= set(needed)]
         if not bodies:
             raise BagError(f"{file}: no body has all of {', '.join(needed)}; export position and rotation of rigid bodies.")
         if body in bodies or (not body and len(bodies) == 1):

@@ -14,7 +14,7 @@ from itertools import permutations
 from pathlib import Path
 from typing import Final
 
-from push_ident.bags.importers.motion_capture.export import Attitude, Export, Found
+from push_ident.bags.importers.motion_capture.export import Attitude, Columns, Export
 from push_ident.bags.importers.tables import UNITS, cells_of
 from push_ident.errors import BagError
 from push_ident.limits import plain_text
@@ -41,13 +41,13 @@ def read(file: Path, lines: Sequence[str]) -> Export:
     _value(file, head, "Coordinate Space", ["Global"])
     length = UNITS[_LENGTHS[_value(file, head, "Length Units", list(_LENGTHS))]]
     kind = _value(file, head, "Rotation Type", ["Quaternion", *_ORDERS])
-    found: Found = {}
+    columns: Columns = {}
     for at, (of, name, what, axis) in enumerate(zip(*(rows[i] for i in (at_type, at_type + 1, at_axis - 1, at_axis)), strict=False)):
         if of == "Rigid Body":
-            found.setdefault(name.strip(), {}).setdefault(f"{what} {axis}", at)
+            columns.setdefault(name.strip(), {}).setdefault(f"{what} {axis}", at)
 
     return Export(
-        found,
+        columns,
         time=(at_time, 1.0),
         position={f"Position {axis}": length for axis in "XYZ"},
         attitude=Attitude(dict.fromkeys([f"Rotation {axis}" for axis in "XYZW"], 1.0)) if kind == "Quaternion" else _euler(kind),

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.bags.importers.motion_capture.export import Attitude, Export, Found
+from push_ident.bags.importers.motion_capture.export import Attitude, Columns, Export
 from push_ident.bags.importers.tables import UNITS, cells_of
 from push_ident.errors import BagError
 from push_ident.limits import plain_text
@@ -45,14 +45,14 @@ def read(file: Path, lines: Sequence[str]) -> Export:
             f"{file}: an export of QTM with columns of {len(starts)} bodies, {'a' if 'Time' in names else 'no'} column Time and "
             f"{len(bodies)} BODY_NAMES, expected Time and one of each body; export it with column headers and time data."
         )
-    found: Found = {}
+    columns: Columns = {}
     for body, start in zip(bodies, starts, strict=True):
         labels = ("X", "Y", "Z", *names[start + 3 : start + 7], *_MATRIX)
         if start < 0 or names[start : start + len(labels)] != [f"{body} X", *labels[1:]]:
             raise BagError(f"{file}: columns of {plain_text(body)} are not X, Y, Z, angles, residual, Rot[0] to Rot[8]; export them all.")
-        found[body] = {label: start + at for at, label in enumerate(labels)}
+        columns[body] = {label: start + at for at, label in enumerate(labels)}
     return Export(
-        found,
+        columns,
         time=(names.index("Time"), 1.0),
         position={axis: UNITS["mm"] for axis in "XYZ"},
         attitude=Attitude(dict.fromkeys(_MATRIX, 1.0), _of_matrices),
@@ -65,9 +65,9 @@ def _of_matrices(elements: Float64Array) -> Float64Array:
     """Zero where a matrix is no rotation, as where a body was lost."""
     from scipy.spatial.transform import Rotation
 
-    columns = np.clip(elements, -2.0, 2.0).reshape(-1, 3, 3)  # what is far off does not overflow
-    matrix = columns.transpose(0, 2, 1)
-    is_turn = (np.abs(matrix @ columns - np.eye(3)).max(axis=(1, 2)) < _ROUNDING) & (np.linalg.det(matrix) > 0.0)
+    transposed = np.clip(elements, -2.0, 2.0).reshape(-1, 3, 3)  # what is far off does not overflow
+    matrix = transposed.transpose(0, 2, 1)
+    is_turn = (np.abs(matrix @ transposed - np.eye(3)).max(axis=(1, 2)) < _ROUNDING) & (np.linalg.det(matrix) > 0.0)
     quaternion = np.zeros((len(matrix), 4))
     quaternion[is_turn] = Rotation.from_matrix(matrix[is_turn]).as_quat()
     return quaternion

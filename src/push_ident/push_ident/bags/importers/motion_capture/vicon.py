@@ -16,7 +16,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Final
 
-from push_ident.bags.importers.motion_capture.export import Attitude, Export, Found
+from push_ident.bags.importers.motion_capture.export import Attitude, Columns, Export
 from push_ident.bags.importers.tables import UNITS, cells_of
 from push_ident.errors import BagError
 from push_ident.limits import plain_text
@@ -58,17 +58,17 @@ def read(file: Path, lines: Sequence[str]) -> Export:
             )
         return UNITS[got]
 
-    found: Found = {}
+    columns: Columns = {}
     body = ""
     for at, (name, label) in enumerate(zip_longest(names, labels, fillvalue="")):
         body = name.strip().removeprefix("Global Angle ") or body
-        found.setdefault(body, {}).setdefault(label, at)
+        columns.setdefault(body, {}).setdefault(label, at)
     if "RW" in labels:
         attitude = Attitude(dict.fromkeys(("RX", "RY", "RZ", "RW"), 1.0))
     else:
         attitude = Attitude({label: unit(label, ("rad", "deg")) for label in ("RX", "RY", "RZ")}, _of_rotation_vectors)
     return Export(
-        found,
+        columns,
         time=(0, seconds),
         position={label: unit(label, ("mm", "cm", "m")) for label in ("TX", "TY", "TZ")},
         attitude=attitude,
