@@ -12,6 +12,7 @@ import pytest
 import push_ident as pi
 from helpers.objects import hammer, random_records, with_forces, with_frames
 from push_ident.checking.records import check_records
+from push_ident.identification.online.session import ObjectSession, SessionOptions
 from push_ident.types import Float64Array, PoseTrack, PushRecord, WrenchTrack
 
 MODEL = hammer(3)
@@ -56,6 +57,15 @@ def test_a_late_clock_is_named_with_its_size_by_everything_that_takes_the_pushes
     result = pi.identify(wrong, max_seconds=5.0)
     assert result.warnings == (warning,)
     assert pi.diagnose(wrong[:3]).warnings
+
+
+def test_a_live_session_says_what_is_wrong_with_its_pushes(pushes: list[PushRecord]) -> None:
+    session, right = (ObjectSession("1", MODEL.shape, SessionOptions()) for _ in range(2))
+    for record in pushes[:2]:
+        session.finish(late(record, 0.1))
+        right.finish(record)
+    assert session.n_pushes == right.n_pushes == 2
+    assert "clock" in session.warnings[0] and right.warnings == ()
 
 
 def test_end_poses_of_an_object_that_the_pusher_never_reaches_are_named(pushes: list[PushRecord]) -> None:
