@@ -14,6 +14,7 @@ from helpers.memory_cell import CONTACT, PARKED, SETTINGS, Bench, Cell, code_of
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.executed_push import Purpose, RestingPose, displacement
+from push_ident.pushing.motion import PathPlan
 from push_ident.pushing.ports import Phase
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.push_request import ExecutionSettings, Mode, PushRequest
@@ -313,6 +314,29 @@ def test_tool_backs_off_from_the_object_where_the_push_was_broken_off_and_not_wh
     np.testing.assert_allclose(bench.cell.box, box, atol=1e-4)
     low = [(place - tip)[:2] @ OUTWARD for _, place in held if place[2] < tip[2] + 1e-3]
     assert max(low) == pytest.approx(SETTINGS.motion.back_off, abs=1e-3) and min(low) > -2e-3
+
+
+@pytest.mark.parametrize("seed", [0, 2, 5, 11])
+def test_push_whose_corrections_are_planned_late_goes_on_and_ends(bench: Bench, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """A machine that is busy plans, now and then, for longer than the arm takes to where the paths part."""
+    planned, rng = PathPlan.corrected, np.random.default_rng(seed)
+
+    def late(plan: PathPlan, path: ToolPath, begin: float) -> PathPlan:
+        events, bench.cell.events = bench.cell.events, [give_up]  # no correction is taken meanwhile
+        bench.cell.sleep(max(rng.uniform(-0.1, 0.15), 0.0))
+        bench.cell.events = events
+        sway = np.column_stack([np.zeros(len(path.time)), path.time * rng.uniform(-0.04, 0.04)])
+        return planned(plan, ToolPath(path.time, path.position + sway), begin)
+
+    def give_up(cell: Cell) -> None:
+        assert cell.time < 130.0, "the push does not end"
+
+    monkeypatch.setattr(PathPlan, "corrected", late)
+    bench.cell.events.append(give_up)
+    Corrector(bench)
+    outcome = bench.push(ALONG_PATH)
+    assert code_of(outcome) in (PushCode.NONE, PushCode.CORRECTION), outcome.error
+    assert bench.cell.q == pytest.approx(PARKED, abs=1e-3), "the arm went home"
 
 
 @pytest.mark.parametrize(("change", "code"), [({"is_cancel_requested": True}, PushCode.CANCELED), ({"force": 40.0}, PushCode.FORCE)])

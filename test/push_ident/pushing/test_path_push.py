@@ -146,12 +146,17 @@ NOW = 1000.8
 """Of the cell, 0.8 s after the departure."""
 
 
+def take(plan: PathPlan) -> bool:
+    """An arm that is not past where the plans part."""
+    return True
+
+
 def steering(plan: PathPlan, timeout: float = 0.2) -> Steering:
     """In contact for a while, without a correction for 0.1 s, at `NOW`."""
     own = Steering(PathRequest(PATH, CORRIDOR, timeout), LIMITS, lambda: [OBSTACLE], timeout)
     own.begin(7, plan)
     for elapsed, wall in ((0.2, 50.7), (0.8, 50.8)):
-        assert own.look(plan.departure + elapsed, NOW - 0.8 + elapsed, wall) is None
+        assert own.look(plan.departure + elapsed, NOW - 0.8 + elapsed, wall, take) is plan
     return own
 
 
@@ -189,7 +194,7 @@ def test_correction_that_cannot_be_used_is_refused_counted_and_changes_nothing(p
     with pytest.raises(InputError, match=fault.value):
         own.offer(wrong)
     assert own.refused == {fault: 1} and own.n_made == 0
-    assert own.look(plan.departure + 0.81, NOW + 0.01, 50.81) is None
+    assert own.look(plan.departure + 0.81, NOW + 0.01, 50.81, take) is plan
 
 
 def test_correction_is_made_in_time_and_one_that_is_older_than_it_is_not(plan: PathPlan) -> None:
@@ -197,37 +202,47 @@ def test_correction_is_made_in_time_and_one_that_is_older_than_it_is_not(plan: P
     own.offer(correction(0.01))
     with pytest.raises(InputError, match="newer"):
         own.offer(correction(0.01))
-    changed = own.look(plan.departure + 0.81, NOW + 0.01, 50.81)
-    assert changed is not None and own.n_made == 1
+    changed = own.look(plan.departure + 0.81, NOW + 0.01, 50.81, take)
+    assert changed is not plan and own.n_made == 1
     np.testing.assert_allclose(changed.tool.position[-1], correction(0.01).position[-1], atol=2e-4)
     same = changed.tool.time < 0.84
     np.testing.assert_array_equal(changed.tool.position[same], plan.tool.position[: same.sum()])
+
+
+def test_correction_for_which_the_arm_is_too_far_on_changes_nothing_and_a_stop_is_tried_again(plan: PathPlan) -> None:
+    own = steering(plan)
+    own.offer(correction(0.01))
+    assert own.look(plan.departure + 0.81, NOW + 0.01, 50.81, lambda changed: False) is plan
+    assert own.refused == {CorrectionFault.LATE: 1} and own.n_made == 0
+    own.offer(correction(stop=True, stamp=NOW, time=np.empty(0), position=np.empty((0, 2))))
+    assert own.look(plan.departure + 0.82, NOW + 0.02, 50.82, lambda changed: False) is plan
+    assert own.look(plan.departure + 0.83, NOW + 0.03, 50.83, take).stop < plan.stop
 
 
 def test_without_promised_corrections_the_push_ends_and_says_what_came_instead(plan: PathPlan) -> None:
     own = steering(plan)
     with pytest.raises(InputError):
         own.offer(correction(push_id=3))
-    assert own.look(plan.departure + 0.85, NOW + 0.05, 50.89) is None
+    assert own.look(plan.departure + 0.85, NOW + 0.05, 50.89, take) is plan
     with pytest.raises(PlanningError, match="1 FOREIGN") as ended:
-        own.look(plan.departure + 0.86, NOW + 0.06, 50.91)
+        own.look(plan.departure + 0.86, NOW + 0.06, 50.91, take)
     assert ended.value.code == PushCode.CORRECTION
     # A push that takes none needs none.
     alone = steering(plan, 0.0)
     with pytest.raises(InputError, match="without a timeout"):
         alone.offer(correction())
-    assert alone.look(plan.departure + 1.2, NOW + 0.4, 60.0) is None
+    assert alone.look(plan.departure + 1.2, NOW + 0.4, 60.0, take) is plan
 
 
 def test_told_to_stop_the_tool_stops_at_once_and_waits_for_nothing(kinematics: ArmKinematics, plan: PathPlan) -> None:
     own = steering(plan)
     own.offer(correction(stop=True, time=np.empty(0), position=np.empty((0, 2))))
-    changed = own.look(plan.departure + 0.81, NOW + 0.01, 50.81)
-    assert changed is not None and changed.stop - plan.departure < 0.81 + 0.3
+    changed = own.look(plan.departure + 0.81, NOW + 0.01, 50.81, take)
+    assert changed is not plan and changed.stop - plan.departure < 0.81 + 0.3
     check_motion(kinematics, changed)
     way = np.linalg.norm(changed.tool.position[-1] - PATH.at(np.array(0.85)))
     assert way < SPEED**2 / (2 * 0.8 * changed.acceleration) + 1e-3, "no further than braking needs"
-    assert own.look(changed.stop, NOW + 5.0, 60.0) is None
+    assert own.look(changed.stop, NOW + 5.0, 60.0, take) is changed
     with pytest.raises(InputError, match="told to stop"):
         own.offer(correction(stamp=NOW))
 

@@ -21,7 +21,7 @@ from push_ident.pushing.push import PushCode, PushPlan2D
 from push_ident.pushing.push_request import ExecutionSettings, Mode, PushOutcome, PushRequest
 from push_ident.pushing.sampling import is_near_edge, push_along_path, push_from_goal, recentring_pushes, sample_push
 from push_ident.pushing.steering import Steering, ToolCorrection
-from push_ident.pushing.watch import ArmWatch
+from push_ident.pushing.watch import ArmWatch, Change
 from push_ident.types import Float64Array, PusherPath
 
 PlanFrom = Callable[[np.ndarray], ArmPlan]
@@ -311,7 +311,7 @@ class _Execution:
             if isinstance(motion, PathPlan):
                 self._begin_steering(push.push_id, motion)
 
-        def on_look(elapsed: float, time: float, state: ArmState) -> ArmMotion | None:
+        def on_look(elapsed: float, time: float, state: ArmState, change: Change) -> None:
             nonlocal reported
             push.reached, push.ended, push.shift = elapsed, time, state.stamp - time
             self.owner.is_pushing = push.plan.lowered <= elapsed <= push.plan.rested
@@ -321,13 +321,13 @@ class _Execution:
                 self._check_object(push)
             elif elapsed > push.plan.rested:
                 self._observe_rest(push)
-            phase = phase_at(elapsed)
-            if phase != reported[0] or elapsed - reported[1] > self.settings.feedback_period:
-                reported = (phase, elapsed)
+            phase, now = phase_at(elapsed), self.ports.clock.monotonic()
+            if phase != reported[0] or now - reported[1] > self.settings.feedback_period:
+                reported = (phase, now)
                 if push.pacing is not None and np.isfinite(start := push.pacing.time_of(push.plan.departure)):
                     self.client.began(push.push_id, start)
                 self.client.feedback(phase, elapsed / push.plan.duration)
-            return self._steer(push, elapsed, time)
+            self._steer(push, elapsed, time, change)
 
         limits = self.settings.limits
         self.watch.run(push.plan, limits, replan=plan_from, check_wanted=self._check_wanted, on_start=on_start, on_look=on_look)
@@ -353,7 +353,7 @@ class _Execution:
         def plan_from(q: np.ndarray) -> ArmMotion:
             return plan_retreat(self.ports.arm.planner, q, heading, settings)
 
-        def look(elapsed: float, time: float, state: ArmState) -> None:
+        def look(elapsed: float, time: float, state: ArmState, change: Change) -> None:
             on_look()
             self.client.feedback(Phase.RETREAT, 1.0)
 
@@ -383,13 +383,9 @@ class _Execution:
         steering.begin(push_id, plan)
         self.owner.steering = steering
 
-    def _steer(self, push: ExecutedPush, elapsed: float, time: float) -> ArmMotion | None:
-        if (steering := self.owner.steering) is None:
-            return None
-        changed = steering.look(elapsed, time, self.ports.clock.monotonic())
-        if changed is not None:
-            push.plan = changed
-        return changed
+    def _steer(self, push: ExecutedPush, elapsed: float, time: float, change: Change) -> None:
+        if (steering := self.owner.steering) is not None:
+            push.plan = steering.look(elapsed, time, self.ports.clock.monotonic(), change)
 
     def _end_steering(self) -> None:
         steering, self.owner.steering = self.owner.steering, None

@@ -119,13 +119,13 @@ class Steering:
         self._lock = threading.Lock()
         self._pending: ToolCorrection | None = None
         self._latest = -np.inf
-        self._heard = self._heard_at = np.inf
+        self._heard = np.inf
         self._push_id = 0
         self._plan: PathPlan | None = None
         self._offset = self._now = 0.0
         self._is_stopping = False
         self.n_made = 0
-        """Corrections that were applied, or replaced by a newer one first."""
+        """Number of corrections that were applied."""
         self.refused: Counter[CorrectionFault] = Counter()
         """Number of refused corrections by fault."""
 
@@ -141,24 +141,23 @@ class Steering:
                 return  # sent again in case it was lost
             self._check(correction)
             self._pending, self._latest = correction, correction.stamp
-            self._heard = np.inf if correction.stop else self._heard_at
             self._is_stopping = self._is_stopping or correction.stop
-            self.n_made += 1
 
-    def look(self, elapsed: float, time: float, wall: float) -> PathPlan | None:
-        """The plan from now on, if it changes.
+    def look(self, elapsed: float, time: float, wall: float, change: Callable[[PathPlan], bool]) -> PathPlan:
+        """The plan from now on.
 
         Args:
             elapsed: time of the plan that the arm has reached [s].
             time: the time then, clock of the cell [s].
             wall: the present, wall time [s].
+            change: leads the arm on by another plan; false where it is too late for it.
 
         Raises PlanningError: CORRECTION where promised corrections do not come.
         """
         with self._lock:
             plan = self._plan
             assert plan is not None, "it has begun"
-            self._offset, self._now, self._heard_at = elapsed - plan.departure - time, time, wall
+            self._offset, self._now = elapsed - plan.departure - time, time
             if elapsed < plan.contact or not self._timeout:
                 self._heard = wall
             silence = wall - self._heard
@@ -166,13 +165,19 @@ class Steering:
                 raise PlanningError(PushCode.CORRECTION, self._silent(silence))
             correction, self._pending = self._pending, None
             if correction is None:
-                return None
+                return plan
             try:
-                self._plan = plan.corrected(*self._motion(plan, correction))
+                changed = plan.corrected(*self._motion(plan, correction))
             except PlanningError as error:
                 self._count(CorrectionFault.JOINTS, str(error))
-                return None
-            return self._plan
+            else:
+                if change(changed):
+                    self._plan, self._heard, self.n_made = changed, wall, self.n_made + 1
+                    return changed
+                self._count(CorrectionFault.LATE, "planning it took longer than the arm to where it would have begun to act")
+            if correction.stop:
+                self._pending = correction  # no newer one will come
+            return plan
 
     # ---- parts, called with the lock
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import insort
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +18,12 @@ from push_ident.pushing.ports import Arm, ArmState, ExecutionPorts
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.push_request import WatchLimits
 from push_ident.types import Float64Array
+
+Change = Callable[[ArmMotion], bool]
+"""To go on with another motion; false where it comes too late, or a limit forbids it: nothing has changed then."""
+OnLook = Callable[[float, float, ArmState, Change], object]
+"""Gets the time of the plan [s] that the arm has reached, the time of the cell then [s], the state of the arm, and how to change the
+motion."""
 
 
 class Tracking:
@@ -95,10 +102,20 @@ class _UnderWay:
         self._deadline: float | None = None
         """For an arm that has missed pieces to be where they led [s]; None if it was not sent there."""
 
-    def change(self, motion: ArmMotion) -> None:
-        """Another motion, the same up to where the next piece begins to act."""
-        self._motion = motion
+    def change(self, motion: ArmMotion, now: float) -> bool:
+        """Go on with another motion, if its next piece continues the last command within the limits; otherwise nothing changes.
+
+        Planning took time: where the arm has come further than to where the two part, it would have to jump. `now` as in `send`.
+        """
+        time, before = self.clock.now(), self._motion
+        if not self.clock.is_known or self._tracking.stood_at is not None:
+            return False
         self.pacing.change(motion.trajectory)
+        if self.send(time, now):
+            self._motion = motion
+            return True
+        self.pacing.change(before.trajectory)
+        return False
 
     def judge(self, state: ArmState) -> None:
         """Raise PlanningError TRACKING for a state that an arm on its way cannot have."""
@@ -123,10 +140,13 @@ class _UnderWay:
         if self._tracking.stood_at is not None:
             self._catch_up(state, self._tracking.stood_at, time)
         elif now - self._tried > self._piece_period and not self.pacing.is_complete:
-            self.send(time, now)
+            is_sent, timeout = self.send(time, now), self.limits.arrival_timeout
+            if not is_sent and time > self.pacing.ends + timeout:
+                why = "each next piece of the motion would exceed a limit of the joints"
+                raise PlanningError(PushCode.TRACKING, f"the arm has stood on its way for {timeout:.1f} s: {why}.")
 
-    def send(self, time: float, now: float) -> None:
-        """Send the next piece; `time` [s] on the clock of the motion, `now` on that of this process.
+    def send(self, time: float, now: float) -> bool:
+        """Send the next piece; false where none was sent. `time` [s] on the clock of the motion, `now` on that of this process.
 
         One that would exceed a limit, as one made late may, is left out: the arm brakes, and the next one goes on more gently.
         """
@@ -136,8 +156,9 @@ class _UnderWay:
             piece = self.pacing.piece(time, SPLICE + self.clock.ahead, share)
             if self._link.move(piece, time, is_stamped=self._is_stamped):
                 self._deadline = None
-                return
+                return True
             self.pacing.take_back()
+        return False
 
     def hold(self) -> None:
         """End the motion on the path of the pieces that were sent, whatever the states say: the arm follows these.
@@ -219,7 +240,7 @@ class ArmWatch:
         replan: Callable[[np.ndarray], ArmMotion],
         check_wanted: Callable[[], None],
         on_start: Callable[[ArmMotion, PathPacing], None],
-        on_look: Callable[[float, float, ArmState], ArmMotion | None],
+        on_look: OnLook,
     ) -> None:
         """Make one motion.
 
@@ -227,9 +248,7 @@ class ArmWatch:
             replan: plans it once more from the posture [rad], if the arm was moved since.
             check_wanted: raises PlanningError when the motion should end.
             on_start: called with the motion that begins, and with what tells when the arm reaches which part of it.
-            on_look: called at each check with the time of the plan [s] that the arm has reached, the time of the cell then [s],
-                and the arm's state. May give another motion, which is the same up to where the next piece begins to act; may raise
-                PlanningError, which ends the motion.
+            on_look: called at each check; may raise PlanningError, which ends the motion.
 
         Raises PlanningError: nothing moved, or the arm is held: TRACKING, ARM_SILENT, FORCE, HAND, RECORDING, LIMIT, and those of the
         arguments.
@@ -250,9 +269,7 @@ class ArmWatch:
             f"the arm moves by itself: it is {distance:.3f} rad from the start of the plan, limit {limits.start_tolerance:.3f} rad.",
         )
 
-    def _follow(
-        self, under_way: _UnderWay, check_wanted: Callable[[], None], on_look: Callable[[float, float, ArmState], ArmMotion | None]
-    ) -> None:
+    def _follow(self, under_way: _UnderWay, check_wanted: Callable[[], None], on_look: OnLook) -> None:
         """Make a motion from where the arm stands: one thread, and nothing follows the hold."""
         clock, limits = under_way.clock, under_way.limits
         self.peak_force, _ = 0.0, self._force.take_peak()
@@ -275,19 +292,24 @@ class ArmWatch:
                 self._check_force(limits)
                 self._check_equipment()
                 time = clock.of(state)
-                if (changed := on_look(under_way.pacing.path_time(time), time, state)) is not None:
-                    under_way.change(changed)
+                on_look(under_way.pacing.path_time(time), time, state, partial(self._change, under_way, now, limits))
                 if under_way.has_arrived(state):
                     return
-                if self._clock.monotonic() - now > limits.max_absence:
-                    continue  # this process was suspended since the check above: the next look reports it, and nothing more is sent
-                under_way.go_on(state, now)
+                if self._is_present(now, limits):
+                    under_way.go_on(state, now)
         except BaseException as error:
             fault = self._cause(error, looked, limits)
             under_way.hold()
             if fault is error:
                 raise
             raise fault from error
+
+    def _change(self, under_way: _UnderWay, looked: float, limits: WatchLimits, motion: ArmMotion) -> bool:
+        return self._is_present(looked, limits) and under_way.change(motion, self._clock.monotonic())
+
+    def _is_present(self, looked: float, limits: WatchLimits) -> bool:
+        """Whether something may be sent: not where this process was suspended since it `looked` [s], which the next look reports."""
+        return self._clock.monotonic() - looked <= limits.max_absence
 
     def _cause(self, fault: BaseException, looked: float, limits: WatchLimits) -> BaseException:
         """Why a motion ended: to a process that was suspended since it `looked` [s], all sources seem silent."""
