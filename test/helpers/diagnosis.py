@@ -100,4 +100,5 @@ def gap_of(before: list[float], after: list[float], noise: float, log_density_ga
 def account_of_parts(gap: Gap, noise: float, maps: float, model: float, more_pushes: int | None = 0) -> Account:
     """The account of a gap whose expected parts [m] are given, the same for every push."""
     cumulated = np.cumsum([noise, maps, model])
-    return Account(gap, ExpectedErrors(*(np.full(len(gap.before), part) for part in cumulated), 0.0), more_pushes)
+    expected = ExpectedErrors(*(np.full(len(gap.before), part) for part in cumulated), (0.9 * cumulated[-1], 1.1 * cumulated[-1]))
+    return Account(gap, expected, more_pushes)

@@ -157,8 +157,9 @@ def test_effects_added_in_stages_have_a_part_each() -> None:
     assert account["unexplained"].mean == pytest.approx(0.0)
 
 
-def test_error_that_all_pushes_share_widens_the_interval_of_the_unexplained_part() -> None:
+def test_unexplained_is_what_exceeds_the_errors_that_the_model_makes_expect() -> None:
     account = account_of_parts(gap_of([2e-3, 2.1e-3] * 3, [2e-3, 2.1e-3] * 3, 1e-3), 1e-3, 5e-4, 1e-4)
-    shared = replace(account, expected=replace(account.expected, shared_std=1e-3))
+    assert account["unexplained"].interval == pytest.approx((2.05e-3 - 1.1 * 1.6e-3, 2.05e-3 - 0.9 * 1.6e-3))
+    shared = replace(account, expected=replace(account.expected, mean_interval=(1e-3, 3e-3)))
     assert account.is_unexplained and not shared.is_unexplained and shared.is_within_chance
     assert shared["noise"] == account["noise"]

@@ -56,7 +56,7 @@ def few(more: int | None) -> str:
             "table_tilt 2.0 mm, pusher_lag 0.50 mm|tau 30 ± 2 ms|pusher_lag from pose_latency|2.5 mm",
         ),
         (wording.sentence_of_nothing(NONE, SOURCES), "1.4 mm|1.0 mm|0.20 mm|0.10 mm|0.05 mm|within chance"),
-        (wording.sentence_of_nothing(account([1.05] * 4, [0.9, 1.2] * 2), SOURCES), "0.25 mm better|90 % interval 0.10 to 0.40 mm"),
+        (wording.sentence_of_nothing(account([1.05] * 4, [0.9, 1.2] * 2), SOURCES), "0.25 mm better|90 % interval 0.12 to 0.38 mm"),
         (wording.sentence_of_nothing(OPEN, SOURCES), "2.6 mm|1.3 mm|push 2 (2.0 mm)"),
         (few(5), "0.70 mm (90 % interval 0.70 to 0.70 mm)|5 more pushes|(50, -20) mm|80 mm towards 90°"),
         (few(None), "More than 100 pushes"),

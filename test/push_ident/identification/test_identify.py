@@ -106,6 +106,12 @@ def test_errors_of_poses_are_as_correlated_as_frames_at_rest_show() -> None:
     np.testing.assert_array_equal(found.covariance, told.covariance)
 
 
+def test_correlation_of_short_rests_is_not_estimated_too_large() -> None:
+    """Four fifths of the variance correlate; of 40 pushes the correlation is known to 0.02."""
+    records = [r for seed in range(4) for r in with_correlated_noise(simulated_pushes(10, seed), 0.5, seed)]
+    assert noise_correlation(records) == pytest.approx(0.4, abs=0.03)
+
+
 @pytest.mark.parametrize("rho", [0.0, 0.5])
 def test_correlation_of_noise_is_measured_at_rest_and_makes_means_less_precise(rho: float) -> None:
     records = with_correlated_noise(simulated_pushes(14, 1), rho, 2)

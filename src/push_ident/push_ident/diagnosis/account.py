@@ -55,9 +55,9 @@ class ExpectedErrors:
     """B, with the unknowns of the posterior [m], shape (n_pushes,)."""
     discrepancy: Float64Array
     """C, with the model discrepancy [m], shape (n_pushes,)."""
-    shared_std: float
-    """Standard deviation of the error that all pushes have in common, since they are predicted from the same maps [m]: no number of pushes
-    averages it out, and no resampling of them shows it."""
+    mean_interval: tuple[float, float]
+    """Contains the mean over the pushes with the probability of the policy [m]. An error that all pushes have in common, since they are
+    predicted from the same maps, is averaged out by no number of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +69,8 @@ class AccountPart:
     mean: float
     """[m]; the parts add up to the error before effects."""
     interval: tuple[float, float]
-    """Contains it with the probability of the policy [m], by bootstrap over the pushes; that of `unexplained` also for the error that all
-    pushes have in common."""
+    """Contains it with the probability of the policy [m], by bootstrap over the pushes; for `unexplained`, over what the model makes
+    expect."""
     is_effect: bool = False
 
 
@@ -155,18 +155,31 @@ class Account:
         return {" and ".join(names): values for names, values in removed_by_cause(gap, gap.before, gap.stages, gap.after).items()}
 
     def _part(self, name: str, values: Float64Array, *, is_effect: bool) -> AccountPart:
-        interval = self.gap.mean_interval(values, self.expected.shared_std if name == _UNEXPLAINED else 0.0)
+        interval = self.gap.mean_interval(values)
+        if name == _UNEXPLAINED:
+            low, high = self.expected.mean_interval
+            interval = self.after - high, self.after - low
         return AccountPart(name, float(np.mean(values)), interval, is_effect)
 
 
 def account_of(gap: Gap, problem: FitProblem, policy: AccountPolicy) -> Account:
     """Split a gap, which has its fits, into its parts; `problem`: with all pushes."""
-    account = Account(gap, expected_errors(gap.fits, gap.folds, problem, policy), 0, policy)
+    quantiles, n_drawn = gap.policy.interval_quantiles, gap.policy.bootstrap_draws
+    account = Account(gap, expected_errors(gap.fits, gap.folds, problem, policy, quantiles=quantiles, n_drawn=n_drawn), 0, policy)
     return replace(account, more_pushes=_more_pushes(account, problem)) if account.maps_are_open else account
 
 
-def expected_errors(fits: Sequence[Fit], folds: Sequence[Sequence[int]], problem: FitProblem, policy: AccountPolicy) -> ExpectedErrors:
-    """Cell errors to expect of all pushes of a problem; `fits`: to those outside each of the `folds`, which are numbers of pushes."""
+def expected_errors(
+    fits: Sequence[Fit],
+    folds: Sequence[Sequence[int]],
+    problem: FitProblem,
+    policy: AccountPolicy,
+    *,
+    quantiles: tuple[float, float],
+    n_drawn: int,
+) -> ExpectedErrors:
+    """Cell errors to expect of all pushes of a problem; `fits`: to those outside each of the `folds`, which are numbers of pushes.
+    `quantiles` bound the interval of their mean, over `n_drawn` draws of it."""
     errors = np.empty((problem.n_pushes, 3, policy.draws))
     results = map_in_threads(lambda task: _errors_of_fold(*task, problem, policy), list(zip(fits, folds, strict=True)))
     for fold, errors_of_fold in zip(folds, results, strict=True):
@@ -175,7 +188,11 @@ def expected_errors(fits: Sequence[Fit], folds: Sequence[Sequence[int]], problem
     all_parts = errors[:, 2]
     # The variance of a mean of independent errors would be the second term.
     shared = np.var(np.nanmean(all_parts, axis=0), ddof=1) - np.mean(np.nanvar(all_parts, axis=1, ddof=1)) / len(all_parts)
-    return ExpectedErrors(noise, maps, discrepancy, float(np.sqrt(max(0.0, shared))))
+    rng, pushes = np.random.default_rng(0), np.arange(problem.n_pushes)
+    means = np.nanmean(all_parts[pushes, rng.integers(policy.draws, size=(n_drawn, problem.n_pushes))], axis=1)
+    means += np.sqrt(max(0.0, shared)) * rng.normal(size=n_drawn)
+    low, high = np.nanquantile(means, quantiles)
+    return ExpectedErrors(noise, maps, discrepancy, (float(low), float(high)))
 
 
 def _errors_of_fold(fit: Fit, pushes: Sequence[int], problem: FitProblem, policy: AccountPolicy) -> Float64Array:

@@ -128,15 +128,10 @@ class Gap:
         """Error that the effects remove, at the end and over the motion [m], each of shape (n_pushes,)."""
         return [self.before - self.after, *([] if self.motion is None else [self.motion.before - self.motion.after])]
 
-    def mean_interval(self, values: Float64Array, shared_std: float = 0.0) -> tuple[float, float]:
-        """Contains the mean of values, one for each push, shape (n,), with the probability of the policy, by bootstrap over the pushes.
-
-        `shared_std`: standard deviation of an error that all of them have in common, in their unit.
-        """
+    def mean_interval(self, values: Float64Array) -> tuple[float, float]:
+        """Contains the mean of values, one for each push, shape (n,), with the probability of the policy, by bootstrap over the pushes."""
         rng, n = np.random.default_rng(0), len(values)
         drawn = values[rng.integers(n, size=(self.policy.bootstrap_draws, n))].mean(axis=1)
-        if shared_std > 0.0:
-            drawn = drawn + shared_std * rng.normal(size=len(drawn))
         low, high = np.quantile(drawn, self.policy.interval_quantiles)
         return float(low), float(high)
 

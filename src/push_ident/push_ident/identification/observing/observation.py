@@ -30,6 +30,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from push_ident.geometry.outline import outline_distance
 from push_ident.physics.effect_values import EffectValues, force_times, measured_forces
@@ -246,20 +247,27 @@ def noise_at_rest(records: Sequence[PushRecord], noise: NoiseModel | None = None
 def noise_correlation(records: Sequence[PushRecord], *, enough_pairs: int = 40) -> float:
     """Correlation of the errors of neighbouring frames, from the frames at rest; NaN where these make fewer than `enough_pairs`.
 
-    The errors are assumed to be first-order autoregressive. The estimate is corrected for the mean of each rest, which absorbs a part of
-    them (Marriott & Pope, Bias in the estimation of autocorrelations, Biometrika 41, 1954).
+    The errors are assumed to be first-order autoregressive. The mean of each rest absorbs a part of them (Marriott & Pope, Bias in the
+    estimation of autocorrelations, Biometrika 41, 1954): the estimate is the correlation for which sums over all rests are expected as they
+    are.
     """
-    products = squares = 0.0
     rests = _clear_rests(records)
-    n_pairs, n_frames = sum(len(error) - 1 for error in rests), sum(map(len, rests))
-    for error in rests:
-        products += float(np.sum(error[1:] * error[:-1]))
-        squares += float(np.sum(error**2))
-    if n_pairs < enough_pairs or squares <= 0.0:
+    squares = sum(float(np.sum(error**2)) for error in rests)
+    if sum(len(error) - 1 for error in rests) < enough_pairs or squares <= 0.0:
         return float("nan")
-    length = n_frames / len(rests)
-    raw = products / n_pairs / (squares / n_frames)
-    return float(np.clip((raw + 1.0 / length) / max(1.0 - 3.0 / length, 0.25), -_MAX_CORRELATION, _MAX_CORRELATION))
+    ratio = sum(float(np.sum(error[1:] * error[:-1])) for error in rests) / squares
+    n = np.array([len(error) for error in rests], dtype=np.float64)
+
+    def excess(rho: float) -> float:
+        """Of the expected products of neighbours over those of a ratio as observed, for errors of unit variance."""
+        first = (1.0 - rho**n) / (n * (1.0 - rho))  # covariance of the first error, or the last, with the mean
+        of_mean = ((1.0 + rho) / (1.0 - rho) - 2.0 * rho * first / (1.0 - rho)) / n
+        return float(np.sum((n - 1.0) * rho - (n + 1.0) * of_mean + 2.0 * first - ratio * n * (1.0 - of_mean)))
+
+    bounds = (-_MAX_CORRELATION, _MAX_CORRELATION)
+    if excess(bounds[1]) <= 0.0 or excess(bounds[0]) >= 0.0:
+        return bounds[int(excess(bounds[1]) <= 0.0)]
+    return float(brentq(excess, *bounds))
 
 
 def noise_correlation_std(records: Sequence[PushRecord]) -> float:
