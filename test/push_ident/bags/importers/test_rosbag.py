@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -104,21 +104,21 @@ class Message:
     values: tuple[float, ...]
 
 
-def write_messages(bag: Path, messages: Sequence[Message], *, wrench_frame: str = "world") -> Path:
-    """Poses in `world`; a yaw of NaN stands for a quaternion of zeros."""
+def write_messages(bag: Path, messages: Sequence[Message], *, frames: Mapping[str, str] = {}) -> Path:
+    """All in `world` unless `frames` names the frame of a topic; a yaw of NaN stands for a quaternion of zeros."""
     with BagWriter(bag) as writer:
         for message in messages:
             topic, logged, stamp, values = message.topic, message.logged, message.stamp, message.values
             if topic == "/ft":
                 vectors = (new("geometry_msgs/msg/Vector3", *values, 0.0), new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0))
-                fields: tuple[Any, ...] = (header_msg(stamp, wrench_frame), new("geometry_msgs/msg/Wrench", *vectors))
+                fields: tuple[Any, ...] = (header_msg(stamp, frames.get(topic, "world")), new("geometry_msgs/msg/Wrench", *vectors))
                 write(writer, topic, "geometry_msgs/msg/WrenchStamped", logged, *fields)
                 continue
             x, y, yaw = (*values, 0.0)[:3]
             pose = pose_msg(x, y, 0.0, 0.0 if np.isnan(yaw) else yaw)
             if np.isnan(yaw):
                 pose.orientation.w = 0.0
-            write(writer, topic, "geometry_msgs/msg/PoseStamped", logged, header_msg(stamp, "world"), pose)
+            write(writer, topic, "geometry_msgs/msg/PoseStamped", logged, header_msg(stamp, frames.get(topic, "world")), pose)
     return bag
 
 
@@ -171,12 +171,54 @@ def test_messages_of_a_real_network_and_tracker_are_cleaned_with_a_note(
 def test_a_force_in_a_frame_of_its_own_needs_its_axes(
     tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord]
 ) -> None:
-    bag = write_messages(tmp_path / "turned", messages_of(rows), wrench_frame="ft_sensor_link")
+    bag = write_messages(tmp_path / "turned", messages_of(rows), frames={"/ft": "ft_sensor_link"})
     check_refused("--wrench-axes", *arguments(bag, tmp_path, pushed, *WITH_FORCE))
     done = run_here(*arguments(bag, tmp_path, pushed, *WITH_FORCE, "--wrench-axes", "-y,x,z"))
     assert done.returncode == 0, done.stderr
     push = split_pushes(read_bag(tmp_path / "own"), "1")[0]
     assert push.wrench is not None and (push.wrench.force == [0.0, 1.0]).all()
+
+
+@pytest.mark.parametrize(
+    ("unnamed", "options", "n_notes", "refusal"),
+    [
+        (("/body", "/tool", "/ft"), (), 3, ""),
+        (("/body", "/tool", "/ft"), ("--pusher-frame", "0,0,0", "--wrench-axes", "x,y,z"), 0, ""),
+        (("/tool",), (), 0, "(/tool: no frame_id, taken as `table`), and no transforms"),
+        (("/tool",), ("--pusher-frame", "0,0,0", "--wrench-axes", "x,y,z"), 0, ""),
+        (("/body",), (), 0, "say with --pusher-frame X,Y,YAW"),
+        (("/ft",), (), 0, "say with --wrench-axes"),
+    ],
+)
+def test_a_frame_without_a_name_is_table_with_a_note_and_no_other_frame(
+    tmp_path: Path,
+    rows: tuple[Float64Array, Float64Array],
+    pushed: list[PushRecord],
+    unnamed: tuple[str, ...],
+    options: tuple[str, ...],
+    n_notes: int,
+    refusal: str,
+) -> None:
+    bag = write_messages(tmp_path / "unnamed", messages_of(rows), frames=dict.fromkeys(unnamed, ""))
+    if refusal:
+        check_refused(refusal, *arguments(bag, tmp_path, pushed, *WITH_FORCE, *options))
+        return
+    done = run_here(*arguments(bag, tmp_path, pushed, *WITH_FORCE, *options, "--json", tmp_path / "report.json"))
+    assert done.returncode == 0, done.stderr
+    notes = json.loads((tmp_path / "report.json").read_text())["notes"]
+    assert sum("no frame_id; taken as in `table`. If it is in another frame, give --" in note for note in notes) == n_notes, notes
+
+
+def test_two_transforms_without_names_of_their_frames_do_not_meet(
+    tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord]
+) -> None:
+    bag = write_messages(tmp_path / "bag", messages_of(rows), frames={"/tool": "base"})
+    with BagWriter(tmp_path / "linked") as writer, open_bag(bag) as recorded:
+        links = [turned_msg(child, parent, 1.0, *Cell().base) for child, parent in (("", "world"), ("base", ""))]
+        write(writer, "/tf_static", "tf2_msgs/msg/TFMessage", 1.0, links)
+        for topic, stamp, data in recorded.raw_messages():
+            writer.write_raw(topic.topic, topic.msgtype, stamp, bytes(data))
+    check_refused("no transforms of the bag lead from one to the other", *arguments(tmp_path / "linked", tmp_path, pushed, *OWN_MAP))
 
 
 def test_a_force_on_another_clock_is_refused(tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord]) -> None:

@@ -25,6 +25,7 @@ from push_ident.bags.importers.tracked_poses import read_outline
 from push_ident.bags.importers.transforms import TYPES, Transforms
 from push_ident.bags.opening import OpenBag, open_bag
 from push_ident.errors import BagError, ContentError, InputError
+from push_ident.geometry.frames import TABLE_FRAME
 from push_ident.limits import LIMITS, plain_text
 from push_ident.types import Float64Array, ObjectShape
 
@@ -140,7 +141,7 @@ def _read_bag(source: RosbagTopics, shape: ObjectShape) -> tuple[Recording, _Set
     pusher = np.column_stack([tool.rows[:, 0], tool.rows[:, 1:4] @ source.pusher_axes.T])
     force = _force(streams["wrench"], source) if "wrench" in streams else np.zeros((0, 3))
     recording = Recording(poses, pusher, shape, None, force, names, tuple(notes), pusher_axes=source.pusher_axes)
-    frames = {role: next(iter(stream.frames), "") for role, stream in streams.items()}
+    frames = {role: next(iter(stream.frames)) for role, stream in streams.items()}
     return recording, _Setup(frames, body.child, float(np.median(place[:, 2])))
 
 
@@ -210,7 +211,7 @@ def _read(bag: OpenBag, role: str, topic: str, transforms: Transforms, source: R
     if ordered.shape[1] == 8:
         length = source.length if role != "pusher" or source.pusher_length is None else source.pusher_length
         ordered[:, 1:4] *= length
-    return _Stream(topic, ordered, frozenset(frames - {""}), "" if child else next(iter(children)).strip("/"))
+    return _Stream(topic, ordered, frozenset(frames), "" if child else next(iter(children)).strip("/"))
 
 
 def _unusable(bag: OpenBag, role: str, topic: str, msgtype: str) -> ContentError:
@@ -256,6 +257,8 @@ def _in_one_frame(streams: Mapping[str, _Stream], transforms: Transforms, source
 
     Raises BagError where there is no such frame and no option says how the frames lie, or a topic holds something else than its role.
     """
+    unnamed = plain_text(", ".join(stream.topic for stream in streams.values() if "" in stream.frames))
+    streams = {role: _named(role, stream, source, notes) for role, stream in streams.items()}
     for role, stream in streams.items():
         if stream.rows.shape[1] != (4 if role == "wrench" else 8):
             wanted = "forces" if role == "wrench" else "poses"
@@ -266,29 +269,40 @@ def _in_one_frame(streams: Mapping[str, _Stream], transforms: Transforms, source
     if source.frame and source.frame not in transforms.frames:
         known = plain_text(", ".join(transforms.frames)) or "no transforms"
         raise InputError(f"--frame is {plain_text(source.frame)!r}, expected a frame of the bag's transforms; it has {known}.")
-    ours, theirs = (next(iter(streams[role].frames), "") for role in _NEEDED)
+    ours, theirs = (next(iter(streams[role].frames)) for role in _NEEDED)
     is_told = source.options.pusher_frame is not None
-    is_one = ours == theirs or not (ours and theirs) or is_told
-    target = source.frame or (ours or theirs if is_one else transforms.common((ours, theirs)))
+    target = source.frame or (ours if ours == theirs or is_told else transforms.common((ours, theirs)))
     if not target:
-        raise _two_frames(source, transforms, ours, theirs)
+        raise _two_frames(source, transforms, ours, theirs, unnamed)
     moved = {}
     for role, stream in streams.items():
-        frame = next(iter(stream.frames), "")
+        frame = next(iter(stream.frames))
         to = theirs if is_told and role != "object" else target
-        if not frame or frame == to or (role == "wrench" and source.wrench_axes is not None):
+        if frame == to or (role == "wrench" and source.wrench_axes is not None):
             moved[role] = stream
         elif transforms.common((frame, to)):
             moved[role] = _brought(stream, frame, to, transforms, notes)
         else:
-            raise _two_frames(source, transforms, to, frame, role)
+            raise _two_frames(source, transforms, to, frame, unnamed, role)
     return moved
 
 
-def _two_frames(source: RosbagTopics, transforms: Transforms, ours: str, theirs: str, role: str = "pusher") -> ContentError:
-    """For streams in two frames between which no transforms lead, with the option that can say how they lie."""
+def _named(role: str, stream: _Stream, source: RosbagTopics, notes: list[str]) -> _Stream:
+    """With the frame `table` in place of none, and a note of it where no option says where the unknown frame lies."""
+    if "" not in stream.frames:
+        return stream
+    is_told = source.wrench_axes is not None if role == "wrench" else source.options.pusher_frame is not None
+    if not is_told:
+        other = "--wrench-axes" if role == "wrench" else "--pusher-frame X,Y,YAW"
+        notes.append(f"{plain_text(stream.topic)}: no frame_id; taken as in `{TABLE_FRAME}`. If it is in another frame, give {other}")
+    return replace(stream, frames=frozenset(frame or TABLE_FRAME for frame in stream.frames))
+
+
+def _two_frames(source: RosbagTopics, transforms: Transforms, ours: str, theirs: str, unnamed: str, role: str = "pusher") -> ContentError:
+    """For streams in two frames between which no transforms lead, with the option that can say how they lie; `unnamed` lack a frame."""
     what = "the force is" if role == "wrench" else f"{role} poses are"
     where = f"`{plain_text(theirs)}`, the object in `{plain_text(ours)}`"
+    where += f" ({unnamed}: no frame_id, taken as `{TABLE_FRAME}`)" if unnamed else ""
     text = f"{source.bag}: {what} in {where}, and no transforms of the bag lead from one to the other"
     if not (transforms.is_flat(ours) and transforms.is_flat(theirs)):
         return ContentError(
