@@ -110,9 +110,8 @@ def replay_command(
     if contents.has_poses:
         split_pushes(contents, most_pushed(contents))
     # Poses have two subscribers, the identification node and this command; depth has one, perception.
-    listeners = 2 if contents.has_poses else 1
-    player: dict[str, object] = {"rate": rate, "listeners": listeners, "wait": 30.0, "maps": map_ or [""], "depth_unit": depth_unit or 0.0}
-    parameters = {"bag_player_node": player}
+    player: dict[str, object] = {"rate": rate, "listeners": 2 if contents.has_poses else 1, "wait": 30.0}
+    parameters = {"bag_player_node": player | {"maps": map_ or [""], "depth_unit": depth_unit or 0.0}}
     if not contents.has_poses and contents.camera_in_table is not None:
         camera = contents.camera_in_table
         pose: dict[str, object] = {
