@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, overload
 import numpy as np
 
 from push_ident.bags.pushes import pushes_by_object, split_pushes
-from push_ident.bags.read_options import MAPPING, ReadOptions
+from push_ident.bags.read_options import ReadOptions
 from push_ident.bags.reader import BagContents, ObjectTrack, read_bag
 from push_ident.errors import BagError, PerceptionError
 from push_ident.identification.observing.observation import observe_push, pusher_gaps
@@ -192,7 +192,7 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
     except PerceptionError as error:
         if (wrong := wrong_unit(next(contents.depth_frames()), camera)) is None:
             raise PerceptionError(f"{contents.path}: {error}") from None
-        remedy = f"{MAPPING} it as --depth-unit {wrong.unit:g}"
+        remedy = f"`push-ident identify`, `predict`, `diagnose`, `fleet` and `replay` take it as --depth-unit {wrong.unit:g}"
         raise PerceptionError(f"{contents.path}: {wrong}; {remedy}.") from None
     objects = {
         object_id: ObjectTrack(shape=shape, time=track.time, pose=track.pose, covariance=track.covariance)
