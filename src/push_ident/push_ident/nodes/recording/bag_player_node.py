@@ -44,9 +44,7 @@ PARAMETERS: Final = (
         "Node that processes depth images, as perception_node with `every_image`: at most two are ahead of it; empty: none is waited for",
         read_only=True,
     ),
-    Parameter(
-        "maps", [""], "TOPIC=ROLE for topics of other names, as `push-ident replay --map` takes it", read_only=True
-    ),
+    Parameter("maps", [""], "TOPIC=ROLE for topics of other names, as `push-ident replay --map` takes it", read_only=True),
     Parameter("depth_unit", 0.0, "Metres per unit of a depth image; 0: by its encoding [m]", 0.0, 999.0, read_only=True),
     Parameter("listeners", 1, "Subscriptions to the poses of an object, or to depth, to wait for", 0, 100, read_only=True),
 )
