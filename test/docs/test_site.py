@@ -20,8 +20,10 @@ from push_ident.cli.main import app
 
 ROOT_DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONVENTIONS.md", "bags/README.md")
 ROOT_DOCUMENTS += ("changelog/README.md", "CONTRIBUTING.md", "CHANGELOG.md")
-ELSEWHERE = ("camera.yaml", "camera_info.yaml", "joint_limits.yaml", "my_robot.yaml", "parameters.yaml", "perception.yaml")
+ELSEWHERE = ("camera.yaml", "camera_info.yaml", "joint_limits.yaml", "my_cell.yaml", "my_robot.yaml", "parameters.yaml", "perception.yaml")
 """Files that documents name and that are made by a command or belong to an arm."""
+
+SITE_STYLE = (ROOT / "docs" / "assets" / "site.css").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +94,26 @@ def test_links_of_the_documents_at_the_root_lead_somewhere_and_files_that_docume
         named = set(re.findall(r"`((?:[\w-]+/)*[\w-]+(?:\.py|\.yaml|\.toml|/))`", document.read_text(encoding="utf-8")))
         broken += [f"{document}: {name}" for name in named.difference(ELSEWHERE) if not any(path.endswith(f"/{name}") for path in known)]
     assert not broken
+
+
+def unbreakable(cell: str) -> int:
+    """Characters of the longest word of a cell, links without their addresses."""
+    return max(map(len, re.split(r"[\s-]+", re.sub(r"\]\([^)]*\)", "]", cell))), default=0)
+
+
+def test_commands_in_tables_wrap_and_fit_a_page_of_1600_pixels() -> None:
+    """The grid has 72 rem of 22 px there, of which two sidebars take 24.2 and margins 2.4; a letter of code has 0.68 * 0.85 * 0.602 rem."""
+    (rule,) = re.findall(r"^\.md-typeset table:not\(\[class\]\) code \{(.*)\}$", SITE_STYLE, re.MULTILINE)
+    assert "white-space: normal" in rule
+    documents = [*(ROOT / "docs").rglob("*.md"), *(ROOT / name for name in ROOT_DOCUMENTS)]
+    tables = [table for path in documents for table in re.findall(r"(?:^ *\|.*\|$\n?)+", path.read_text(encoding="utf-8"), re.MULTILINE)]
+    with_commands = [table for table in tables if re.search(r"`(?:push-ident|ros2|make|pip|python) [^`]+`", table)]
+    assert len(with_commands) >= 5
+    for table in with_commands:
+        rows = [re.split(r"(?<!\\)\|", line.strip().strip("|")) for line in table.splitlines()]
+        columns = list(zip(*rows, strict=True))
+        needed = sum(max(map(unbreakable, column)) * 0.68 * 0.85 * 0.602 + 2 * 1.25 * 0.68 for column in columns)
+        assert needed < 72 - 24.2 - 2.4, table
 
 
 def test_decisions_that_code_and_documents_name_exist() -> None:

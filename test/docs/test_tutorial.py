@@ -48,6 +48,21 @@ def test_tables_of_the_tutorial_are_the_answers_of_its_commands() -> None:
     assert_shown(predicted, {str(number): errors for number, errors in enumerate(errors_of_pushes, start=1)})
 
 
+def test_notebook_shows_the_numbers_of_the_tutorial() -> None:
+    """Both have one source, the stored answers; `tools/run_notebook.py` stores the notebook anew where they differ."""
+    cells = json.loads((ROOT / "docs" / "examples" / "bag_to_next_push.ipynb").read_text(encoding="utf-8"))["cells"]
+    pages = ["".join(output.get("data", {}).get("text/html", [])) for cell in cells for output in cell.get("outputs", [])]
+    edged = re.sub(r"</t[dh]>", "│", re.sub(r"</?tr[^>]*>", "\n│", "\n".join(pages)))
+    shown = rows(re.sub(r"<[^>]+>", "", edged), "│")
+    output = {
+        q["name"]: [(1e3 if q["unit"] == "m" else 1.0) * abs(q[key]) for key in ("value", "std", "prior_std")]
+        for q in stored("identify-hammer_depth")["knowledge"]["quantities"]
+    }
+    last = stored("predict-hammer_depth")["pushes"][3]
+    output["hammer_depth push 4"] = [1e3 * last[key] for key in ("cell_error_m", "cell_error_std_m")]
+    assert_shown({name: shown[name] for name in output}, output)
+
+
 @pytest.mark.long
 def test_tutorial_shows_what_the_diagnosis_of_the_hidden_tilt_finds(tmp_path: Path) -> None:
     run_here("simulate", "--effect", "table_tilt=0.02", "--pushes", 10, "--out", tmp_path / "tilted")

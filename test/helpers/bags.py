@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from push_ident.bags.contract import Role
+from push_ident.bags.opening import open_bag
 from push_ident.bags.reader import read_bag
 from push_ident.bags.typestore import jazzy_typestore
 from push_ident.bags.writer import BagWriter
@@ -60,6 +61,14 @@ def time_msg(stamp_ns: int) -> Any:
 def pose_msg(x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> Any:
     turn = new("geometry_msgs/msg/Quaternion", *(float(value) for value in quaternion_of_yaw(yaw)))
     return new("geometry_msgs/msg/Pose", new("geometry_msgs/msg/Point", x, y, z), turn)
+
+
+def copy_renamed(bag: Path, copy: Path, names: dict[str, str]) -> Path:
+    """The same messages under other topics where `names` has them."""
+    with BagWriter(copy) as writer, open_bag(bag) as recorded:
+        for topic, stamp, data in recorded.raw_messages():
+            writer.write_raw(names.get(topic.topic, topic.topic), topic.msgtype, stamp, bytes(data))
+    return copy
 
 
 def write_raw(writer: BagWriter, msgtype: str, topic: str, stamp_ns: int, *fields: Any) -> None:

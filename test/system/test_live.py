@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.bags import copy_renamed
 from helpers.commands import run_here
 from helpers.objects import hammer, random_records
 from helpers.paths import ROOT
@@ -70,6 +71,16 @@ def test_replay_counts_what_was_not_learned(tmp_path: Path) -> None:
     live = run("replay", tmp_path / "bag", "--rate", 0, "--out", tmp_path / "live")
     assert live.returncode == 1 and "1 of 2 pushes of the bag were learned; 1 without contact" in live.stderr, live.stdout + live.stderr
     assert (tmp_path / "live" / "model.json").exists()
+
+
+@pytest.mark.live
+def test_replay_takes_topics_of_other_names(tmp_path: Path) -> None:
+    write_records(tmp_path / "bag", random_records(hammer(1), 2, 1))
+    foreign = copy_renamed(tmp_path / "bag", tmp_path / "foreign", {"/objects/1/pose": "/body", "/pusher/pose": "/tool"})
+    refused = run("replay", foreign, "--rate", 0)
+    assert refused.returncode == 1 and "--map /body=pose:ID, and --map /tool=pusher" in refused.stderr, refused.stderr
+    succeeded("replay", foreign, "--rate", 0, "--map", "/body=pose:1", "--map", "/tool=pusher", "--json", tmp_path / "live.json")
+    assert json.loads((tmp_path / "live.json").read_text())["n_pushes"] == 2
 
 
 def test_doctor_names_what_is_missing_when_nothing_runs(tmp_path: Path) -> None:

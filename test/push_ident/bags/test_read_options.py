@@ -11,13 +11,15 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Image
 
 import push_ident as pi
-from helpers.bags import header_msg, new, pose_msg, write_push, write_raw
+from helpers.bags import copy_renamed, header_msg, new, pose_msg, write_push, write_raw
 from helpers.commands import check_refused, run_here
 from helpers.depth_scene import CAMERA, SMALL, box, render
 from push_ident.bags.contract import Role, TopicRole
-from push_ident.bags.opening import open_bag
+from push_ident.bags.raw import raw_messages
 from push_ident.bags.read_options import ReadOptions, parse_topics
 from push_ident.bags.reader import read_bag, read_depth
 from push_ident.bags.writer import BagWriter
@@ -125,6 +127,21 @@ def test_compressed_depth_comes_in_metres(tmp_path: Path, frame: DepthFrame, kin
     assert np.isfinite(seen.depth).sum() == np.isfinite(frame.depth).sum()
 
 
+def test_depth_of_another_unit_or_compressed_is_played_in_metres(tmp_path: Path, frame: DepthFrame) -> None:
+    topics = parse_topics({"/lab/depth": "depth"})
+    for name, unit in (("quarters", 2.5e-4), ("compressed", None)):
+        with BagWriter(tmp_path / name) as writer:
+            if unit:
+                write_image(writer, "/lab/depth", frame.depth, unit=unit)
+            else:
+                write_compressed(writer, "/lab/depth", "16UC1; compressedDepth png", frame.depth)
+        (played,) = raw_messages(tmp_path / name, ReadOptions(topics, unit))
+        image = deserialize_message(played.data, Image)
+        depth = np.frombuffer(image.data, np.float32).reshape(image.height, image.width)
+        assert (played.msgtype, image.encoding) == ("sensor_msgs/msg/Image", "32FC1")
+        np.testing.assert_allclose(depth, frame.depth, atol=2e-4)
+
+
 def test_compressed_images_that_are_no_depth_are_refused_in_one_line(tmp_path: Path, frame: DepthFrame) -> None:
     grey = bytes(cv2.imencode(".png", np.zeros((240, 320), np.uint8))[1])
     cases = (
@@ -151,9 +168,7 @@ def test_poses_and_pusher_under_other_names_are_read_as_what_they_are_mapped_to(
     names = {"/objects/7/pose": "/body", "/pusher/pose": "/tool"}
     with BagWriter(tmp_path / "contract") as writer:
         write_push(writer, 2.0)
-    with BagWriter(tmp_path / "other") as writer, open_bag(tmp_path / "contract") as bag:
-        for topic, stamp, data in bag.raw_messages():
-            writer.write_raw(names.get(topic.topic, topic.topic), topic.msgtype, stamp, bytes(data))
+    copy_renamed(tmp_path / "contract", tmp_path / "other", names)
     with pytest.raises(BagError, match=r"--map /body=pose:ID, and --map /tool=pusher\."):
         read_bag(tmp_path / "other")
     options = ReadOptions(parse_topics({"/body": "pose:hammer", "tool/": "pusher"}))

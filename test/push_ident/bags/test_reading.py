@@ -117,16 +117,35 @@ def test_log_times_count_where_nothing_has_a_stamp(tmp_path: Path) -> None:
     assert sum("none of 3 messages has a stamp; their log time is used" in note for note in contents.notes) == 2
 
 
+@pytest.mark.parametrize(
+    ("of_pose", "of_pusher", "noted"), [("", "", "pose` and `pusher"), ("", "table", "pose`:"), ("table", "table", ""), ("", "world", "")]
+)
+def test_a_frame_without_a_name_is_table_with_a_note_and_no_other_frame(tmp_path: Path, of_pose: str, of_pusher: str, noted: str) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        for stamp in (2.0, 2.1, 2.2):
+            pose = new("geometry_msgs/msg/PoseWithCovariance", pose_msg(0.1, 0.2), np.zeros(36))
+            write_raw(writer, Role.POSE.msgtype, "/objects/7/pose", round(1e9 * stamp), header_msg(stamp, of_pose), pose)
+            write_raw(writer, Role.PUSHER.msgtype, "/pusher/pose", round(1e9 * stamp), header_msg(stamp, of_pusher), pose_msg())
+    if of_pusher == "world":
+        with pytest.raises(BagError, match=r"objects/7/pose` in 'table' \(no frame_id\), `pusher/pose` in 'world'; expected all in"):
+            read_bag(tmp_path / "bag")
+        return
+    notes = [note for note in read_bag(tmp_path / "bag").notes if "no frame_id; taken as in 'table'" in note]
+    assert len(notes) == bool(noted) and noted in "".join(notes)
+
+
 def test_the_frame_that_the_images_name_is_that_of_the_camera(tmp_path: Path) -> None:
     camera, in_table = CameraIntrinsics(2, 2, 3.0, 3.0, 0.5, 0.5), np.eye(4)
-    for name in ("camera_depth_optical_frame", "camera_color_optical_frame"):
-        with BagWriter(tmp_path / name) as writer:
+    for name in ("camera_depth_optical_frame", "camera_color_optical_frame", ""):
+        with BagWriter(tmp_path / (name or "unnamed")) as writer:
             writer.write_extrinsics(1.0, in_table)
             write_push(writer, 2.0)
             writer.write_camera_info(2.0, camera)
             fields = header_msg(2.0, name), 2, 2, "16UC1", 0, 4, np.full(8, 1, dtype=np.uint8)
             write_raw(writer, Role.DEPTH.msgtype, "/depth/image_rect", 2 * 10**9, *fields)
     assert read_bag(tmp_path / "camera_depth_optical_frame").camera_in_table is not None
+    unnamed = read_bag(tmp_path / "unnamed")
+    assert unnamed.camera_in_table is not None and any("depth images: no frame_id; taken as in" in note for note in unnamed.notes)
     other = read_bag(tmp_path / "camera_color_optical_frame")
     assert other.camera_in_table is None and any("no frame 'camera_color_optical_frame'" in note for note in other.notes)
 

@@ -157,3 +157,5 @@ def test_running_arm_and_camera_are_compared_with_the_file_and_a_controller_that
         joints = ("no joint shoulder_pan_joint", "it has A1, A2")
         frame = ("its images are in the frame camera_link; expected camera.frame, camera_depth_optical_frame",)
         await_findings(robot, lambda findings: are_wrong(findings, joints, frame))
+        driver.frame = ""
+        await_findings(robot, lambda findings: any("its images have no frame_id" in finding.text for finding in findings))

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from pyarrow.parquet import read_table
 
+from helpers.bags import copy_renamed
 from helpers.commands import run_here
 from helpers.objects import hammer, random_records
 from push_ident.bags.records import write_records
@@ -79,3 +80,12 @@ def test_one_bad_bag_stops_nothing_a_second_run_does_nothing_again_and_none_read
     fleet = run_here("fleet", bags / "monday", "--out", tmp_path, "--max-seconds", 5)
     assert fleet.returncode == 1 and "0 of 1 bags identified" in fleet.stdout + fleet.stderr
     assert read_table(tmp_path / "results.parquet")["state"].to_pylist() == ["failed"]
+
+
+def test_bags_with_topics_of_other_names_are_mapped_and_known_by_the_map(bags: Path, tmp_path: Path) -> None:
+    names = {"/objects/1/pose": "/body", "/pusher/pose": "/tool"}
+    copy_renamed(bags / "tuesday" / "shift2" / "a", tmp_path / "foreign", names)
+    maps = ("--map", "/body=pose:1", "--map", "/tool=pusher")
+    for options, count in (((), "0 of 1"), (maps, "1 of 1")):
+        done = run_here("fleet", tmp_path / "foreign", "--out", tmp_path / "out", "--max-seconds", 5, "--no-pages", *options)
+        assert f"{count} bags identified" in done.stdout + done.stderr, done.stdout + done.stderr

@@ -22,7 +22,7 @@ from push_ident.nodes.base.paths import file_to_read, file_to_write
 from push_ident.nodes.convert.messages import shape_to_msgs
 from push_ident.nodes.identification.identification_node import IdentificationNode
 from push_ident.types import CellGrid, ObjectShape
-from push_ident_msgs.srv import LoadModel, SaveModel
+from push_ident_msgs.srv import LoadModel, PredictPush, SaveModel
 
 NO_FILES = ["", " ", "a\0b", "\ud800.json", "~nobody_of_this_name/model.json", "n" * 300 + ".json", "/".join(["d" * 200] * 5) + ".json"]
 
@@ -66,4 +66,8 @@ def test_no_path_and_no_damaged_model_breaks_the_services(tmp_path: Path, capfd:
             answer = talker.ask(save, SaveModel.Request(object_id="o1", path=path))
             assert not answer.success and answer.message, path
         assert talker.ask(save, SaveModel.Request(object_id="o1", path=str(tmp_path / "model.json"))).success
+        unnamed = PredictPush.Request(object_id="o1")
+        unnamed.object_pose.pose.position.x = 0.1
+        answer = talker.ask(talker.node.create_client(PredictPush, "predict_push"), unnamed)
+        assert not answer.success and "`object_pose` has no frame_id" in answer.message
     assert "Traceback" not in capfd.readouterr().err

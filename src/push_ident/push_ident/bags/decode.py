@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from push_ident.errors import BagError, ContentError
 from push_ident.geometry.outline import polygon_area
@@ -135,16 +136,19 @@ def depth_frame_of(image: Any, intrinsics: CameraIntrinsics, stamp: float, unit:
 
     Raises FrameError for an unknown encoding or inconsistent sizes.
     """
-    data = memoryview(image.data).cast("B")
-    encoding = depth_encoding_of(image)
-    if hasattr(image, "encoding"):
-        depth = depth_from_buffer(encoding, image.height, image.width, image.step, bool(image.is_bigendian), data, unit=unit)
-    else:
-        from push_ident.perception.frame.compressed_depth import depth_from_compressed  # OpenCV, for these alone
-
-        depth = depth_from_compressed(encoding, bytes(data), unit)
+    depth = depth_of(image, unit)
     check_image_size(depth.shape[1], depth.shape[0], intrinsics)
-    return DepthFrame(stamp, depth, intrinsics, str(image.header.frame_id), unit_of(encoding) if unit is None else unit)
+    return DepthFrame(stamp, depth, intrinsics, str(image.header.frame_id), unit_of(depth_encoding_of(image)) if unit is None else unit)
+
+
+def depth_of(image: Any, unit: float | None = None) -> NDArray[np.float32]:
+    """Depth of an image as `depth_frame_of` [m], shape (height, width), NaN where there is none. Raises FrameError as it does."""
+    data, encoding = memoryview(image.data).cast("B"), depth_encoding_of(image)
+    if hasattr(image, "encoding"):
+        return depth_from_buffer(encoding, image.height, image.width, image.step, bool(image.is_bigendian), data, unit=unit)
+    from push_ident.perception.frame.compressed_depth import depth_from_compressed  # OpenCV, for these alone
+
+    return depth_from_compressed(encoding, bytes(data), unit)
 
 
 def depth_encoding_of(image: Any) -> str:

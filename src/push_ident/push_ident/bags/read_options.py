@@ -16,7 +16,7 @@ from push_ident.limits import check_object_id, plain_text
 
 ROLE_WORDS: Final = {role.name.lower(): role for role in Role}
 """Roles as a user writes them; of an object followed by a colon and its id, as `pose:hammer`."""
-MAPPING: Final = "`push-ident look`, `identify`, `predict` and `diagnose` take"
+MAPPING: Final = "`push-ident look`, `identify`, `predict`, `diagnose`, `fleet` and `replay` take"
 """Begin of a remedy, which other commands may print as well."""
 _COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
 _POSES: Final = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry", "Pose", "TFMessage", "tfMessage")
@@ -54,6 +54,18 @@ class ReadOptions:
             if topic.msgtype == Role.CAMERA_INFO.msgtype and (name := topic.topic.strip("/")) in beside
         }
         return replace(self, topics={**self.topics, **found})
+
+
+def parse_maps(texts: Sequence[str], name: str) -> dict[str, TopicRole]:
+    """Texts `TOPIC=ROLE` of the option or parameter `name`, for `ReadOptions.topics`. Raises InputError for another form."""
+    roles: dict[str, str] = {}
+    for text in texts:
+        topic, equals, role = (part.strip() for part in text.rpartition("="))
+        if not (equals and topic) or topic in roles:
+            what = "names a topic twice" if topic in roles else "expected TOPIC=ROLE, such as /camera/depth/image_raw=depth"
+            raise InputError(f"{name} is `{plain_text(text)}`, {what}.")
+        roles[topic] = role
+    return parse_topics(roles)
 
 
 def parse_topics(roles: Mapping[str, str]) -> dict[str, TopicRole]:

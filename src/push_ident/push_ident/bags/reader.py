@@ -143,7 +143,7 @@ def read_bag(path: Path, options: ReadOptions | None = None) -> BagContents:
     with open_bag(Path(path)) as bag:
         by_role = _connections_by_role(bag, notes, options)
         wanted = {role: connections for role, connections in by_role.items() if role.role not in _DEPTH}
-        camera_frame = _camera_frame(bag, by_role)
+        camera_frame = _camera_frame(bag, by_role, notes)
         n_depth = sum(c.msgcount for role, connections in by_role.items() if role.role is Role.DEPTH for c in connections)
         recorded = _read(bag, wanted)
         object_ids = sorted({role.object_id for role in by_role if role.role in OBJECT_ROLES})
@@ -161,7 +161,7 @@ def read_depth(path: Path, options: ReadOptions | None = None) -> DepthRecording
         if not sum(topic.msgcount for topic in by_role.get(TopicRole(Role.DEPTH), [])):
             _fail_for_missing(bag, [Role.DEPTH], options)
         static = {role: topics for role, topics in by_role.items() if role.role is Role.TF_STATIC}
-        camera_frame = _camera_frame(bag, by_role)
+        camera_frame = _camera_frame(bag, by_role, notes)
         camera_in_table = _camera_in_table(_read(bag, static), camera_frame, notes) if static else None
         return DepthRecording(bag.path, camera_in_table, notes, options)
 
@@ -189,7 +189,7 @@ def _contents(
         missing.append(Role.POSE)
     if missing:
         _fail_for_missing(bag, missing, options)
-    _check_frames(path, recorded)
+    _check_frames(path, recorded, notes)
     camera_in_table = _camera_in_table(recorded, camera_frame, notes)
     other = next((frame for frame in recorded[TopicRole(Role.PUSHER)].frames if frame.strip("/") not in ("", TABLE_FRAME)), "")
     if camera_in_table is not None and n_depth and other:
@@ -335,12 +335,20 @@ def _samples(stamped: _Stamped, origin: int) -> Samples:
     return Samples((stamped[0] - origin).astype(np.float64) * 1e-9, stamped[1])
 
 
-def _check_frames(path: Path, recorded: dict[TopicRole, _Recorded]) -> None:
-    """Poses, pusher and forces must be in one frame."""
-    frames = {frame: str(role) for role, record in recorded.items() for frame in record.frames}
-    frames.pop("", None)
+def _check_frames(path: Path, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> None:
+    """Poses, pusher and forces must be in one frame. One that is not named is taken for `table`, with a note."""
+    frames = {frame or TABLE_FRAME: str(role) for role, record in recorded.items() for frame in record.frames}
+    unnamed = [str(role) for role, record in recorded.items() if "" in record.frames]
+    if unnamed:
+        notes.append(
+            f"{' and '.join(f'`{topic}`' for topic in unnamed)}: no frame_id; taken as in {TABLE_FRAME!r}. If they are in another frame, "
+            "give `push-ident import rosbag` the bag with --pusher-frame X,Y,YAW (poses) or --wrench-axes (forces)."
+        )
     if len(frames) > 1:
-        listed = ", ".join(f"`{topic}` in {frame!r}" for frame, topic in sorted(frames.items()))
+        listed = ", ".join(
+            f"`{topic}` in {plain_text(frame)!r}{' (no frame_id)' if topic in unnamed and frame == TABLE_FRAME else ''}"
+            for frame, topic in sorted(frames.items())
+        )
         raise BagError(f"{path}: {listed}; expected all in {TABLE_FRAME!r}. `push-ident import rosbag` brings poses to one frame.")
 
 
@@ -405,13 +413,16 @@ def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: li
     return tuple(sorted(intervals, key=lambda interval: interval.start))
 
 
-def _camera_frame(bag: OpenBag, by_role: dict[TopicRole, list[Connection]]) -> str:
+def _camera_frame(bag: OpenBag, by_role: dict[TopicRole, list[Connection]], notes: list[str]) -> str:
     """Frame that the depth images name, where there are transforms to look for it; empty where they name none."""
     images = by_role.get(TopicRole(Role.DEPTH), [])
     if not images or TopicRole(Role.TF_STATIC) not in by_role:
         return ""
     bag.register(images)
-    return next((str(image.header.frame_id).strip("/") for _, _, image in bag.messages(images)), "")
+    frame = next((str(image.header.frame_id).strip("/") for _, _, image in bag.messages(images)), None)
+    if frame == "":
+        notes.append(f"depth images: no frame_id; taken as in {CAMERA_FRAME!r}. If they are of another camera, record them with its frame.")
+    return frame or ""
 
 
 def _camera_in_table(recorded: dict[TopicRole, _Recorded], camera_frame: str, notes: list[str]) -> Float64Array | None:

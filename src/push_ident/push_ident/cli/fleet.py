@@ -10,7 +10,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from push_ident.cli.checks import above_zero, writable_folder
-from push_ident.cli.identify import ObjectOption
+from push_ident.cli.identify import DepthUnitOption, MapOption, ObjectOption, read_options
 from push_ident.cli.output import Description, JsonOption, console, millimetres, say, warn, write_json
 from push_ident.extras import need
 from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
@@ -44,6 +44,8 @@ def fleet_command(
     seed: Annotated[int, typer.Option(min=0, help="Seed of methods that draw random numbers.")] = 0,
     pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Write a page for each bag; about a second of each.")] = True,
     json: JsonOption = None,
+    map_: MapOption = None,
+    depth_unit: DepthUnitOption = None,
 ) -> None:
     """Identify many bags in parallel; a failed bag does not stop the others. Writes results.parquet, index.html and the models."""
     solver_of(method)
@@ -57,6 +59,7 @@ def fleet_command(
         max_seconds=max_seconds,
         seed=seed,
         pages=pages,
+        reading=read_options(map_, depth_unit),
     )
     jobs = find_jobs(bags, options)
     columns = (Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())

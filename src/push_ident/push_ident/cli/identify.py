@@ -13,7 +13,7 @@ import numpy as np
 import typer
 from rich.table import Column, Table
 
-from push_ident.bags.read_options import ROLE_WORDS, ReadOptions, parse_topics
+from push_ident.bags.read_options import ROLE_WORDS, ReadOptions, parse_maps
 from push_ident.cli.checks import above_zero, parse_numbers
 from push_ident.cli.output import (
     BagsArgument,
@@ -38,7 +38,6 @@ from push_ident.identification.results.identifiability import before_text, ident
 from push_ident.identification.results.result import Identification
 from push_ident.identification.solvers import DEFAULT_SOLVER, SOLVERS, solver_of
 from push_ident.identification.unknowns.prior import Prior
-from push_ident.limits import plain_text
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.physics.simulation import compile_kernels
 from push_ident.types import Float64Array
@@ -169,14 +168,7 @@ def _load(
 
 def read_options(maps: Sequence[str] | None, depth_unit: float | None) -> ReadOptions:
     """How bags are read, from `--map` and `--depth-unit`. Raises InputError for another form, or two roles of one topic."""
-    roles: dict[str, str] = {}
-    for text in maps or ():
-        topic, equals, role = (part.strip() for part in text.rpartition("="))
-        if not (equals and topic) or topic in roles:
-            what = "names a topic twice" if topic in roles else "expected TOPIC=ROLE, such as /camera/depth/image_raw=depth"
-            raise InputError(f"--map is `{plain_text(text)}`, {what}.")
-        roles[topic] = role
-    return ReadOptions(parse_topics(roles), depth_unit)
+    return ReadOptions(parse_maps(maps or (), "--map"), depth_unit)
 
 
 def read_camera(path: Path | None) -> Float64Array | None:

@@ -231,8 +231,11 @@ def mit_command(
         yaw_std=_MIT.yaw_std if yaw_std is None else yaw_std,
         ends_only=ends_only,
     )
-    source = files[0].name + (f" and {len(files) - 1} more" if len(files) > 1 else "")
-    run_import(lambda: import_mit(files, out, options=options), out, source, page, json)
+    run_import(lambda: import_mit(files, out, options=options), out, _names(files), page, json)
+
+
+def _names(files: list[Path]) -> str:
+    return files[0].name + (f" and {len(files) - 1} more" if len(files) > 1 else "")
 
 
 def _points(texts: tuple[str, str, str] | None) -> Float64Array | None:
@@ -323,7 +326,10 @@ def csv_command(
 
 @import_app.command("rosbag")
 def rosbag_command(
-    bag: Annotated[Path, typer.Argument(metavar="BAG", help="The recording, of ROS 1 or ROS 2.", show_default=False)],
+    bags: Annotated[
+        list[Path],
+        typer.Argument(metavar="BAG...", help="The recording, of ROS 1 or ROS 2; or several, of one push each.", show_default=False),
+    ],
     map_: RosbagMapOption,
     outline: TableOption,
     radius: RadiusOption,
@@ -349,7 +355,7 @@ def rosbag_command(
     page: PageOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Bag with other topics than those of the contract: say which topic holds what."""
+    """Bags with other topics than those of the contract: say which topic holds what. Several become one, in order of their starts."""
     options = RecordingOptions(
         radius=radius,
         object_id=object_id,
@@ -360,7 +366,8 @@ def rosbag_command(
         pusher_frame=_pose(pusher_frame),
     )
     source = RosbagTopics(
-        bag=bag,
+        bag=bags[0],
+        more_bags=tuple(bags[1:]),
         topics=parse_map(map_),
         outline=outline,
         options=options,
@@ -375,7 +382,7 @@ def rosbag_command(
         wrench_on_sensor=wrench_on_sensor,
         frame=frame.strip("/"),
     )
-    run_import(lambda: import_rosbag(source, out), out, bag.name, page, json)
+    run_import(lambda: import_rosbag(source, out), out, _names(bags), page, json)
 
 
 def run_import(importer: Callable[[], ImportReport], out: Path, source: str, page: Path | None, json: Path | None) -> None:

@@ -16,6 +16,7 @@ from rich.table import Table
 from push_ident.bags.pushes import count_pushes, split_pushes
 from push_ident.bags.reader import read_bag
 from push_ident.cli.checks import above_zero, at_least_zero, new_bag
+from push_ident.cli.identify import DepthUnitOption, MapOption, read_options
 from push_ident.cli.live_view import ViewOption, show_view
 from push_ident.cli.output import JsonOption, OutOption, console, say, warn, write_json
 from push_ident.cli.overrides import overrides_of
@@ -97,18 +98,20 @@ def replay_command(
     view: ViewOption = False,
     out: OutOption = None,
     json: JsonOption = None,
+    map_: MapOption = None,
+    depth_unit: DepthUnitOption = None,
 ) -> None:
     """Play a bag through the live nodes and show the identified maps. It ends when every push is learned or refused, at any speed and load.
 
     The exit status is 0 only where as many pushes were learned as the bag has.
     """
     need_ros()
-    contents = read_bag(bag)  # an unusable bag is refused before any process starts
+    contents = read_bag(bag, read_options(map_, depth_unit))  # an unusable bag is refused before any process starts
     if contents.has_poses:
         split_pushes(contents, most_pushed(contents))
     # Poses have two subscribers, the identification node and this command; depth has one, perception.
-    listeners = 2 if contents.has_poses else 1
-    parameters: dict[str, dict[str, object]] = {"bag_player_node": {"rate": rate, "listeners": listeners, "wait": 30.0}}
+    player: dict[str, object] = {"rate": rate, "listeners": 2 if contents.has_poses else 1, "wait": 30.0}
+    parameters = {"bag_player_node": player | {"maps": map_ or [""], "depth_unit": depth_unit or 0.0}}
     if not contents.has_poses and contents.camera_in_table is not None:
         camera = contents.camera_in_table
         pose: dict[str, object] = {

@@ -223,9 +223,11 @@ def _images(camera: Camera, frame: DepthFrame, topic: str) -> Iterator[Finding]:
     size, intrinsics = (frame.intrinsics.width, frame.intrinsics.height), frame.intrinsics
     share = float(np.mean(np.isfinite(frame.depth)))
     yield Finding("camera", Level.OK, f"{topic}: {size[0]} x {size[1]} pixels, {100 * share:.0f} % of them with a depth")
-    if frame.frame_id and frame.frame_id != camera.frame:
-        expected = f"camera.frame, {plain_text(camera.frame)}"
-        yield Finding("camera", Level.WRONG, f"its images are in the frame {plain_text(frame.frame_id)}", expected, "correct one of them")
+    if frame.frame_id != camera.frame:
+        level, what = Level.WRONG, f"its images are in the frame {plain_text(frame.frame_id)}"
+        if not frame.frame_id:
+            level, what = Level.WARNING, "its images have no frame_id"
+        yield Finding("camera", level, what, f"camera.frame, {plain_text(camera.frame)}", "correct one of them")
     view = [2.0 * np.arctan(0.5 * pixels / focal) for pixels, focal in zip(size, (intrinsics.fx, intrinsics.fy), strict=True)]
     if max(abs(a - b) for a, b in zip(view, camera.field_of_view, strict=True)) > 0.06:
         what = f"its images have a field of view of [{view[0]:.3f}, {view[1]:.3f}] rad"

@@ -14,6 +14,7 @@ from typing import Any
 
 import push_ident
 from push_ident.bags.opening import SUFFIXES
+from push_ident.bags.read_options import ReadOptions
 from push_ident.errors import InputError, PushIdentError
 from push_ident.identification.fitting.budget import Budget
 from push_ident.identification.fitting.fit import FitOptions
@@ -46,6 +47,8 @@ class FleetOptions:
     """Seed of methods that draw random numbers."""
     pages: bool = True
     """Whether each bag gets a page, which takes about a second of it."""
+    reading: ReadOptions = field(default_factory=ReadOptions)
+    """How each bag is read."""
 
     def __post_init__(self) -> None:
         if self.held_out < 0 or self.held_out == 1:
@@ -75,7 +78,7 @@ def find_jobs(paths: Sequence[Path], options: FleetOptions) -> list[Job]:
         if not in_path:
             raise InputError(f"There is no bag in {path}, expected files {', '.join(SUFFIXES)} or folders with metadata.yaml.")
         bags.update(dict.fromkeys(sorted(in_path)))
-    text = json.dumps(asdict(options), sort_keys=True) + push_ident.__version__
+    text = json.dumps(asdict(options), sort_keys=True, default=str) + push_ident.__version__
     return [Job(bag, f"{bag.stem}-{_digest(bag, text)}") for bag in bags]
 
 
@@ -84,7 +87,7 @@ def identify_bag(bag: Path, options: FleetOptions) -> Outcome:
     started = time.monotonic()
     outcome: Outcome = {"bag": str(bag), "state": "failed", "error": "", "host": platform.node(), "process": os.getpid()}
     try:
-        loaded = load_pushes([bag], object_id=options.object_id, possible_with=options.prior)
+        loaded = load_pushes([bag], object_id=options.object_id, options=options.reading, possible_with=options.prior)
         n, every = len(loaded.records), options.held_out
         train = [i for i in range(n) if not every or i % every != every - 1]
         budget = Budget(max_seconds=options.max_seconds)

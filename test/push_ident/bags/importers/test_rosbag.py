@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.bags import header_msg, new, pose_msg, write_raw
 from helpers.commands import check_refused, run_here
-from helpers.recordings import table_file
+from helpers.recordings import PERIOD, table_file
 from push_ident.bags.importers.recording import without_lost
 from push_ident.bags.importers.rosbag import parse_map
 from push_ident.bags.opening import open_bag
@@ -103,21 +104,21 @@ class Message:
     values: tuple[float, ...]
 
 
-def write_messages(bag: Path, messages: Sequence[Message], *, wrench_frame: str = "world") -> Path:
-    """Poses in `world`; a yaw of NaN stands for a quaternion of zeros."""
+def write_messages(bag: Path, messages: Sequence[Message], *, frames: Mapping[str, str] = {}) -> Path:
+    """All in `world` unless `frames` names the frame of a topic; a yaw of NaN stands for a quaternion of zeros."""
     with BagWriter(bag) as writer:
         for message in messages:
             topic, logged, stamp, values = message.topic, message.logged, message.stamp, message.values
             if topic == "/ft":
                 vectors = (new("geometry_msgs/msg/Vector3", *values, 0.0), new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0))
-                fields: tuple[Any, ...] = (header_msg(stamp, wrench_frame), new("geometry_msgs/msg/Wrench", *vectors))
+                fields: tuple[Any, ...] = (header_msg(stamp, frames.get(topic, "world")), new("geometry_msgs/msg/Wrench", *vectors))
                 write(writer, topic, "geometry_msgs/msg/WrenchStamped", logged, *fields)
                 continue
             x, y, yaw = (*values, 0.0)[:3]
             pose = pose_msg(x, y, 0.0, 0.0 if np.isnan(yaw) else yaw)
             if np.isnan(yaw):
                 pose.orientation.w = 0.0
-            write(writer, topic, "geometry_msgs/msg/PoseStamped", logged, header_msg(stamp, "world"), pose)
+            write(writer, topic, "geometry_msgs/msg/PoseStamped", logged, header_msg(stamp, frames.get(topic, "world")), pose)
     return bag
 
 
@@ -170,12 +171,54 @@ def test_messages_of_a_real_network_and_tracker_are_cleaned_with_a_note(
 def test_a_force_in_a_frame_of_its_own_needs_its_axes(
     tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord]
 ) -> None:
-    bag = write_messages(tmp_path / "turned", messages_of(rows), wrench_frame="ft_sensor_link")
+    bag = write_messages(tmp_path / "turned", messages_of(rows), frames={"/ft": "ft_sensor_link"})
     check_refused("--wrench-axes", *arguments(bag, tmp_path, pushed, *WITH_FORCE))
     done = run_here(*arguments(bag, tmp_path, pushed, *WITH_FORCE, "--wrench-axes", "-y,x,z"))
     assert done.returncode == 0, done.stderr
     push = split_pushes(read_bag(tmp_path / "own"), "1")[0]
     assert push.wrench is not None and (push.wrench.force == [0.0, 1.0]).all()
+
+
+@pytest.mark.parametrize(
+    ("unnamed", "options", "n_notes", "refusal"),
+    [
+        (("/body", "/tool", "/ft"), (), 3, ""),
+        (("/body", "/tool", "/ft"), ("--pusher-frame", "0,0,0", "--wrench-axes", "x,y,z"), 0, ""),
+        (("/tool",), (), 0, "(/tool: no frame_id, taken as `table`), and no transforms"),
+        (("/tool",), ("--pusher-frame", "0,0,0", "--wrench-axes", "x,y,z"), 0, ""),
+        (("/body",), (), 0, "say with --pusher-frame X,Y,YAW"),
+        (("/ft",), (), 0, "say with --wrench-axes"),
+    ],
+)
+def test_a_frame_without_a_name_is_table_with_a_note_and_no_other_frame(
+    tmp_path: Path,
+    rows: tuple[Float64Array, Float64Array],
+    pushed: list[PushRecord],
+    unnamed: tuple[str, ...],
+    options: tuple[str, ...],
+    n_notes: int,
+    refusal: str,
+) -> None:
+    bag = write_messages(tmp_path / "unnamed", messages_of(rows), frames=dict.fromkeys(unnamed, ""))
+    if refusal:
+        check_refused(refusal, *arguments(bag, tmp_path, pushed, *WITH_FORCE, *options))
+        return
+    done = run_here(*arguments(bag, tmp_path, pushed, *WITH_FORCE, *options, "--json", tmp_path / "report.json"))
+    assert done.returncode == 0, done.stderr
+    notes = json.loads((tmp_path / "report.json").read_text())["notes"]
+    assert sum("no frame_id; taken as in `table`. If it is in another frame, give --" in note for note in notes) == n_notes, notes
+
+
+def test_two_transforms_without_names_of_their_frames_do_not_meet(
+    tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord]
+) -> None:
+    bag = write_messages(tmp_path / "bag", messages_of(rows), frames={"/tool": "base"})
+    with BagWriter(tmp_path / "linked") as writer, open_bag(bag) as recorded:
+        links = [turned_msg(child, parent, 1.0, *Cell().base) for child, parent in (("", "world"), ("base", ""))]
+        write(writer, "/tf_static", "tf2_msgs/msg/TFMessage", 1.0, links)
+        for topic, stamp, data in recorded.raw_messages():
+            writer.write_raw(topic.topic, topic.msgtype, stamp, bytes(data))
+    check_refused("no transforms of the bag lead from one to the other", *arguments(tmp_path / "linked", tmp_path, pushed, *OWN_MAP))
 
 
 def test_a_force_on_another_clock_is_refused(tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord]) -> None:
@@ -371,3 +414,85 @@ def test_a_lost_pusher_is_told_from_one_that_is_moved_afar_in_a_pause_or_passes_
     passing[:, 3] = 0.0
     passing[349, 1:3] = 0.0  # on its path
     assert not np.isnan(without_lost(passing, "/tool", notes)).any()
+
+
+def one_push_each(folder: Path, messages: list[Message], *, reset: bool = False) -> list[Path]:
+    """Bags of one push each; `reset`: on a clock that began anew before each."""
+    bags = []
+    for number in range(N):
+        start = 10.0 + PERIOD * number
+        own = [m for m in messages if start <= m.stamp < start + PERIOD]
+        shift = PERIOD * number if reset else 0.0
+        bags.append(write_messages(folder / f"push_{number}", [replace(m, stamp=m.stamp - shift, logged=m.logged - shift) for m in own]))
+    return bags
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_bags_of_one_push_each_become_one_bag_in_order_of_their_starts(
+    tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord], reset: bool
+) -> None:
+    bags = one_push_each(tmp_path, messages_of(rows), reset=reset)
+    given = bags if reset else [*bags[3:], *bags[:3]]
+    command = arguments(given[0], tmp_path, pushed, *WITH_FORCE, "--json", tmp_path / "report.json")
+    done = run_here(*command[:3], *given[1:], *command[3:])
+    assert done.returncode == 0 and done.stderr.count("warning") == done.stderr.count(CONSTANT), done.stderr
+    notes = json.loads((tmp_path / "report.json").read_text())["notes"]
+    assert sum("its times are moved by" in note for note in notes) == (N - 1 if reset else 0), notes
+    pushes = split_pushes(read_bag(tmp_path / "own"), "1")
+    assert len(pushes) == N
+    for push, record in zip(pushes, pushed, strict=True):
+        np.testing.assert_allclose(push.poses.pose[[0, -1], :2], record.poses.pose[[0, -1], :2], atol=2e-3)
+        np.testing.assert_allclose(push.pusher.position[[0, -1]], record.pusher.position[[0, -1]], atol=1e-3)
+        assert push.wrench is not None
+
+
+ZERO_TWIST = new("geometry_msgs/msg/Twist", *[new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)] * 2)
+
+
+@dataclass(frozen=True)
+class Other:
+    """What is different about the second of two bags."""
+
+    frame: str = "world"
+    child: str = "box"
+    height: float = 0.0
+    number: int = 1
+
+
+@pytest.mark.parametrize(
+    ("other", "reason"),
+    [
+        (Other(frame="map"), "object poses are in `map`, expected `world` as in"),
+        (Other(child="hammer"), "the object's poses are those of `hammer`, expected `box` as in"),
+        (Other(height=0.05), "at a height of 50 mm, expected 0 mm within 10 mm as in"),
+        (Other(number=0), "the same poses as in"),
+    ],
+)
+def test_bags_of_two_objects_or_tables_or_one_given_twice_are_refused(
+    tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord], other: Other, reason: str
+) -> None:
+    bags = []
+    for name, own in (("first", Other(number=0)), ("second", other)):
+        bags.append(tmp_path / name)
+        with BagWriter(bags[-1]) as writer:
+            for m in messages_of(rows):
+                if own.number * PERIOD <= m.stamp - 10.0 < (own.number + 1) * PERIOD and m.topic != "/ft":
+                    pose, header = pose_msg(m.values[0], m.values[1], own.height, (*m.values, 0.0)[2]), header_msg(m.stamp, own.frame)
+                    covered = new("geometry_msgs/msg/PoseWithCovariance", pose, np.zeros(36))
+                    twist = new("geometry_msgs/msg/TwistWithCovariance", ZERO_TWIST, np.zeros(36))
+                    write(writer, m.topic, "nav_msgs/msg/Odometry", m.stamp, header, own.child, covered, twist)
+    command = arguments(bags[0], tmp_path, pushed, *OWN_MAP)
+    check_refused(reason, *command[:3], bags[1], *command[3:])
+    check_refused("is given twice, expected each bag once", *command[:3], bags[0], *command[3:])
+    assert not (tmp_path / "own").exists()
+
+
+def test_a_bag_without_a_push_among_others_is_named(
+    tmp_path: Path, rows: tuple[Float64Array, Float64Array], pushed: list[PushRecord]
+) -> None:
+    away = [replace(m, values=(m.values[0] + 0.5, m.values[1])) if m.topic == "/tool" and m.stamp < 16.0 else m for m in messages_of(rows)]
+    bags = one_push_each(tmp_path, [replace(m, values=(0.2, 0.1, 0.0)) if m.topic == "/body" and m.stamp < 16.0 else m for m in away])
+    command = arguments(bags[0], tmp_path, pushed, *OWN_MAP)
+    done = run_here(*command[:3], *bags[1:], *command[3:])
+    assert done.returncode == 0 and f"warning: {bags[0]} /body: no push in it, expected one" in done.stderr, done.stderr
+    assert len(split_pushes(read_bag(tmp_path / "own"), "1")) == N - 1

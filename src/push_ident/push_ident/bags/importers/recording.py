@@ -24,6 +24,8 @@ _LEAST_POSITION_STD, _LEAST_YAW_STD = 1e-4, float(np.radians(0.05))
 """Least standard deviations that are taken from the scatter at rest: the error that all poses share does not scatter."""
 _JUMP: Final = 3.0
 """Speed of a jump to where a lost body is put, over any speed before or after it [-]."""
+_CLEARANCE: Final = 2.0
+"""Least time from the end of a recording to the beginning of the next one that is joined to it [s]: longer than any pause."""
 _AROUND: Final = 5
 """Steps before and after a jump with which it is compared: a body that begins to move reaches most of its speed in them."""
 
@@ -84,6 +86,8 @@ class Recording:
     """Of `--angle-unit` and `--time-unit`, those that mean something for these files."""
     pusher_axes: Float64Array = field(default_factory=lambda: np.eye(3))
     """Rotation from the axes in which the pusher was recorded to those of `pusher`, shape (3, 3); for messages."""
+    parts: tuple[tuple[str, float], ...] = ()
+    """Name and start [s] of each recording of one push that was joined to this one, in order of time."""
 
 
 _Push = tuple[Float64Array, Contact]
@@ -130,6 +134,7 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
     overlap = overlap_of(replace(streams, runs=[run for run, _ in spans]))
     if warnings or not overlap.fits:
         warnings = (*warnings, overlap.explanation())
+    warnings = (*warnings, *_not_one_push(recording.parts, spans))
     return ImportReport(
         bag=out_bag,
         n_pushes=len(spans),
@@ -139,6 +144,63 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
         warnings=warnings,
         overlap=overlap,
     )
+
+
+def joined(recordings: Sequence[Recording], options: RecordingOptions) -> tuple[Recording, RecordingOptions]:
+    """Recordings of the pushes of one object as one, in order of their starts, and the options that it still needs.
+
+    A recording that starts less than 2 s after the end of the one before it, as where a clock was reset, is moved there, with a note. The
+    pusher counts while there are poses. Raises InputError for a recording that is given twice, BagError as `import_recording`.
+    """
+    if len(recordings) == 1:
+        return recordings[0], options
+    order = sorted(((one, _on_one_clock(one, options)) for one in recordings), key=lambda item: _span(item[1])[0])
+    notes, parts, end = _notes_of(recordings), list[tuple[str, float]](), -np.inf
+    known: dict[bytes, str] = {}
+    streams: list[tuple[Float64Array, Float64Array, Float64Array]] = []
+    for one, (poses, pusher, force) in order:
+        name = one.names[0]
+        if (same := known.setdefault(poses[:, 1:].tobytes(), name)) != name:
+            raise InputError(f"{name}: the same poses as in {same}, expected another push in each bag; give each once.")
+        pusher = pusher[(pusher[:, 0] >= poses[0, 0]) & (pusher[:, 0] <= poses[-1, 0])]
+        if len(pusher) < 2:
+            raise BagError(f"{one.names[1]}: {len(pusher)} rows while the object has poses, expected at least 2; record both together.")
+        start, last = _span((poses, pusher, force))
+        shift = max(0.0, end + _CLEARANCE - start)
+        if shift > 0:
+            notes.append(f"{name}: starts less than {_CLEARANCE:g} s after the end of {parts[-1][0]}; its times are moved by {shift:.6g} s")
+        for rows in (poses, pusher, force):
+            rows[:, 0] += shift
+        streams.append((poses, pusher, force))
+        parts.append((name, start + shift))
+        end = last + shift
+    names = (f"{parts[0][0]} and {len(parts) - 1} more", f"{order[0][0].names[1]} and {len(parts) - 1} more")
+    poses, pusher, force = (np.concatenate(stream) for stream in zip(*streams, strict=True))
+    whole = replace(recordings[0], poses=poses, pusher=pusher, force=force, names=names, notes=tuple(notes), parts=tuple(parts))
+    return whole, replace(options, time_offset=0.0, pusher_frame=None)
+
+
+def _notes_of(recordings: Sequence[Recording]) -> list[str]:
+    """Each note once, with the name of the first recording that has it."""
+    names: dict[str, list[str]] = {}
+    for one in recordings:
+        for note in one.notes:
+            names.setdefault(note, []).append(one.names[0])
+    return [f"{first}{f' and {len(more)} more' if more else ''}: {note}" for note, (first, *more) in names.items()]
+
+
+def _span(streams: Sequence[Float64Array]) -> tuple[float, float]:
+    """First and last time of streams with time [s] first; one of them may have no rows."""
+    return min(float(rows[0, 0]) for rows in streams if len(rows)), max(float(rows[-1, 0]) for rows in streams if len(rows))
+
+
+def _not_one_push(parts: Sequence[tuple[str, float]], spans: list[_Push]) -> list[str]:
+    """A warning for each of the joined recordings that has not one push."""
+    part = np.searchsorted([start for _, start in parts], [run[0, 0] for run, _ in spans], side="right") - 1
+    numbers = np.bincount(np.maximum(part, 0), minlength=len(parts)).tolist()
+    none = "no push in it, expected one: the pusher does not reach the object; it is left out"
+    several = "{} pushes in it, expected one; all are kept. A pause of more than 0.5 s divides a push"
+    return [f"{name}: {several.format(n) if n else none}" for (name, _), n in zip(parts, numbers, strict=False) if n != 1]
 
 
 def ascending(samples: Float64Array) -> Float64Array:

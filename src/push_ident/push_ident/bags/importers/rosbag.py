@@ -11,15 +11,23 @@ import numpy as np
 
 from push_ident.bags.decode import stamp_ns
 from push_ident.bags.importers.axes import planar_of
-from push_ident.bags.importers.recording import Recording, RecordingOptions, import_recording, without_gaps, without_lost
+from push_ident.bags.importers.recording import (
+    Recording,
+    RecordingOptions,
+    import_recording,
+    joined,
+    without_gaps,
+    without_lost,
+)
 from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.importers.shapes import CELL_SIZE
 from push_ident.bags.importers.tracked_poses import read_outline
 from push_ident.bags.importers.transforms import TYPES, Transforms
 from push_ident.bags.opening import OpenBag, open_bag
 from push_ident.errors import BagError, ContentError, InputError
+from push_ident.geometry.frames import TABLE_FRAME
 from push_ident.limits import LIMITS, plain_text
-from push_ident.types import Float64Array
+from push_ident.types import Float64Array, ObjectShape
 
 ROLES: Final = ("object", "pusher", "wrench")
 """What a topic may hold: poses of the object, poses of the tool tip, forces on the object."""
@@ -27,13 +35,15 @@ _NEEDED: Final = ("object", "pusher")
 _POSES: Final = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry", "Pose", "TFMessage")
 _FORCES: Final = ("WrenchStamped", "Wrench")
 """Messages that a topic may hold; of others those that have the same fields."""
+_LEVEL: Final = 0.01
+"""By which heights of one object on one table may differ among bags [m]: a tilt of 2 degrees, which planar poses neglect, over 0.3 m."""
 _CHILD: Final = "#"
 """Separates a topic of transforms from the child frame that is meant."""
 
 
 @dataclass(frozen=True, slots=True)
 class RosbagTopics:
-    """A bag, which of its topics hold what, and what it does not say."""
+    """A bag, or several of one push each, which of their topics hold what, and what they do not say."""
 
     bag: Path
     topics: Mapping[str, str]
@@ -62,6 +72,8 @@ class RosbagTopics:
     """Whether the times of recording count instead of the stamps."""
     wrench_on_sensor: bool = False
     """Whether the force is that on the sensor, the negative of that on the object."""
+    more_bags: tuple[Path, ...] = ()
+    """Further bags, with pushes of the same object on the same table on the same topics."""
 
 
 def parse_map(texts: list[str]) -> dict[str, str]:
@@ -80,15 +92,41 @@ def parse_map(texts: list[str]) -> dict[str, str]:
 
 
 def import_rosbag(source: RosbagTopics, out_bag: Path) -> ImportReport:
-    """Convert a bag to a new contract bag, with a push record for each push; see `import_recording`.
+    """Convert a bag, or several as one, to a new contract bag, with a push record for each push; see `import_recording` and `joined`.
 
     Object, pusher and force in different frames are brought to one by the transforms of the bag.
 
     Poses may be PoseStamped, PoseWithCovarianceStamped, TransformStamped, Odometry, Pose, or transforms of one child frame; forces
-    WrenchStamped or Wrench. Raises BagError for topics that are not there or hold something else, InputError for options out of range.
+    WrenchStamped or Wrench. Raises BagError for topics that are not there or hold something else, or bags of two objects or tables,
+    InputError for options out of range, or a bag that is given twice.
     """
     source.options.check()
     shape = read_outline(source.outline, length=source.outline_length, cell_size=source.cell_size)
+    bags = (source.bag, *source.more_bags)
+    LIMITS.PUSHES.check(len(bags), "the list of bags", remedy="Name fewer bags.")
+    paths = [bag.resolve() for bag in bags]
+    if twice := [bag for at, bag in enumerate(bags) if paths[at] in paths[:at]]:
+        raise InputError(f"{twice[0]} is given twice, expected each bag once; leave one out.")
+    read = [_read_bag(replace(source, bag=bag), shape) for bag in bags]
+    for bag, (_, setup) in zip(bags[1:], read[1:], strict=True):
+        _check_same(bag, setup, source.bag, read[0][1])
+    return import_recording(*joined([recording for recording, _ in read], source.options), out_bag)
+
+
+@dataclass(frozen=True, slots=True)
+class _Setup:
+    """What all bags of one object on one table have in common."""
+
+    frames: Mapping[str, str]
+    """Of poses and forces after all transforms, by role."""
+    body: str
+    """Child frame of the object's poses; empty where the messages name none."""
+    height: float
+    """Median height of the object's poses [m]."""
+
+
+def _read_bag(source: RosbagTopics, shape: ObjectShape) -> tuple[Recording, _Setup]:
+    """The first bag of `source`."""
     notes: list[str] = []
     with open_bag(source.bag) as bag:
         transforms = Transforms(bag, log_time=source.log_time)
@@ -98,11 +136,29 @@ def import_rosbag(source: RosbagTopics, out_bag: Path) -> ImportReport:
     rows, names = body.rows, (f"{source.bag} {body.topic}", f"{source.bag} {tool.topic}")
     other = "; or name a frame of the bag's transforms with z up as --frame" if transforms.are_recorded else ""
     yaw = np.unwrap(planar_of(rows[:, 4:8], source.axes, names[0], notes, other))
-    poses = np.column_stack([rows[:, 0], (rows[:, 1:4] @ source.axes.T)[:, :2], yaw])
+    place = rows[:, 1:4] @ source.axes.T
+    poses = np.column_stack([rows[:, 0], place[:, :2], yaw])
     pusher = np.column_stack([tool.rows[:, 0], tool.rows[:, 1:4] @ source.pusher_axes.T])
     force = _force(streams["wrench"], source) if "wrench" in streams else np.zeros((0, 3))
     recording = Recording(poses, pusher, shape, None, force, names, tuple(notes), pusher_axes=source.pusher_axes)
-    return import_recording(recording, source.options, out_bag)
+    frames = {role: next(iter(stream.frames)) for role, stream in streams.items()}
+    return recording, _Setup(frames, body.child, float(np.median(place[:, 2])))
+
+
+def _check_same(bag: Path, setup: _Setup, first: Path, expected: _Setup) -> None:
+    """Raise ContentError where a bag shows another object or another table than the first one."""
+    apart = "import the bags of each object and table to a bag of their own"
+    for role, frame in setup.frames.items():
+        if frame != expected.frames[role]:
+            got, other = plain_text(frame), plain_text(expected.frames[role])
+            what = "forces" if role == "wrench" else f"{role} poses"
+            raise ContentError(f"{bag}: {what} are in `{got}`, expected `{other}` as in {first}; name one of both as --frame, or {apart}.")
+    if setup.body and expected.body and setup.body != expected.body:
+        got, other = plain_text(setup.body), plain_text(expected.body)
+        raise ContentError(f"{bag}: the object's poses are those of `{got}`, expected `{other}` as in {first}; {apart}.")
+    if abs(setup.height - expected.height) > _LEVEL:
+        got, other = f"{1e3 * setup.height:.0f} mm", f"{1e3 * expected.height:.0f} mm within {1e3 * _LEVEL:.0f} mm"
+        raise ContentError(f"{bag}: the object is at a height of {got}, expected {other} as in {first}: another object or table; {apart}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +167,8 @@ class _Stream:
     rows: Float64Array
     """Rows (time, …): position and quaternion of a pose, shape (n, 8), or a force, shape (n, 4)."""
     frames: frozenset[str]
+    child: str = ""
+    """Child frame that the messages name."""
 
 
 def _read(bag: OpenBag, role: str, topic: str, transforms: Transforms, source: RosbagTopics, notes: list[str]) -> _Stream:
@@ -153,7 +211,7 @@ def _read(bag: OpenBag, role: str, topic: str, transforms: Transforms, source: R
     if ordered.shape[1] == 8:
         length = source.length if role != "pusher" or source.pusher_length is None else source.pusher_length
         ordered[:, 1:4] *= length
-    return _Stream(topic, ordered, frozenset(frames - {""}))
+    return _Stream(topic, ordered, frozenset(frames), "" if child else next(iter(children)).strip("/"))
 
 
 def _unusable(bag: OpenBag, role: str, topic: str, msgtype: str) -> ContentError:
@@ -199,6 +257,8 @@ def _in_one_frame(streams: Mapping[str, _Stream], transforms: Transforms, source
 
     Raises BagError where there is no such frame and no option says how the frames lie, or a topic holds something else than its role.
     """
+    unnamed = plain_text(", ".join(stream.topic for stream in streams.values() if "" in stream.frames))
+    streams = {role: _named(role, stream, source, notes) for role, stream in streams.items()}
     for role, stream in streams.items():
         if stream.rows.shape[1] != (4 if role == "wrench" else 8):
             wanted = "forces" if role == "wrench" else "poses"
@@ -209,29 +269,40 @@ def _in_one_frame(streams: Mapping[str, _Stream], transforms: Transforms, source
     if source.frame and source.frame not in transforms.frames:
         known = plain_text(", ".join(transforms.frames)) or "no transforms"
         raise InputError(f"--frame is {plain_text(source.frame)!r}, expected a frame of the bag's transforms; it has {known}.")
-    ours, theirs = (next(iter(streams[role].frames), "") for role in _NEEDED)
+    ours, theirs = (next(iter(streams[role].frames)) for role in _NEEDED)
     is_told = source.options.pusher_frame is not None
-    is_one = ours == theirs or not (ours and theirs) or is_told
-    target = source.frame or (ours or theirs if is_one else transforms.common((ours, theirs)))
+    target = source.frame or (ours if ours == theirs or is_told else transforms.common((ours, theirs)))
     if not target:
-        raise _two_frames(source, transforms, ours, theirs)
+        raise _two_frames(source, transforms, ours, theirs, unnamed)
     moved = {}
     for role, stream in streams.items():
-        frame = next(iter(stream.frames), "")
+        frame = next(iter(stream.frames))
         to = theirs if is_told and role != "object" else target
-        if not frame or frame == to or (role == "wrench" and source.wrench_axes is not None):
+        if frame == to or (role == "wrench" and source.wrench_axes is not None):
             moved[role] = stream
         elif transforms.common((frame, to)):
             moved[role] = _brought(stream, frame, to, transforms, notes)
         else:
-            raise _two_frames(source, transforms, to, frame, role)
+            raise _two_frames(source, transforms, to, frame, unnamed, role)
     return moved
 
 
-def _two_frames(source: RosbagTopics, transforms: Transforms, ours: str, theirs: str, role: str = "pusher") -> ContentError:
-    """For streams in two frames between which no transforms lead, with the option that can say how they lie."""
+def _named(role: str, stream: _Stream, source: RosbagTopics, notes: list[str]) -> _Stream:
+    """With the frame `table` in place of none, and a note of it where no option says where the unknown frame lies."""
+    if "" not in stream.frames:
+        return stream
+    is_told = source.wrench_axes is not None if role == "wrench" else source.options.pusher_frame is not None
+    if not is_told:
+        other = "--wrench-axes" if role == "wrench" else "--pusher-frame X,Y,YAW"
+        notes.append(f"{plain_text(stream.topic)}: no frame_id; taken as in `{TABLE_FRAME}`. If it is in another frame, give {other}")
+    return replace(stream, frames=frozenset(frame or TABLE_FRAME for frame in stream.frames))
+
+
+def _two_frames(source: RosbagTopics, transforms: Transforms, ours: str, theirs: str, unnamed: str, role: str = "pusher") -> ContentError:
+    """For streams in two frames between which no transforms lead, with the option that can say how they lie; `unnamed` lack a frame."""
     what = "the force is" if role == "wrench" else f"{role} poses are"
     where = f"`{plain_text(theirs)}`, the object in `{plain_text(ours)}`"
+    where += f" ({unnamed}: no frame_id, taken as `{TABLE_FRAME}`)" if unnamed else ""
     text = f"{source.bag}: {what} in {where}, and no transforms of the bag lead from one to the other"
     if not (transforms.is_flat(ours) and transforms.is_flat(theirs)):
         return ContentError(

@@ -87,7 +87,8 @@ class Transforms:
                 shift, turn = stamped.transform.translation, stamped.transform.rotation
                 row = (shift.x, shift.y, shift.z, turn.x, turn.y, turn.z, turn.w)
                 child = stamped.child_frame_id.strip("/")
-                if not np.isfinite(row).all() or max(map(abs, row[:3])) > LIMITS.COORDINATE.value or not any(row[3:]):
+                # Two frames without a name are not one.
+                if not child or not np.isfinite(row).all() or max(map(abs, row[:3])) > LIMITS.COORDINATE.value or not any(row[3:]):
                     continue
                 parents[child] = stamped.header.frame_id.strip("/")
                 static[child] = topic.topic.endswith("tf_static")

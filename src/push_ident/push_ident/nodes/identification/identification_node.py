@@ -428,6 +428,8 @@ class _Identification(Component):
         if request.object_pose.header.frame_id:
             position_from_msg(request.object_pose)  # refuses another frame
             pose = planar_pose_of(request.object_pose.pose)
+        elif request.object_pose.pose != type(request.object_pose.pose)():
+            raise InputError("`object_pose` has no frame_id, expected `table`; name it, or leave the pose out for the latest observed one.")
         elif latest is not None:
             _, pose, covariance = latest
         else:

@@ -112,6 +112,10 @@ class FromTf(Extrinsics):
 
     def find(self, frame: DepthFrame) -> Float64Array | None:
         """As `Extrinsics`."""
+        if not frame.frame_id:
+            raise PerceptionError(
+                "the images have no frame_id, expected that of the camera; set it in the driver, or take other extrinsics."
+            )
         try:
             transform = self._buffer.lookup_transform(TABLE_FRAME, frame.frame_id, Time()).transform
         except self._error as error:

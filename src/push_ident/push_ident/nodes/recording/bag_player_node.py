@@ -18,8 +18,9 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_
 from rosgraph_msgs.msg import Clock as ClockMsg
 from std_msgs.msg import Bool
 
-from push_ident.bags.contract import Role, role_of, topic_of
-from push_ident.bags.raw import RawMessage, bag_topics, raw_messages
+from push_ident.bags.contract import Role, topic_of
+from push_ident.bags.raw import RawMessage, bag_topics, options_for, raw_messages
+from push_ident.bags.read_options import ReadOptions, message_types, parse_maps
 from push_ident.errors import BagError
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter
@@ -43,12 +44,14 @@ PARAMETERS: Final = (
         "Node that processes depth images, as perception_node with `every_image`: at most two are ahead of it; empty: none is waited for",
         read_only=True,
     ),
+    Parameter("maps", [""], "TOPIC=ROLE for topics of other names, as `push-ident replay --map` takes it", read_only=True),
+    Parameter("depth_unit", 0.0, "Metres per unit of a depth image; 0: by its encoding [m]", 0.0, 999.0, read_only=True),
     Parameter("listeners", 1, "Subscriptions to the poses of an object, or to depth, to wait for", 0, 100, read_only=True),
 )
 
 
 class BagPlayerNode(CellNode):
-    """Publishes the recorded messages of the contract byte for byte under their contract names.
+    """Publishes the recorded messages of the contract byte for byte under their contract names; depth images in another form in metres.
 
     It plays while it is active; activated again, it starts at the beginning.
     """
@@ -68,10 +71,13 @@ class _BagPlayer(Component):
             raise BagError("The parameter `bag` is empty; give the bag to play, as -p bag:=PATH.")
         self._path = Path(self._settings["bag"])
         self._publishing: dict[str, Publisher] = {}
+        maps = parse_maps([text for text in self._settings["maps"] if text], "Parameter maps")
+        self._options = options_for(self._path, ReadOptions(maps, self._settings["depth_unit"] or None))
         skipped = []
         for topic, msgtype in bag_topics(self._path).items():
-            entry = role_of(topic)
-            message = message_class(msgtype)
+            entry = self._options.role_of(topic)
+            is_depth = entry is not None and entry.role is Role.DEPTH and msgtype in message_types(Role.DEPTH)
+            message = message_class(Role.DEPTH.msgtype if is_depth else msgtype)
             if entry is None or message is None:
                 skipped.append(f"{topic} ({msgtype})")
                 continue
@@ -155,13 +161,13 @@ class _BagPlayer(Component):
             self._node.get_logger().warning(f"{why} after {patience:.0f} s; playing all the same")
 
     def _publishers_of(self, roles: frozenset[Role]) -> list[Publisher]:
-        return [p for topic, p in self._publishing.items() if (entry := role_of(topic)) and entry.role in roles]
+        return [p for topic, p in self._publishing.items() if (entry := self._options.role_of(topic)) and entry.role in roles]
 
     def _play_once(self, stop: threading.Event) -> int:
         rate = self._settings["rate"]
         started, first, clocked, count = time.monotonic(), None, -(10**18), 0
         latest = 0
-        for message in raw_messages(self._path):
+        for message in raw_messages(self._path, self._options):
             if stop.is_set():
                 break
             if first is None:
@@ -187,7 +193,7 @@ class _BagPlayer(Component):
         return count
 
     def _is_image(self, message: RawMessage) -> bool:
-        entry = role_of(message.topic)
+        entry = self._options.role_of(message.topic)
         return entry is not None and entry.role is Role.DEPTH and message.topic in self._publishing
 
     def _publish_clock(self, stamp_ns: int) -> None:
