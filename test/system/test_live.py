@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -52,7 +53,9 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.live
 def test_no_image_of_a_bag_is_lost_however_fast_it_is_played_and_the_map_is_that_found_offline(tmp_path: Path) -> None:
-    succeeded("replay", ROOT / "bags" / "hammer_depth", "--rate", 0, "--json", tmp_path / "live.json")
+    said = succeeded("replay", ROOT / "bags" / "hammer_depth", "--rate", 0, "--json", tmp_path / "live.json")
+    shares = [int(share) for share in re.findall(r"^played (\d+) %$", said, re.MULTILINE)]
+    assert shares and shares == sorted(set(shares)) and shares[-1] <= 100, said
     live = json.loads((tmp_path / "live.json").read_text())
     assert live["n_pushes"] == 4 and live["counts"]["pushes"] == "4"
     offline = json.loads((Path(__file__).parent / "baseline" / "identify-hammer_depth.json").read_text())["content"]
@@ -99,8 +102,12 @@ def test_demo_sees_pushes_identifies_and_predicts_in_the_live_simulated_cell(tmp
     assert content["per_push"][0]["predicted_m"] < 0.02 and content["per_push"][0]["ways"]
     assert "push 2 predicted, expected to" in said
     folder = next(path for path in tmp_path.iterdir() if path.is_dir())
-    # Pushes back to the middle come on top.
-    assert {path.name for path in folder.iterdir()} >= FILES and count_pushes(read_bag(folder / "bag")) >= 2
+    # Console, numbers, page and bag have one list of pushes and one score.
+    assert {path.name for path in folder.iterdir()} >= FILES and count_pushes(read_bag(folder / "bag")) == 2
+    page, score = (folder / "report.html").read_text(), [f"{1e3 * content[key]:.1f} mm" for key in ("identified_m", "uniform_m")]
+    assert all(error in said for error in score) and "recording of 2 pushes" in said and "The true map beside" in page
+    assert "From 2 pushes: " in page
+    assert f"predicted from those before to {score[0]}, by equal cells with nominal values to {score[1]}" in page
 
 
 @pytest.mark.alone

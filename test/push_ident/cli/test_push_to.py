@@ -12,6 +12,7 @@ from push_ident.cli.goal_report import GoalReport, PathReport, edge_message, goa
 from push_ident.cli.push_to import goals_of, parse_edge, parse_goal, parse_tolerance
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import quaternion_of_yaw
+from push_ident.planning.goal_page import write_goal_page
 from push_ident_msgs.action import PushToGoal
 
 
@@ -34,7 +35,8 @@ def test_report_names_its_code() -> None:
     assert [report.content()["code"] for report in reports] == ["MAX_PUSHES", "CANCELED", "-99"]
     assert not any(report.content()["reached"] for report in reports)
     content = ended().content()
-    assert content["reached"] and content["tolerance_m"] == pytest.approx(0.01) and content["start"] is None and content["outline"] is None
+    assert content["code"] == "SUCCESS" and content["reached"] and content["start"] is None and content["outline"] is None
+    assert content["tolerance_m"] == pytest.approx(0.01)
     np.testing.assert_allclose(content["goal"], [0.05, 0.06, 0.6])
 
 
@@ -48,6 +50,21 @@ def test_push_whose_feedback_came_too_late_is_in_the_report() -> None:
     for unseen in (ended(pushes=1, position_error=np.nan), ended(pushes=1, position_error=0.2, error_code=PushToGoal.Result.FELL)):
         unseen.take(last_feedback(unseen.result, under_way, np.zeros(3)))
         assert unseen.lines == []
+
+
+def test_list_and_count_of_pushes_agree_where_nothing_was_reported_of_some(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A push back to the middle comes with the exploring push after it, in one report; the last one hid the object."""
+    report = ended(pushes=4, error_code=PushToGoal.Result.OBJECT_LOST, position_error=np.nan)
+    report.start, report.outline = np.zeros(3), np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])
+    report.take(feedback(2, predicted=False))
+    report.take(feedback(3, predicted=True))
+    report.count_up_to(4)
+    content = report.content()
+    assert [push["number"] for push in content["pushes"]] == [1, 2, 3, 4] and content["n_pushes"] == 4
+    assert [push["seen"] is None for push in content["pushes"]] == [True, False, False, True]
+    assert capsys.readouterr().out.count("its end was not reported") == 2
+    write_goal_page(tmp_path / "page.html", content)
+    assert all(f"push&nbsp;{number}" in (tmp_path / "page.html").read_text() for number in (1, 2, 3, 4))
 
 
 def test_goal_of_the_command_line_becomes_that_of_the_action() -> None:

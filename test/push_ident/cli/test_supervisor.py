@@ -148,8 +148,19 @@ def test_process_deaf_to_ctrl_c_is_ended_and_named(tmp_path: Path) -> None:
     with Stalls() as stalls:
         start = time.monotonic()
         stubborn, took = supervisor.stop(), time.monotonic() - start
-    assert stubborn == ["deaf"] and took < 4.0 + 4.0 * stalls.worst
+    assert stubborn == ["deaf"] and took < 7.0 + 4.0 * stalls.worst
     assert supervisor.exit_code("deaf") == -signal.SIGTERM
+
+
+def test_process_that_stops_slowly_is_waited_for(tmp_path: Path) -> None:
+    """As a node of a loaded machine does."""
+    slow = (
+        "import signal, sys, time; signal.signal(signal.SIGINT, lambda *_: (time.sleep(2.5), sys.exit(0))); print('ready'); time.sleep(60)"
+    )
+    supervisor = Supervisor([command("slow", slow)], log_dir=tmp_path)
+    supervisor.start()
+    wait_for_line(tmp_path / "slow.log", "ready")
+    assert supervisor.stop() == [] and supervisor.exit_code("slow") == 0
 
 
 def test_process_that_may_end_stops_nothing_but_may_not_fail_and_an_error_of_the_caller_stops_all(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from helpers.objects import hammer, random_records
 from push_ident.identification.identify import identify
 from push_ident.identification.online.identifier import running_record
@@ -35,7 +37,11 @@ def test_page_shows_what_was_predicted_before_each_push(tmp_path: Path) -> None:
     assert [score.number for score in scores] == [1, 2, 3] and scores[2].cell_error < scores[2].uniform_cell_error
     write_report(tmp_path / "page.html", RESULT, _errors(RESULT, [0, 1, 2]), _errors(RESULT, [3]), SOURCE, 0.01, scores)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert page.count("<svg") == 7 and "Predictions before each push" in page
+    assert page.count("<svg") == 7 and "Predictions before each push" in page and "predicted from those before" not in page
+    write_report(tmp_path / "page.html", RESULT, _errors(RESULT, [0, 1, 2]), _errors(RESULT, []), SOURCE, 0.01, scores)
+    errors = [1e3 * np.mean([getattr(score, name) for score in scores]) for name in ("cell_error", "uniform_cell_error")]
+    headline = f"3 pushes were predicted from those before to {errors[0]:.1f} mm, by equal cells with nominal values to {errors[1]:.1f} mm."
+    assert headline in (tmp_path / "page.html").read_text(encoding="utf-8"), "the score where no push was held out"
 
 
 def test_page_of_a_solve_that_failed_warns_first_and_says_that_no_push_was_held_out(tmp_path: Path) -> None:

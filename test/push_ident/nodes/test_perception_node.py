@@ -34,6 +34,7 @@ from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.base.network import own_domain
+from push_ident.nodes.base.settings import NODE
 from push_ident.nodes.convert.markers import refusals_from_msg
 from push_ident.nodes.convert.messages import (
     camera_accuracy_from_msg,
@@ -194,7 +195,7 @@ def test_images_that_are_refused_are_counted_by_reason_and_the_node_goes_on(came
     await_refusal(camera, "frames_refused", other_frame, "'elsewhere'")
     await_refusal(camera, "frames_without_result", blind, f"0 valid of {INTRINSICS.width * INTRINSICS.height} pixels")
     camera.stamp += 1.0  # infos all stand at the last good stamp: a second later nothing belongs together
-    await_refusal(camera, "dropped_skew", old_info, "ms apart, expected at most 50 ms")
+    await_refusal(camera, "dropped_skew", old_info, "ms apart, expected at most 100 ms")
     before = len(camera.poses)
     send_until(camera, lambda: len(camera.poses) > before + 2, info_first=True)
 
@@ -324,10 +325,11 @@ def test_a_publisher_of_another_quality_of_service_is_named_with_the_policy(came
         ask(camera, lambda: camera.destroy_publisher(publisher))
 
 
-def test_a_clock_that_does_not_tick_is_reported():
-    domain = own_domain()
+def test_a_clock_that_does_not_tick_is_reported_and_no_warning_while_a_cell_starts(capfd):
+    domain, started = own_domain(), time.monotonic()
     with running(PerceptionNode, domain, "use_sim_time:=true"), Talker(domain) as talker:
         talker.until(lambda: "nothing comes on /clock" in talker.values().get("why_no_pose", ""))
+        assert "WARN" not in capfd.readouterr().err or time.monotonic() - started > NODE.listener_wait
 
 
 def test_the_node_calibrates_all_its_cameras_and_writes_what_it_found(tmp_path):

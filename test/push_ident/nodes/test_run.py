@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -38,6 +39,9 @@ class Ticking(Component):
             while True:
                 time.sleep(0.01)
     def close(self):
+        end = time.process_time() + 0.5 * (MODE == "slow")
+        while time.process_time() < end:
+            pass
         print("held while the context is", self.context.ok(), flush=True)
 
 def factory():
@@ -82,6 +86,27 @@ def test_a_callback_that_never_returns_does_not_keep_the_process():
     output = ended(process, signal.SIGINT, within=2.2)
     assert process.returncode == 1 and "Traceback" not in output
     assert "ended by force" in output and " tick" in output
+
+
+@pytest.mark.alone
+def test_a_node_that_waits_for_a_busy_processor_is_not_ended_by_force():
+    """It needs half a second of the processor that it has a tenth of."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        process = start("slow")
+        assert process.stdout is not None and "ticking" in process.stdout.readline()
+        others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(3)]
+    finally:
+        os.sched_setaffinity(0, before)
+    try:
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=60.0)
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+    assert process.returncode == 0 and output.strip() == "held while the context is True"
 
 
 def test_a_node_that_cannot_start_gives_the_reason_in_one_line():

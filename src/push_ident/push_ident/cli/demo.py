@@ -15,6 +15,8 @@ import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Column, Table
 
+from push_ident.bags.pushes import count_pushes
+from push_ident.bags.reader import read_bag
 from push_ident.cli.checks import writable_folder
 from push_ident.cli.demo_pushes import DemoPush, DemoPushes
 from push_ident.cli.goal_report import GoalReport, goal_message
@@ -41,7 +43,7 @@ from push_ident.types import CellGrid, Float64Array, ObjectModel, ObjectShape
 def demo_command(
     object_name: Annotated[str, typer.Option("--object", help="hammer, wrench, crimp, toolbox or book.")] = "hammer",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the object's masses and frictions, the pushes and the noise.")] = 0,
-    n_train: Annotated[int | None, typer.Option(min=1, help="Number of random training pushes.", show_default="4; with --goal 2")] = None,
+    n_train: Annotated[int | None, typer.Option(min=1, help="Number of training pushes.", show_default="4; with --goal 2")] = None,
     n_test: Annotated[int, typer.Option(min=1, help="Number of test pushes, the score; each push is predicted before it is made.")] = 4,
     goal: Annotated[
         str | None, typer.Option(metavar="X,Y,YAW", help="Push it to this pose [m, m, rad, or 90deg], no test pushes.", show_default="none")
@@ -86,16 +88,26 @@ def demo_command(
     content = content | _scores(tested, run, seconds) if report is None else report.content() | content
     for file in (run / "result.json", json):
         write_json(file, content)
-    drawn = _pushes_section(training + tested, outline)
+    sections = [_maps_section({"True": truth, "Identified": load_model(run / "model.json")[1].model})]
+    sections.append(_pushes_section(training + tested, outline))
     if report is None:
-        _write_report(run, n_test, [drawn, _maps_section({"True": truth, "Identified": load_model(run / "model.json")[1].model})])
+        _write_report(run, tested, sections)
     else:
-        write_goal_page(run / "report.html", content, [drawn])
-    files = {"report": "report.html", "numbers": "result.json", "model": "model.json", "recording": "bag", "logs of the nodes": "log"}
-    for line in (*(f"{name}: {run / path}" for name, path in files.items()), f"again, offline: push-ident identify {run / 'bag'}"):
-        say(line)
+        write_goal_page(run / "report.html", content, sections)
+    _say_files(run, len(training + tested) + (0 if report is None else len(report.lines)))
     if report is not None:
         finish(report)
+
+
+def _say_files(run: Path, n_made: int) -> None:
+    """Name the files, and how many of the pushes that were made the recording has."""
+    n_recorded = count_pushes(read_bag(run / "bag"))
+    if n_recorded != n_made:
+        say(f"the recording has {n_recorded} pushes without a fault, {n_made} were made; see {run / 'log'}", style="yellow")
+    names = ("report", "numbers", "model", f"recording of {n_recorded} pushes", "logs of the nodes")
+    for name, file in zip(names, ("report.html", "result.json", "model.json", "bag", "log"), strict=True):
+        say(f"{name}: {run / file}")
+    say(f"again, offline: push-ident identify {run / 'bag'}")
 
 
 def _true_model(text: str) -> ObjectModel:
@@ -115,29 +127,29 @@ def _scores(tested: Sequence[DemoPush], run: Path, seconds: float) -> dict[str, 
     for name, errors in (("equal cells, nominal", uniform), ("identified", predicted)):
         table.add_row(name, *(millimetres(float(f(errors))) for f in (np.mean, np.median, np.max)))
     console.print(table)
-    say(f"{seconds:.0f} s; ratio identified / equal cells {predicted.mean() / uniform.mean():.2f}")
+    say(f"{seconds:.0f} s for {tested[-1].number} pushes; ratio identified / equal cells {predicted.mean() / uniform.mean():.2f}")
     per_push = [push.content() for push in tested]
     return {"identified_m": float(predicted.mean()), "uniform_m": float(uniform.mean()), "per_push": per_push}
 
 
-def _write_report(run: Path, n_test: int, sections: Sequence[FigureSection]) -> None:
-    """The page of the recording, identified again from all pushes but the test."""
+def _write_report(run: Path, tested: Sequence[DemoPush], sections: Sequence[FigureSection]) -> None:
+    """The page of the recording, identified again from all its pushes as the model was; its score is that of the live predictions."""
     loaded = load_pushes([run / "bag"])
-    chosen = range(max(len(loaded.records) - n_test, 1))
-    result = identify([loaded.records[i] for i in chosen], effects=loaded.nuisances)
-    others = range(len(chosen), len(loaded.records))
-    fitted, held_out = (push_errors(result, loaded.records, list(numbers)) for numbers in (chosen, others))
-    source = Provenance(loaded.object_id, tuple(loaded.records[i].source for i in chosen), tuple(loaded.notes))
-    write_report(run / "report.html", result, fitted, held_out, source, loaded.records[0].pusher.radius, sections=sections)
+    every, sources = range(len(loaded.records)), tuple(record.source for record in loaded.records)
+    result = identify(loaded.records, effects=loaded.nuisances)
+    fitted, held_out = (push_errors(result, loaded.records, list(numbers)) for numbers in (every, ()))
+    source, radius = Provenance(loaded.object_id, sources, tuple(loaded.notes)), loaded.records[0].pusher.radius
+    scores = [push.score for push in tested]
+    write_report(run / "report.html", result, fitted, held_out, source, radius, scores, sections)
 
 
 def _pushes_section(pushes: Sequence[DemoPush], outline: Float64Array) -> FigureSection:
     """A drawing of each push; `outline` of the object in its frame [m], shape (n_vertices, 2)."""
     drawings = []
-    for number, push in enumerate(pushes, 1):
+    for push in pushes:
         poses = [("before", "before the push", push.before), ("seen", "observed after the push", push.after)]
         poses += [(style, "predicted", way["end"]) for style, way in zip(("predicted", "other"), push.ways, strict=False)]
-        title = f"Push {number}: {push.expectation}" + (f"; error {millimetres(push.predicted_m)}" if push.ways else "")
+        title = f"Push {push.number}: {push.expectation}" + (f"; error {millimetres(push.predicted_m)}" if push.ways else "")
         drawings.append((title, [Placed(transform_points(np.array(pose), outline), style, text) for style, text, pose in poses]))
     note = "From above, in the table frame. Filled: before the push. Dashed: predicted before it, twice where it may end in two ways. "
     return FigureSection("Predicted live, then pushed", outline_panels(drawings), note + "Solid: observed after it.")
@@ -151,4 +163,4 @@ def _maps_section(models: dict[str, ObjectModel]) -> FigureSection:
     top = float(np.concatenate(list(shares.values())).max())
     panels = [CellPanel(n, c.centres, c.size, models[n].shape.outline, shares[n], "%/cm²", top=top) for n, c in cells.items()]
     note = "Share of the friction force of the object that each square centimetre bears."
-    return FigureSection("Against the truth", [(panel.title, cell_panel(panel)) for panel in panels], note)
+    return FigureSection("The true map beside the identified one", [(panel.title, cell_panel(panel)) for panel in panels], note)

@@ -1,4 +1,7 @@
-"""The pushes of the demo: each is planned, predicted and then made, and its end is compared with the prediction."""
+"""The pushes of the demo: each is planned, predicted and then made, and its end is compared with the prediction.
+
+The list of them is the only one: console, report and JSON number and score these pushes, and the bag has the same.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,10 @@ import numpy as np
 from push_ident.cli.output import millimetres, say
 from push_ident.errors import PushIdentError
 from push_ident.geometry.cells import cell_error
-from push_ident.identification.predicting.prediction import Outcome, outcomes_of, predict
+from push_ident.geometry.se2 import wrap_angle
+from push_ident.identification.observing.observation import NoiseModel
+from push_ident.identification.predicting.prediction import Outcome, Prediction, outcomes_of, predict
+from push_ident.identification.predicting.scoring import PushScore
 from push_ident.identification.results.model_file import load_model
 from push_ident.identification.unknowns.mechanics import uniform_model
 from push_ident.physics.scenario import PushScenario
@@ -26,14 +32,15 @@ if TYPE_CHECKING:
     from push_ident.nodes.client.cell_client import CellClient
     from push_ident_msgs.action import ExecutePush
 
-_OK, _NO_CONTACT = 0, -5
+_OK: Final = 0
 _PHASES: Final = ("planning", "approach", "pushing, identifying", "rest", "retreat", "re-centring")
 
 
 @dataclass(slots=True)
 class DemoPush:
-    """One push: direction [rad], distance [m], speed [m/s]; poses of the object (x, y, yaw) in the table frame [m, m, rad]."""
+    """One push, its number from 1: direction [rad], distance [m], speed [m/s]; poses of the object (x, y, yaw), table frame [m, m, rad]."""
 
+    number: int
     direction: float
     distance: float
     speed: float
@@ -43,13 +50,21 @@ class DemoPush:
     predicted_m: float = np.nan
     expected_m: float = np.nan
     uniform_m: float = np.nan
-    """Mean displacement of the cells; their error as predicted, as expected, and of equal cells [m]: NaN where nothing was known."""
+    mahalanobis2: float = np.nan
+    """Mean displacement of the cells; their error as predicted, as expected, and of equal cells [m]; squared Mahalanobis distance of the
+    end from the prediction: NaN where nothing was known."""
     ways: list[dict[str, Any]] = field(default_factory=list)
     """Ends that were predicted, each with its chance, the likelier first."""
 
     def content(self) -> dict[str, Any]:
         """For JSON, without what was not predicted."""
         return {key: value for key, value in asdict(self).items() if not isinstance(value, float) or np.isfinite(value)}
+
+    @property
+    def score(self) -> PushScore:
+        """How well it was predicted."""
+        errors = (self.predicted_m, self.expected_m, self.mahalanobis2, self.uniform_m)
+        return PushScore(self.number, f"push {self.number}", 0.0, *errors)
 
     @property
     def expectation(self) -> str:
@@ -65,7 +80,6 @@ class DemoPushes:
     def __init__(self, client: CellClient, object_id: str, seed: int, model: Path, show: Callable[..., None]) -> None:
         self._client, self._object_id, self._seed, self._model, self._show = client, object_id, seed, model, show
         self._refusals = self._asked = 0
-        self._due = 0  # pushes that will be learned once identification has caught up
         self.made: list[DemoPush] = []
 
     def await_executor(self, patience: float = 30.0) -> None:
@@ -77,10 +91,12 @@ class DemoPushes:
             time.sleep(0.5)
 
     def make(self, n: int) -> list[DemoPush]:
-        """Make random pushes, each predicted from those before it. Raises PushIdentError where one after another could not be made."""
+        """Make pushes, each predicted from those before it. Raises PushIdentError where one after another could not be made.
+
+        They are random; near the edge of the workspace, one back towards the middle.
+        """
         first = len(self.made)
         while len(self.made) < first + n:
-            self._recentre()
             if (planned := self._planned()) is not None:
                 self._push(planned)
         return self.made[first:]
@@ -91,17 +107,10 @@ class DemoPushes:
         message = ExecutePush.Goal(mode=getattr(ExecutePush.Goal, f"MODE_{mode}"), object_id=self._object_id, **goal)
         return self._client.execute_push(message, on_feedback=on_feedback)
 
-    def _recentre(self) -> None:
-        """Push an object near the edge of the workspace back: pushes are made as they were predicted, from where it lies."""
-        if self._is_near_edge(np.zeros(3)):
-            self._show(description="pushing it back to the middle")
-            known = self._n_learned()
-            if self._execute("RECENTRE").error_code == _OK:
-                # It is learned during the next push, which is predicted from the pushes before it.
-                self._due = known + 1
-
     def _planned(self) -> ExecutePush.Result | None:
-        """A random push that the arm can make, one that ends away from the edge if there is; None where the arm refused one."""
+        """A push that the arm can make, random and one that ends away from the edge if there is; None where the arm refused one."""
+        if self._is_near_edge(np.zeros(3)) and (planned := self._execute("RECENTRE", dry_run=True)).error_code == _OK:
+            return planned
         first = None
         for _ in range(10):  # a tenth of a second each, where pushing an object back takes as long as a push
             seed = int(np.random.SeedSequence([self._seed, self._asked]).generate_state(1)[0])
@@ -126,13 +135,13 @@ class DemoPushes:
 
         number, client, object_id = len(self.made) + 1, self._client, self._object_id
         shape, before = client.shape(object_id), client.pose_at_rest(object_id, after=-np.inf)
-        push = DemoPush(planned.direction, planned.distance, planned.speed, before.tolist())
+        push = DemoPush(number, planned.direction, planned.distance, planned.speed, before.tolist())
         path = pusher_path_from_msg(planned.tool_path, client.pusher_radius)
         predicted = self._predict(push, path, before) if self._n_learned() else None
-        known = max(self._n_learned(), self._due)
+        known = self._n_learned()
         plan = {name: getattr(planned, name) for name in ("contact_point", "direction", "distance", "speed")}
         result = self._execute("CONTACT", lambda feedback: self._show(description=f"push {number}: {_PHASES[feedback.phase]}"), **plan)
-        if result.error_code not in (_OK, _NO_CONTACT):
+        if result.error_code != _OK:
             self._refused(result)
             return
         after = client.pose_at_rest(object_id, after=client.poses(object_id)[-1][0])
@@ -140,16 +149,18 @@ class DemoPushes:
         text = f"push {number}: travel {millimetres(push.moved_m)}"
         if predicted is not None:
             uniform = simulate(uniform_model(shape), PushScenario(path, before, path.time[-1:])).pose[-1]
-            push.predicted_m, push.uniform_m = (cell_error(shape.cells, pose, after) for pose in (predicted, uniform))
+            end = predicted.pose[-1]
+            push.predicted_m, push.uniform_m = (cell_error(shape.cells, pose, after) for pose in (end, uniform))
+            apart = np.append(after[:2] - end[:2], wrap_angle(after[2] - end[2]))
+            push.mahalanobis2 = float(apart @ np.linalg.solve(predicted.covariance[-1] + NoiseModel().floor, apart))
             text += f"; error of the prediction {millimetres(push.predicted_m)}, equal cells {millimetres(push.uniform_m)}"
         self.made.append(push)
         self._refusals = 0
-        if result.error_code == _OK:
-            self._learned(known + 1)
+        self._learned(known + 1)
         self._show(description=f"push {number} is made", advance=1)
         say(text)
 
-    def _predict(self, push: DemoPush, path: PusherPath, before: Float64Array) -> Float64Array:
+    def _predict(self, push: DemoPush, path: PusherPath, before: Float64Array) -> Prediction:
         self._client.save_model(self._object_id, str(self._model.resolve()))
         _, posterior = load_model(self._model)
         prediction = predict(posterior, PushScenario(path, before, path.time))
@@ -159,7 +170,7 @@ class DemoPushes:
         push.expected_m = prediction.cell_error_std
         push.ways = [{"chance": outcome.chance, "end": outcome.end.tolist()} for outcome in outcomes]
         say(f"push {len(self.made) + 1} predicted, {push.expectation}")
-        return prediction.pose[-1]
+        return prediction
 
     def _learned(self, n: int) -> None:
         """Wait until `n` pushes are learned; one that identification refused, such as for missing poses, is said and left."""
@@ -168,7 +179,6 @@ class DemoPushes:
         try:
             self._client.wait_for_map(self._object_id, n, 30.0)  # a solve takes a second
         except CellTimeout as error:
-            self._due = 0
             say(f"the push was not learned: {error}", style="yellow")
 
     def _n_learned(self) -> int:

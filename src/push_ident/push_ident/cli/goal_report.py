@@ -95,6 +95,8 @@ class PushLine:
         self.position_error, self.yaw_error = float(feedback.position_error), float(feedback.yaw_error)
 
     def __str__(self) -> str:
+        if not np.isfinite(self.seen).all():
+            return f"push {self.number}: its end was not reported, such as that of a push back to the middle"
         if np.isfinite(self.done):
             errors = f"{1e3 * self.position_error:.1f} mm and {np.degrees(self.yaw_error):.1f}° from the path"
             return f"push {self.number}: {errors}, {100 * self.done:.0f} % of it behind"
@@ -114,7 +116,7 @@ class PushLine:
         """For JSON: lengths in metres, angles in radians."""
         return {
             "number": self.number,
-            "seen": self.seen.tolist(),
+            "seen": self.seen.tolist() if np.isfinite(self.seen).all() else None,
             "expected": None if self.expected is None else self.expected.tolist(),
             "chance": None if self.expected is None else self.chance,
             "risk": self.risk if self.expected is not None and self._is_at_edge else None,
@@ -151,8 +153,15 @@ class GoalReport:
             self.overhang, self.margin = float(feedback.overhang), float(feedback.margin)
         if self.goal.kind == self.goal.KIND_PATH:
             self.target = planar(feedback.target)
-        if feedback.pushes > (self.lines[-1].number if self.lines else 0):
+        if feedback.pushes > len(self.lines):
+            self.count_up_to(int(feedback.pushes) - 1)
             self.lines.append(PushLine(feedback, follows=self.goal.kind == self.goal.KIND_PATH))
+            say(str(self.lines[-1]))
+
+    def count_up_to(self, n_pushes: int) -> None:
+        """List every push up to this one, also those of which nothing was reported."""
+        for number in range(len(self.lines) + 1, n_pushes + 1):
+            self.lines.append(PushLine(unreported(number)))
             say(str(self.lines[-1]))
 
     @property
@@ -249,6 +258,15 @@ def last_feedback(result: PushToGoal.Result, latest: PushToGoal.Feedback, pose: 
     last.pose, last.target, last.edge = pose_message(pose), result.target, latest.edge
     last.overhang, last.margin, last.risk = result.overhang, result.margin, latest.risk
     return last
+
+
+def unreported(number: int) -> PushToGoal.Feedback:
+    """A feedback of a push of which none came."""
+    from push_ident_msgs.action import PushToGoal
+
+    nothing = PushToGoal.Feedback(pushes=number, position_error=float("nan"), yaw_error=float("nan"))
+    nothing.pose.position.x = float("nan")
+    return nothing
 
 
 def broken_off(latest: PushToGoal.Feedback | None = None) -> PushToGoal.Result:

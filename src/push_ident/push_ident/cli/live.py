@@ -6,6 +6,7 @@ import importlib.metadata
 import os
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -18,7 +19,7 @@ from push_ident.bags.reader import read_bag
 from push_ident.cli.checks import above_zero, at_least_zero, new_bag
 from push_ident.cli.identify import DepthUnitOption, MapOption, read_options
 from push_ident.cli.live_view import ViewOption, show_view
-from push_ident.cli.output import JsonOption, OutOption, console, say, warn, write_json
+from push_ident.cli.output import JsonOption, OutOption, console, say, status, warn, write_json
 from push_ident.cli.overrides import overrides_of
 from push_ident.cli.processes import RestartPolicy
 from push_ident.cli.robot import RobotOption, robot_for
@@ -32,6 +33,7 @@ from push_ident.offline.loading import most_pushed
 from push_ident.physics.simulation import compile_kernels
 
 if TYPE_CHECKING:
+    from push_ident.nodes.client.cell_client import CellClient
     from push_ident_msgs.msg import MassFrictionMap
 
 
@@ -121,17 +123,15 @@ def replay_command(
         parameters["perception_node"] = pose
     commands = node_commands("replay", bag=bag, perception=not contents.has_poses, view=view, parameters=parameters)
     os.environ.setdefault("ROS_DOMAIN_ID", str(own_domain()))
-    with console.status("loading the kernels"):
-        compile_kernels(effects=True)  # the first time a minute or more, in which the node would seem to stand still
+    with status("loading the kernels, the first time for minutes"):
+        compile_kernels(effects=True)  # in which the node would seem to stand still
     with Supervisor(commands, log_dir=out / "log" if out else None) as supervisor:
         show_view(view)
         from push_ident.nodes.client.cell_client import CellClient
 
-        with CellClient(check=supervisor.check) as client, console.status("playing") as status:
-            client.wait(
-                lambda: supervisor.exit_code("bag_player_node") is not None or None, _PATIENCE, _STUCK, client.heard_from("bag_player")
-            )
-            status.update("waiting for the last push to be identified")
+        with CellClient(check=supervisor.check) as client, status(f"playing {bag}") as show:
+            _await_played(client, supervisor, sum(contents.topics.values()), show)
+            show("waiting for the last push to be identified")
             client.wait_until_settled(quiet=1.0, patience=_PATIENCE)
             counts = client.values_of("identification")
             learned = [client.latest_map(object_id) for object_id in client.object_ids()]
@@ -149,6 +149,17 @@ def replay_command(
     if n_learned < played:
         warn(f"push-ident: {n_learned} of {played} pushes of the bag were learned; {_left_out(counts)}")
         raise typer.Exit(1)
+
+
+def _await_played(client: CellClient, supervisor: Supervisor, n_messages: int, show: Callable[[str], None]) -> None:
+    """Wait until the player of a bag of so many messages has ended; `show` gets each tenth of them."""
+
+    def is_played() -> bool:
+        if tenths := 10 * int(client.values_of("bag_player").get("messages played", 0)) // max(n_messages, 1):
+            show(f"played {10 * min(tenths, 10)} %")
+        return supervisor.exit_code("bag_player_node") is not None
+
+    client.wait(is_played, _PATIENCE, _STUCK, client.heard_from("bag_player"))
 
 
 _PATIENCE: Final = 300.0

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TimeElapsedColumn
 from rich.table import Column, Table
 from rich.text import Text
@@ -87,6 +88,25 @@ def progress() -> Iterator[Callable[[str], None]]:
     with Progress(SpinnerColumn(), Description(), TimeElapsedColumn(), console=console, transient=True) as shown:
         task = shown.add_task("reading")
         yield lambda text: shown.update(task, description=text)
+
+
+@contextmanager
+def status(text: str) -> Iterator[Callable[[str], None]]:
+    """A line that says what is being done, as long as the context lasts: another text is given to the function. Where the output is no
+    terminal, each text is a line of its own."""
+    shown = ""
+    with console.status("") as line:
+
+        def show(text: str) -> None:
+            nonlocal shown
+            if console.is_terminal:
+                line.update(escape(printable(text)))
+            elif text != shown:
+                say(text)
+            shown = text
+
+        show(text)
+        yield show
 
 
 def number_table(title: str, *headings: str) -> Table:

@@ -188,6 +188,7 @@ def push_to_goal(client: CellClient, report: GoalReport, show: Callable[[str], N
             report.effects = printable(client.values_of("identification_node").get(f"{found[0]}: diagnosed effects", ""))
     if latest is not None and (poses := client.poses(goal.object_id)):
         report.take(last_feedback(report.result, latest, poses[-1][1]))
+    report.count_up_to(int(report.result.pushes))
 
 
 def push_to_command(

@@ -27,8 +27,8 @@ Kind = Literal["sim", "replay", "arm"]
 
 _COLOURS: Final = ("cyan", "green", "magenta", "yellow", "blue", "bright_red")
 _POLL_PERIOD: Final = 0.05
-_TERMINATE_AFTER: Final = 2.0
-"""Time from SIGINT to SIGTERM [s]; a node of this project stops within 1.8 s."""
+_TERMINATE_AFTER: Final = 5.0
+"""Time from SIGINT to SIGTERM [s]; a node of this project stops within 1.8 s, on a loaded machine seconds later."""
 _KILL_AFTER: Final = 1.0
 """Time from SIGTERM to SIGKILL [s]."""
 
@@ -166,7 +166,7 @@ class Supervisor:
         return self._processes[name].poll()
 
     def stop(self) -> list[str]:
-        """Stop all processes: SIGINT, 2 s later SIGTERM, 1 s later SIGKILL. Returns when no process runs any more.
+        """Stop all processes: SIGINT, 5 s later SIGTERM, 1 s later SIGKILL. Returns when no process runs any more.
 
         An exception in between, such as a second Ctrl-C, ends them at once.
 

@@ -119,11 +119,11 @@ def _rows(goal: Mapping[str, Any]) -> list[dict[str, str]]:
     return [
         {
             "number": str(push["number"]),
-            "chance": "explores" if push["expected"] is None else f"{100 * push['chance']:.0f} %",
+            "chance": ("explores" if push["seen"] else "–") if push["expected"] is None else f"{100 * push['chance']:.0f} %",
             "risk": "–" if push.get("risk") is None else f"{100 * push['risk']:.1f} %",
             "predicted": "–" if push["expected"] is None else _pose(push["expected"]),
-            "seen": _pose(push["seen"]),
-            "missed": "–" if push["expected"] is None else _apart(*_difference(push["seen"], push["expected"])),
+            "seen": "not seen" if push["seen"] is None else _pose(push["seen"]),
+            "missed": "–" if push["seen"] is None or push["expected"] is None else _apart(*_difference(push["seen"], push["expected"])),
             "left": _apart(push["position_error_m"], push["yaw_error_rad"]),
         }
         for push in goal["pushes"]
@@ -141,7 +141,7 @@ def _panels(goal: Mapping[str, Any]) -> list[tuple[str, str]]:
     frame = np.array([every.min(axis=0), every.max(axis=0)])
     edge = _edge_within(goal.get("edge"), frame)
     found, before = [], goal["start"]
-    for push in goal["pushes"]:
+    for push in (push for push in goal["pushes"] if push["seen"] is not None):
         placed = [Placed(transform_points(np.array(before), outline), "before", "before the push"), *target, *edge]
         if push["expected"] is None:
             title = f"Push {push['number']} explores"

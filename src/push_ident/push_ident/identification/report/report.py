@@ -75,7 +75,7 @@ def report_text(
     known = identifiability(posterior)
     context = {
         "title": f"Object {provenance.object_id}: mass and friction",
-        "headline": _headline(result, train, test, known),
+        "headline": _headline(result, train, test, known) + _record_line(record, test),
         "wrong": result.warnings,
         "warning": "" if result.status is SolveStatus.CONVERGED else f"Do not use these maps without a check: {result.status.value}.",
         "maps": draw_maps(posterior),
@@ -130,6 +130,16 @@ def _headline(result: Identification, train: PushErrors, test: PushErrors, known
     return f"{learned} {better}, equal cells with nominal values to {1e3 * np.nanmean(test.uniform):.1f} mm."
 
 
+def _record_line(record: Sequence[PushScore], test: PushErrors) -> str:
+    """The score of predictions made before each push, for the headline; none where pushes were held out, or none was predicted."""
+    summary = summarise_scores(record)
+    if test.pushes or not summary.n:
+        return ""
+    pushes = "One push was" if summary.n == 1 else f"{summary.n} pushes were"
+    errors = [f"{1e3 * error:.1f} mm" for error in (summary.mean_cell_error, summary.mean_uniform_cell_error)]
+    return f" {pushes} predicted from those before to {errors[0]}, by equal cells with nominal values to {errors[1]}."
+
+
 def _error_row(name: str, errors: PushErrors) -> dict[str, Any]:
     columns = {"uniform": errors.uniform, "scalar": errors.scalar, "identified": errors.identified}
     means = {column: float(np.nanmean(values)) if len(values) else float("nan") for column, values in columns.items()}
@@ -165,6 +175,7 @@ def _record(scores: Sequence[PushScore]) -> dict[str, Any] | None:
     summary = summarise_scores(scores)
     return {
         "figure": draw_record(scores),
+        "from_prior": scores[0].number == 1,
         "n": summary.n,
         "mean": summary.mean_cell_error,
         "expected": summary.mean_expected_cell_error,

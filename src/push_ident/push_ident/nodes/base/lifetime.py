@@ -21,6 +21,7 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from enum import IntEnum
+from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from push_ident.nodes.base.settings import NODE
@@ -55,7 +56,7 @@ class Lifetime:
         self.stop = threading.Event()
         """Set when the process has to end."""
         self.patience = NODE.stop_within
-        """From a request to stop to the end by force [s]."""
+        """From a request to stop to the end by force [s], beside what a busy machine lets the main thread wait for a processor."""
         self._lock = threading.Lock()
         self._begun = False
         self._abandoned = False
@@ -113,7 +114,9 @@ class Lifetime:
             if self._at_once:
                 self._end(self._code)
         self.stop.set()
-        time.sleep(self.patience)
+        asked, waited = time.monotonic(), _waited_for_processor()
+        while time.monotonic() - asked < self.patience + _waited_for_processor() - waited:
+            time.sleep(NODE.spin_wait)
         with self._lock:
             if self._code == ExitCode.NOT_STOPPED:
                 print(f"ended by force after {self.patience:g} s, in {_where_main_thread_is()}", file=sys.stderr, flush=True)
@@ -186,6 +189,14 @@ def _await_end(waiting: int, lifeline: int | None) -> bool:
             return True
         if any(number in STOP_SIGNALS for number in os.read(waiting, 64)):
             return False
+
+
+def _waited_for_processor() -> float:
+    """How long the main thread has waited for a processor so far [s]; 0 where the kernel does not say."""
+    try:
+        return 1e-9 * float(Path("/proc/self/schedstat").read_text(encoding="ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
 
 
 def _where_main_thread_is() -> str:

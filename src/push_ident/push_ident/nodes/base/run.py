@@ -79,9 +79,10 @@ def _spin(node: CellNode, n_threads: int) -> None:
     executor.add_node(node)
     settle_memory()
 
-    def spin_while(condition: Callable[[], bool]) -> None:
+    def spin_while(condition: Callable[[], bool], is_closing: bool = False) -> None:
         while condition():
-            with node.guard.watch("executor"):
+            # What `close` destroys while a wait set is built fails there: no fault, and to log one may take rclpy a second.
+            with suppress(Exception) if is_closing else node.guard.watch("executor"):
                 executor.spin_once(timeout_sec=NODE.spin_wait)
             if n_threads > 1:
                 # Until a worker has taken a callback, rclpy returns the same one repeatedly, and this thread would block the
@@ -95,7 +96,7 @@ def _spin(node: CellNode, n_threads: int) -> None:
             # The clients of goals under way still get their results.
             with ThreadPoolExecutor(1) as pool:
                 closing = pool.submit(node.close)
-                spin_while(lambda: not closing.done())
+                spin_while(lambda: not closing.done(), is_closing=True)
             closing.result()
         else:
             node.close()

@@ -26,7 +26,7 @@ from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import RANGE
 from push_ident.nodes.client.listen import start_ros
 from push_ident.nodes.convert.messages import transform_from_msg
-from push_ident.nodes.input.depth_pairs import MAX_SKEW, DepthPairs
+from push_ident.nodes.input.depth_pairs import DepthPairs
 from push_ident.perception.frame.depth_image import ACCEPTED_ENCODINGS
 from push_ident.types import DepthFrame, Float64Array
 
@@ -92,7 +92,7 @@ class DepthCapture:
         if last in (_INFO, _POSE):
             raise InputError(f"{self.topic} is the topic of what belongs to the images, expected that of the images beside it.")
         self.info_topic = f"{beside}/{_INFO}"
-        self._pairs = DepthPairs(self.info_topic, max_skew=lambda: MAX_SKEW, on_frame=self._on_frame, refuse=self._refuse)
+        self._pairs = DepthPairs(self.info_topic, on_frame=self._on_frame, refuse=self._refuse)
         self._node.create_subscription(CameraInfo, self.info_topic, self._on_info, qos_profile_sensor_data)
         self._node.create_subscription(PoseStamped, f"{beside}/{_POSE}", self._on_pose, LATCHED)
         self._node.create_subscription(Image, self.topic, self._on_image, qos_profile_sensor_data)
@@ -181,7 +181,7 @@ class DepthCapture:
                 f"{self._n_images} images came on {topic}, but no camera info on {self.info_topic} ({n} publishers) {within}, "
                 "expected sensor_msgs/msg/CameraInfo with each image; start it in the camera's driver, or remap it there."
             )
-        self._pairs.drop_unpaired()
+        self._pairs.end_wait()
         reasons = dict(self._refused)
         kinds = [kind for kind, _ in self._refused]
         why = reasons[max(reasons, key=kinds.count)] if reasons else "none has arrived whole"  # the last image may only lack its info yet

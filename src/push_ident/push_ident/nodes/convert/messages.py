@@ -328,13 +328,12 @@ def intrinsics_from_msg(info: CameraInfo) -> CameraIntrinsics:
     return intrinsics_of(info)
 
 
-def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | None = 0.05) -> DepthFrame:
+def depth_frame_from_msgs(image: Image, info: CameraInfo) -> DepthFrame:
     """One depth frame in metres.
 
     Args:
         image: `16UC1` or `32FC1`.
-        info: Its camera.
-        max_skew: Stamps further apart [s] are refused; None accepts any (a camera that publishes its info once).
+        info: Its camera, whatever its stamp: that they belong together is for `nodes/input/depth_pairs.py` to know.
 
     Raises FrameError: Image and info do not belong together, or one is refused for itself.
     """
@@ -344,9 +343,6 @@ def depth_frame_from_msgs(image: Image, info: CameraInfo, *, max_skew: float | N
     intrinsics = intrinsics_from_msg(info)
     check_image_size(int(image.width), int(image.height), intrinsics)
     stamp = stamp_from_msg(image.header.stamp)
-    skew = stamp - stamp_from_msg(info.header.stamp)
-    if max_skew is not None and abs(skew) > max_skew:
-        raise FrameError(f"Depth image and camera info are {skew * 1e3:.0f} ms apart, expected at most {max_skew * 1e3:.0f} ms.")
     depth = depth_from_buffer(image.encoding, image.height, image.width, image.step, bool(image.is_bigendian), memoryview(image.data))
     return DepthFrame(stamp, depth, intrinsics, image.header.frame_id, unit_of(image.encoding))
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import deque
 from collections.abc import Callable
 from typing import Final
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
@@ -17,29 +17,31 @@ from push_ident.nodes.base.cell_node import CellNode
 from push_ident.nodes.convert.messages import depth_frame_from_msgs, stamp_from_msg
 from push_ident.types import DepthFrame
 
-MAX_SKEW: Final = 0.05
-"""An image and a camera info further apart do not belong together, unless a node has another parameter [s]: more than a frame at 30 Hz."""
+_NEAREST, _NEIGHBOUR = 0.5, 1.5
+"""Periods of the camera info [-]: no other info can be nearer to an image; and where its own one was lost, that of the image before or
+after it is as near, with half a period of jitter."""
 
 
 class DepthPairs:
     """Finds the camera info of each image.
 
-    It may arrive before or after its image; one without a stamp is of a camera that never changes.
+    It may arrive before or after its image; one without a stamp is of a camera that never changes. Where it was lost, its neighbour is
+    taken. The limits follow from the period of the infos, as their stamps show it; before there are two, stamps must be equal.
     """
 
     def __init__(
         self,
         info_topic: str,
         *,
-        max_skew: Callable[[], float],
         on_frame: Callable[[DepthFrame, Time], None],
         refuse: Callable[[str, str], None],
+        max_skew: Callable[[], float] = lambda: 0.0,
     ) -> None:
         """Begin without any.
 
         Args:
             info_topic: For texts.
-            max_skew: Largest difference of the stamps of an image and its info in force [s].
+            max_skew: Largest difference of the stamps of an image and its info in force [s]; 0: by the period of the infos.
             on_frame: Called with each frame and the stamp of its image; a PushIdentError raised there refuses the frame.
             refuse: Called with a key for diagnostics and the reason, for each image that comes to nothing.
         """
@@ -51,39 +53,49 @@ class DepthPairs:
 
     def on_info(self, info: CameraInfo) -> None:
         """Take a camera info."""
-        at = stamp_from_msg(info.header.stamp)
-        self._infos.append((at, info))
-        if self._unpaired is not None and _skew(stamp_from_msg(self._unpaired.header.stamp), at) <= self._max_skew():
-            image, self._unpaired = self._unpaired, None
-            self._take(image, info)
+        self._infos.append((stamp_from_msg(info.header.stamp), info))
+        self._pair(_NEAREST)
 
     def on_image(self, image: Image) -> None:
-        """Take an image; one without info before it waits for the next info, until the next image comes."""
-        stamp = stamp_from_msg(image.header.stamp)
-        self.drop_unpaired()
-        skew, info = min(((_skew(stamp, at), info) for at, info in self._infos), key=lambda pair: pair[0], default=(math.inf, None))
-        if info is not None and skew <= self._max_skew():
-            self._take(image, info)
-        else:
-            self._unpaired = image
+        """Take an image; one whose info has not come waits for it, until the next image comes."""
+        stamp_from_msg(image.header.stamp)  # one that cannot be refuses the message before it counts
+        self.end_wait()
+        self._unpaired = image
+        self._pair(_NEAREST)
 
-    def drop_unpaired(self) -> None:
-        """Refuse the image that still waits for its info, if there is one."""
-        if self._unpaired is None:
+    def end_wait(self) -> None:
+        """Take the image that still waits with the info of its neighbour, or refuse it."""
+        if self._unpaired is None or self._pair(_NEIGHBOUR):
             return
-        stamp = stamp_from_msg(self._unpaired.header.stamp)
-        self._unpaired = None
+        stamp, self._unpaired = stamp_from_msg(self._unpaired.header.stamp), None
         if not self._infos:
             self._refuse("dropped_without_info", f"no camera info on {self._info_topic} yet; start the camera driver")
             return
-        skew, limit = min(_skew(stamp, at) for at, _ in self._infos), self._max_skew()
+        skew, limit = min(_skew(stamp, at) for at, _ in self._infos), self._limit(_NEIGHBOUR)
         self._refuse(
             "dropped_skew", f"depth image and nearest camera info are {skew * 1e3:.0f} ms apart, expected at most {limit * 1e3:.0f} ms"
         )
 
+    def _limit(self, periods: float) -> float:
+        """Largest difference of stamps [s]."""
+        steps = np.diff(np.unique([at for at, _ in self._infos if at]))
+        return self._max_skew() or (periods * float(np.median(steps)) if len(steps) else 0.0)
+
+    def _pair(self, periods: float) -> bool:
+        """Take the image that waits with the nearest info within so many periods; whether there is one."""
+        if self._unpaired is None or not self._infos:
+            return False
+        stamp = stamp_from_msg(self._unpaired.header.stamp)
+        skew, info = min(((_skew(stamp, at), info) for at, info in self._infos), key=lambda pair: pair[0])
+        if skew > self._limit(periods):
+            return False
+        image, self._unpaired = self._unpaired, None
+        self._take(image, info)
+        return True
+
     def _take(self, image: Image, info: CameraInfo) -> None:
         try:
-            self._on_frame(depth_frame_from_msgs(image, info, max_skew=None), image.header.stamp)
+            self._on_frame(depth_frame_from_msgs(image, info), image.header.stamp)
         except PushIdentError as error:
             self._refuse("frames_refused", str(error))
 

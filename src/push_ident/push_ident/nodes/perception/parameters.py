@@ -8,7 +8,6 @@ from typing import Any, Final
 
 from push_ident.errors import InputError
 from push_ident.nodes.base.parameters import Parameter
-from push_ident.nodes.input.depth_pairs import MAX_SKEW
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.survey.parameter_file import HEADING_STD, POSITION_STD
 from push_ident.types import CameraAccuracy
@@ -110,7 +109,13 @@ PARAMETERS: Final = (
         "lose no image and no pose, and report each image that is done: for a source that waits for this node, not for a camera",
         read_only=True,
     ),
-    Parameter("max_skew", MAX_SKEW, "a depth image and a camera info further apart do not belong together [s]", 0.0, 10.0),
+    Parameter(
+        "max_skew",
+        0.0,
+        "a depth image and a camera info further apart do not belong together [s]; 0: 1.5 periods of the camera info, as measured",
+        0.0,
+        10.0,
+    ),
 )
 
 

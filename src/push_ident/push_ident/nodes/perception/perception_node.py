@@ -464,7 +464,8 @@ class _Perception(Component):
                 self._notes[f"camera_{name}"] = self._silence_of(camera)
                 self._node.get_logger().warning(f"camera {name}: {self._silence_of(camera)}", throttle_duration_sec=NODE.log_period)
         why = self._why_no_pose(silent, rate)
-        if silent or rate == 0:
+        # Nodes of a cell that starts wait for each other: until then the status is enough.
+        if (silent or rate == 0) and self._waited() > NODE.listener_wait:
             self._node.get_logger().warning(why, throttle_duration_sec=NODE.log_period)
         values: dict[str, Any] = {
             "rate_hz": f"{rate:.1f}",
@@ -494,13 +495,16 @@ class _Perception(Component):
             return f"use_sim_time is set but nothing comes on /clock ({self._node.count_publishers('/clock')} publishers)"
         if silent:
             return self._silence_of(self._main)
-        waited = (self._wall.now() - self._started_at).nanoseconds * 1e-9
-        source = self._configured["extrinsics"]
+        waited, source = self._waited(), self._configured["extrinsics"]
         if self._perception is None and source != "parameters" and waited > self._configured["extrinsics_timeout"]:
             return f"still no extrinsics ({source}) after {waited:.0f} s: {self._last_error}"
         if rate == 0 or self._last_observation is None:
             return self._last_error or f"none of {self._main.input.n_images} depth images has been processed yet"
         return self._last_observation.why_no_pose()
+
+    def _waited(self) -> float:
+        """Since the node was activated [s], wall time."""
+        return float((self._wall.now() - self._started_at).nanoseconds * 1e-9)
 
     def _silence_of(self, camera: _Camera) -> str:
         topic = camera.input.image_topic

@@ -161,7 +161,7 @@ class _Viewer(Component):
         self._at(stamp)
         if self._info is None or self._camera is None or not self._due("image", self._settings["image_rate"]):
             return
-        frame = depth_frame_from_msgs(msg, self._info, max_skew=None)
+        frame = depth_frame_from_msgs(msg, self._info)
         shown = (frame.intrinsics, self._camera.tobytes())
         if shown != self._camera_shown:
             self._camera_shown = shown
