@@ -29,6 +29,7 @@ ORDER = [
     "identification",
     "planning",
     "diagnosis",
+    "selftest",
     "bags",
     "offline",
     "fleet",
