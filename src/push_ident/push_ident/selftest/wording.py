@@ -59,8 +59,11 @@ def can_tell(test: SelfTest) -> list[str]:
 
 def cannot_tell(test: SelfTest) -> list[str]:
     """What they do not tell, and where their stated intervals cannot be relied on."""
-    open_ones = [q.name for q in test.quantities if q.knowledge is Knowledge.OPEN]
-    told = [f"{name[0].upper()}{name[1:]}: hardly at all; the value is assumed." for name in open_ones]
+    told = [
+        f"{q.name[0].upper()}{q.name[1:]}: hardly (median error {size_text(q, q.error)}, before the pushes {size_text(q, q.prior_std)})."
+        for q in test.quantities
+        if q.knowledge is Knowledge.OPEN
+    ]
     n = sum(not one.failure for one in test.tests)
     if wrong := [q.name for q in test.quantities if binom.cdf(q.n_within, n, 0.9) < _MAX_P_VALUE]:
         told.append(f"The stated intervals of {', '.join(wrong)} are too narrow: they held the truth less often than at 90 %.")
