@@ -29,7 +29,7 @@ ORDER = [
     "identification",
     "planning",
     "diagnosis",
-    "selftest",
+    "recovery",
     "bags",
     "offline",
     "fleet",

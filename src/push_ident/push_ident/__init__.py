@@ -10,7 +10,7 @@
 (`api/calls.py`): the package itself is imported in milliseconds.
 
 The stages, each a subpackage that imports only from those before it: `geometry`, `checking`, `perception`, `pushing`, `physics`,
-`identification`, `planning`, `diagnosis`, `selftest`, `bags`, `offline`, `fleet`, `api`, `nodes`, `cli`. The types they share are in
+`identification`, `planning`, `diagnosis`, `recovery`, `bags`, `offline`, `fleet`, `api`, `nodes`, `cli`. The types they share are in
 `types` and `errors`.
 """
 

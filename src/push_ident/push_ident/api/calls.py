@@ -42,8 +42,8 @@ from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.offline.pusher_file import read_pusher_path
-from push_ident.selftest.run import SelfTest, SelfTestOptions
-from push_ident.selftest.run import selftest as _selftest
+from push_ident.recovery.run import SelfTest, SelfTestOptions
+from push_ident.recovery.run import selftest as _selftest
 from push_ident.types import PusherPath, PushRecord
 
 if TYPE_CHECKING:
@@ -289,7 +289,7 @@ def selftest(
     test = _selftest(list(pushes), settings, nuisances=nuisances, options=options)
     if page is not None:
         need("report")
-        from push_ident.selftest.page import write_selftest_page
+        from push_ident.recovery.page import write_selftest_page
 
         write_selftest_page(Path(page), test)
     return test

@@ -30,9 +30,9 @@ from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.extras import need
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import load_pushes
-from push_ident.selftest.page import write_selftest_page
-from push_ident.selftest.run import SelfTest, SelfTestOptions, selftest
-from push_ident.selftest.wording import can_tell, cannot_tell, effect_rows, proof_text, quantity_rows, selftest_json, would_help
+from push_ident.recovery.page import write_selftest_page
+from push_ident.recovery.run import SelfTest, SelfTestOptions, selftest
+from push_ident.recovery.wording import can_tell, cannot_tell, effect_rows, proof_text, quantity_rows, selftest_json, would_help
 
 _NOMINAL, _DEFAULT = Prior(), SelfTestOptions()
 _PageOption = Annotated[

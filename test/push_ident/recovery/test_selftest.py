@@ -18,11 +18,11 @@ from push_ident.identification.results.posterior import prior_posterior
 from push_ident.identification.unknowns.mechanics import mechanics_at, unknowns_of_maps
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec
-from push_ident.selftest.effects import VisibleEffect, prove, visible_effects, worth_proving
-from push_ident.selftest.maps import recoveries_of, try_maps
-from push_ident.selftest.run import SelfTestOptions, selftest
-from push_ident.selftest.twins import twins_of
-from push_ident.selftest.wording import can_tell, cannot_tell, would_help
+from push_ident.recovery.effects import VisibleEffect, prove, visible_effects, worth_proving
+from push_ident.recovery.maps import recoveries_of, try_maps
+from push_ident.recovery.run import SelfTestOptions, selftest
+from push_ident.recovery.twins import twins_of
+from push_ident.recovery.wording import can_tell, cannot_tell, would_help
 from push_ident.types import PushRecord
 
 EXACT = NoiseModel(model_discrepancy_position=0.0, model_discrepancy_yaw=0.0)

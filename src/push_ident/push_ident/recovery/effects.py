@@ -21,7 +21,7 @@ from push_ident.identification.observing.observation import NoiseModel
 from push_ident.physics.effect import Law
 from push_ident.physics.effect_values import effect_values
 from push_ident.physics.effects import EFFECTS
-from push_ident.selftest.twins import twins_of
+from push_ident.recovery.twins import twins_of
 from push_ident.types import PushRecord
 
 _LARGEST: Final = 20.0

@@ -17,7 +17,7 @@ from push_ident.identification.results.posterior import Estimate, ModelPosterior
 from push_ident.identification.unknowns.mechanics import mechanics_at
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.spec import UnknownsSpec, nuisance_effects
-from push_ident.selftest.twins import twins_of
+from push_ident.recovery.twins import twins_of
 from push_ident.types import PushRecord
 
 _TWO_SIDED_90: Final = 1.6449

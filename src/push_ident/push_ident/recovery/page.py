@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from push_ident.pages.page import write_page
-from push_ident.selftest.run import SelfTest
-from push_ident.selftest.wording import can_tell, cannot_tell, effect_rows, proof_text, quantity_rows, selftest_json, would_help
+from push_ident.recovery.run import SelfTest
+from push_ident.recovery.wording import can_tell, cannot_tell, effect_rows, proof_text, quantity_rows, selftest_json, would_help
 
 
 def write_selftest_page(path: Path, test: SelfTest, *, title: str = "these pushes") -> None:

@@ -45,7 +45,7 @@ def _twin(record: PushRecord, mechanics: Mechanics, noise: NoiseModel, rng: np.r
     force_time = np.zeros(0) if forces is None else forces.times(mechanics.all_effects)
     motion = mechanics.simulate(PushScenario(record.pusher, start, poses.time, record.order, force_time), _NUMERICS)
     if motion.status is SolveStatus.SIMULATION_FAILED:
-        raise InputError(f"{record.source}: its twin cannot be simulated; leave the push out with --without.")
+        raise InputError(f"{record.source}: its twin cannot be simulated; leave that push out.")
     steps = np.linalg.norm(np.diff(motion.pose[:, :2], axis=0), axis=1)
     walk = np.cumsum(np.sqrt(steps * steps.sum())[:, None] * rng.normal(size=(len(steps), 3)), axis=0) * noise.model_discrepancy
     pose = motion.pose + displaced + np.vstack([np.zeros(3), walk]) + _errors(record, noise, rng)

@@ -21,9 +21,9 @@ from push_ident.identification.fitting.fit import Fit, FitOptions
 from push_ident.identification.observing.observation import NoiseModel
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.identification.unknowns.prior import Prior
-from push_ident.selftest.effects import Proof, VisibleEffect, prove, visible_effects, worth_proving
-from push_ident.selftest.maps import MapTest, Recovery, recoveries_of, try_maps
-from push_ident.types import PushRecord
+from push_ident.recovery.effects import Proof, VisibleEffect, prove, visible_effects, worth_proving
+from push_ident.recovery.maps import MapTest, Recovery, recoveries_of, try_maps
+from push_ident.types import PushRecord, short_repr
 
 _QUICK: Final = DecisionPolicy(unknown=UnknownPolicy(draws=200), next_push=NextPushPolicy(candidates=24, references=8))
 """Fewer draws and candidate pushes than a diagnosis has by default: no next push is wanted, and causes are clear."""
@@ -48,6 +48,8 @@ class SelfTestOptions:
 @dataclass(frozen=True, slots=True)
 class SelfTest:
     """What the pushes of a recording can tell, and what not."""
+
+    __repr__ = short_repr
 
     n_pushes: int
     options: SelfTestOptions

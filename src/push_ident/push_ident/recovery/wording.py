@@ -11,9 +11,9 @@ from scipy.stats import binom
 from push_ident.diagnosis.wording import detectable_size
 from push_ident.identification.results.identifiability import Knowledge
 from push_ident.physics.effects import EFFECTS
-from push_ident.selftest.effects import Proof
-from push_ident.selftest.maps import Recovery
-from push_ident.selftest.run import SelfTest
+from push_ident.recovery.effects import Proof
+from push_ident.recovery.maps import Recovery
+from push_ident.recovery.run import SelfTest
 
 OUTCOMES = {
     "named": "it was named",
@@ -78,7 +78,7 @@ def would_help(test: SelfTest) -> list[str]:
     open_ones = {q.name for q in test.quantities if q.knowledge is Knowledge.OPEN}
     steps = []
     if any(q.unit == "kg" and q.name in open_ones for q in test.quantities):
-        steps.append("Weigh the object (--total-mass), or record the forces of the pusher: poses do not show the mass.")
+        steps.append("Weigh the object and give its mass, or record the forces of the pusher: poses do not show the mass.")
     if len(open_ones) > bool(steps) or any(q.knowledge is Knowledge.NARROWED for q in test.quantities):
         steps.append("More pushes, at other places and in other directions, that turn the object both ways.")
     return steps + [f"For {e.name}, at the cell: {EFFECTS[e.name].check}" for e in test.effects if not e.is_visible]
