@@ -29,6 +29,7 @@ ORDER = [
     "identification",
     "planning",
     "diagnosis",
+    "recovery",
     "bags",
     "offline",
     "fleet",

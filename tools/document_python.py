@@ -18,6 +18,7 @@ STAGES = {
         "identification",
         "planning",
         "diagnosis",
+        "recovery",
         "bags",
         "offline",
         "fleet",

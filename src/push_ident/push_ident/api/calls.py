@@ -42,6 +42,8 @@ from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.offline.pusher_file import read_pusher_path
+from push_ident.recovery.run import SelfTest, SelfTestOptions
+from push_ident.recovery.run import selftest as _selftest
 from push_ident.types import PusherPath, PushRecord
 
 if TYPE_CHECKING:
@@ -49,7 +51,7 @@ if TYPE_CHECKING:
 
 Model: TypeAlias = Identification | ModelPosterior | str | PathLike[str]
 """A result of `identify`, its posterior, or the path of a model file."""
-__all__ = ["check", "diagnose", "identify", "in_one_thread", "load", "next_push", "plot", "predict", "record", "records"]
+__all__ = ["check", "diagnose", "identify", "in_one_thread", "load", "next_push", "plot", "predict", "record", "records", "selftest"]
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -252,6 +254,45 @@ def diagnose(
         prior=_weighed(prior or Prior(), total_mass), base_effects=tuple(base_effects), outline_from_camera=from_camera
     )
     return _diagnose(list(pushes), settings, against=list(against), earlier=earlier)
+
+
+@in_one_thread
+def selftest(
+    pushes: Sequence[PushRecord],
+    *,
+    total_mass: float | None = None,
+    prior: Prior | None = None,
+    from_camera: bool = False,
+    options: SelfTestOptions | None = None,
+    page: str | PathLike[str] | None = None,
+) -> SelfTest:
+    """What an identification and a diagnosis of these pushes could tell, before one is trusted: known objects and effects are put into
+    simulated twins of them, and looked for.
+
+    Args:
+        pushes: of one object, at least one; for effects at least three.
+        total_mass: of the object, if it was weighed [kg].
+        prior: nominal values and their standard deviations, from which objects are drawn.
+        from_camera: whether poses and outline come from a camera.
+        options: wall time (60 s), number of objects (4) and seed.
+        page: where to write the result in words (HTML).
+
+    Returns:
+        `quantities` (errors and stated deviations of what is identified), `effects` (the smallest visible size of each), `proofs` and
+        `left_out`.
+
+    Raises:
+        InputError: no push, pushes of different objects, or the page cannot be written.
+    """
+    nuisances = pushes.nuisances if isinstance(pushes, LoadedPushes) else ()
+    settings = DiagnosisSettings(prior=_weighed(prior or Prior(), total_mass), outline_from_camera=from_camera)
+    test = _selftest(list(pushes), settings, nuisances=nuisances, options=options)
+    if page is not None:
+        need("report")
+        from push_ident.recovery.page import write_selftest_page
+
+        write_selftest_page(Path(page), test)
+    return test
 
 
 @in_one_thread

@@ -47,7 +47,7 @@ def diagnose(
         InputError: no push, pushes of different objects, a reference that cannot be used, or an unknown effect in the base model.
     """
     report = on_progress or (lambda text: None)
-    state = check_pushes(_initial_state(records, settings or DiagnosisSettings()))
+    state = check_pushes(initial_state(records, settings or DiagnosisSettings()))
     if against and not state.abstains:
         state = replace(state, reference=reference_pushes(state, against))
     if earlier is not None and earlier.selection is not None and earlier.held_out is not None:
@@ -65,7 +65,8 @@ def diagnose(
     return explain(decide(validate(state, report)), push_settings, report)
 
 
-def _initial_state(records: Sequence[PushRecord], settings: DiagnosisSettings) -> DiagnosisState:
+def initial_state(records: Sequence[PushRecord], settings: DiagnosisSettings) -> DiagnosisState:
+    """The state before the first stage. Raises InputError where there is no push, or an unknown effect in the base model."""
     if not records:
         raise InputError("There is no push to diagnose; give at least three.")
     if missing := [name for name in settings.base_effects if name not in EFFECTS]:

@@ -226,6 +226,21 @@ class LinearPushes:
         """Negative log evidence at the factors of largest evidence, up to a constant [nat]."""
         return self.cost(self.best(np.zeros(3)))[0]
 
+    def expected_gain(self, at: Float64Array, effect: NDArray[np.intp]) -> float:
+        """Gain of the log evidence by some unknowns `effect` of the object [nat], for mean noise, of pushes as they are predicted at `at`.
+
+        `at` has shape (n,). Without these unknowns, a discrepancy that the pushes size grows by what it explains of them. Raises
+        LinAlgError where rounding leaves no minimum.
+        """
+        moved = at - self.at
+        slope = self.prior_slope + self.prior_hessian @ moved
+        expected = replace(
+            self, at=at, constant=self.constant + 0.5 * float((self.prior_slope + slope) @ moved), prior_slope=slope,
+            slope=np.zeros_like(self.slope), slope_of_push=np.zeros_like(self.slope_of_push),
+        )  # fmt: skip
+        others = np.setdiff1d(np.arange(len(at)), effect)
+        return expected.of_unknowns(others).least_cost() - expected.least_cost()
+
 
 @dataclass(frozen=True, slots=True)
 class FrameErrors:

@@ -380,6 +380,12 @@ def _scatter(record: PushRecord, *rests: NDArray[np.intp], correlation: float = 
     return squares / freedom if freedom >= enough else 1.0
 
 
+def scatter_at_rest(record: PushRecord, correlation: float = 0.0) -> float:
+    """Variance of the frames of the rests, without wrong poses, over the one that their covariance states; see `_scatter`."""
+    before, after, _ = rest_frames(record)
+    return _scatter(record, _agreeing(record, before), _agreeing(record, after), correlation=correlation)
+
+
 def pusher_gaps(record: PushRecord) -> Float64Array:
     """Gap between pusher and outline at every pusher sample, from the observed poses [m], shape (n_samples,)."""
     poses, pusher = record.poses, record.pusher

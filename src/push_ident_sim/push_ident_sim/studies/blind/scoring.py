@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
@@ -117,26 +116,19 @@ def _detectability(base: Fit, wanted: Mapping[str, Float64Array]) -> Json:
         for name, values in wanted.items()
     }
     fit = polished(fit_effects(base, (*base.names, *wanted), np.concatenate([base.effect_unknowns, *sizes.values()])))
-    first, hessian, x = fit.unknowns.slices["effects"].start, fit.end.hessian, np.array(fit.x)
+    first, hessian, x = fit.unknowns.slices["effects"].start, fit.end.hessian, np.array(fit.z)
     at = {name: first + np.arange(*fit.effects.slice_of(name).indices(len(fit.effects.values)))[acting[name]] for name in wanted}
     for name, index in at.items():
         x[index] = sizes[name][acting[name]]
-    shown = {}
+    shown, pushes = {}, LinearPushes.of(fit.problem, fit.x, hessian, fit.end.gradient)
     for name, index in at.items():
-        others, of_object = np.setdiff1d(np.arange(len(hessian)), index), np.setdiff1d(np.arange(fit.unknowns.size), index)
+        others = np.setdiff1d(np.arange(len(hessian)), index)
         between = hessian[np.ix_(others, index)]
         held = hessian[np.ix_(index, index)] - between.T @ np.linalg.solve(hessian[np.ix_(others, others)], between)
         noncentrality = float(x[index] @ (held - np.eye(len(index))) @ x[index])
-
-        def gain(share: float, index: NDArray[np.int64] = index, of_object: NDArray[np.int64] = of_object) -> float:
-            """Of a share of the true size [nat]."""
-            at_size = np.array(x)
-            at_size[index] *= share
-            expected = LinearPushes.of(fit.problem, at_size, hessian, fit.problem.prior_at(at_size)[1])
-            return expected.of_unknowns(of_object).least_cost() - expected.least_cost()
-
-        least = max(0.0, 1.0 - 1.2816 / np.sqrt(max(noncentrality, 1e-9)))  # lowest tenth of a normal distribution
-        shown[name] = {"gain": gain(1.0), "certain_gain": gain(least)}
+        least, at_least = max(0.0, 1.0 - 1.2816 / np.sqrt(max(noncentrality, 1e-9))), np.array(x)  # lowest tenth of a normal distribution
+        at_least[index] *= least
+        shown[name] = {"gain": pushes.expected_gain(x, index), "certain_gain": pushes.expected_gain(at_least, index)}
     return shown
 
 
