@@ -14,7 +14,7 @@ from push_ident.bags.reader import read_bag
 from push_ident.bags.typestore import jazzy_typestore
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
-from push_ident.geometry.outline import cells_in_outline
+from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.types import ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 

@@ -9,8 +9,9 @@ from contextlib import nullcontext, suppress
 import numpy as np
 
 from push_ident.errors import InputError, PlanningError
+from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.geometry.kinematics import ArmKinematics
-from push_ident.geometry.outline import cells_in_outline, signed_distance
+from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.pushing.arm_clock import ArmClock
 from push_ident.pushing.arm_motion import JointLimits

@@ -97,21 +97,44 @@ class DepthFrame:
 
 @dataclass(frozen=True, slots=True)
 class CellGrid:
-    """The square cells into which an object is divided."""
+    """The cells into which an object is divided: squares of one lattice, those at the edge cut at the outline."""
 
     __repr__ = short_repr
 
     centres: Float64Array
-    """[m], shape (n_cells, 2), object frame."""
+    """Centroids of the cells [m], shape (n_cells, 2), object frame."""
     size: float
-    """Edge of a cell [m]."""
+    """Edge of a square [m]."""
+    squares: Float64Array = field(default_factory=lambda: np.empty((0, 2)))
+    """Centres of the squares [m], shape (n_cells, 2), object frame; left out: `centres`, of cells that are whole squares."""
+    areas: Float64Array = field(default_factory=lambda: np.empty(0))
+    """[m^2], shape (n_cells,); left out: whole squares."""
 
     def __post_init__(self) -> None:
-        _freeze(self, "centres", ("n_cells", 2), {})
+        sizes: dict[str, int] = {}
+        _freeze(self, "centres", ("n_cells", 2), sizes)
         if len(self.centres) == 0:
             raise InputError("CellGrid.centres is empty; an object needs at least one cell.")
         if not (np.isfinite(self.size) and self.size > 0):
             raise InputError(f"CellGrid.size is {self.size}, expected a positive length in metres.")
+        if len(self.areas) == 0:
+            object.__setattr__(self, "squares", self.centres)
+            object.__setattr__(self, "areas", np.full(len(self.centres), float(self.size) * float(self.size)))
+        _freeze(self, "squares", ("n_cells", 2), sizes)
+        _freeze(self, "areas", ("n_cells",), sizes)
+        if np.any(self.areas <= 0):
+            raise InputError(f"CellGrid.areas has {int(np.sum(self.areas <= 0))} cells that are not > 0 m^2.")
+
+    @property
+    def parts(self) -> Float64Array:
+        """Area of each cell over that of a square [-], shape (n_cells,)."""
+        return np.asarray(self.areas / (float(self.size) * float(self.size)))
+
+    @property
+    def middle(self) -> Float64Array:
+        """Centroid of the area of all cells [m], shape (2,)."""
+        parts = self.parts
+        return np.asarray(np.mean(parts[:, None] * self.centres, axis=0) / np.mean(parts))
 
     def __len__(self) -> int:
         return len(self.centres)

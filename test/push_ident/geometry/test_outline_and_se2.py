@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from helpers.bags import L_OUTLINE, L_SHAPE
+from helpers.bags import L_OUTLINE
 from push_ident.errors import InputError
 from push_ident.geometry.outline import edge_normals, outline_of_cells, points_in_polygon, polygon_area, polygon_centroid, signed_distance
 from push_ident.geometry.se2 import compose, inverse, quaternion_of_yaw, rotation, transform_points, wrap_angle, yaw_of_quaternion
@@ -20,9 +20,11 @@ def test_centroid_and_normals_of_a_triangle_in_both_orientations() -> None:
 
 
 def test_outline_of_cells_of_an_l_is_its_six_corners_whatever_the_yaw() -> None:
-    traced = outline_of_cells(L_SHAPE.cells.centres, 0.01)
+    centres = np.stack(np.meshgrid(*2 * [np.arange(-0.095, 0.1, 0.01)]), axis=-1).reshape(-1, 2)
+    centres = centres[points_in_polygon(centres, L_OUTLINE)]
+    traced = outline_of_cells(centres, 0.01)
     assert {tuple(p) for p in traced.round(9)} == {tuple(p) for p in L_OUTLINE}
-    turned = outline_of_cells(L_SHAPE.cells.centres @ rotation(0.3).T, 0.01, yaw=0.3)
+    turned = outline_of_cells(centres @ rotation(0.3).T, 0.01, yaw=0.3)
     np.testing.assert_allclose(turned, traced @ rotation(0.3).T, atol=1e-12)
 
 

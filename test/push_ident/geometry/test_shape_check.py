@@ -7,7 +7,7 @@ import pytest
 
 from helpers.objects import hammer_shape, square
 from push_ident.errors import InputError
-from push_ident.geometry.outline import cells_in_outline
+from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape, crossing_edges
 from push_ident.types import CellGrid, Float64Array, ObjectShape
 
@@ -36,7 +36,7 @@ def test_shapes_of_objects_are_accepted(shape: ObjectShape) -> None:
 @pytest.mark.parametrize(
     ("shape", "text"),
     [
-        (outlined(2.0 * ASYMMETRIC), "Cells lie up to 0.035 m outside the outline"),
+        (outlined(2.0 * ASYMMETRIC), "Cells lie up to 0.0365 m outside the outline"),
         (outlined(ASYMMETRIC * [-1.0, 1.0]), "cells"),
         (outlined(1e3 * ASYMMETRIC), "extent of an object is"),
         (outlined(1e-3 * ASYMMETRIC), "wide, expected at least"),

@@ -15,9 +15,12 @@ import pytest
 import push_ident as pi
 from helpers.damaged_models import DAMAGE, DAMAGED_TEXT, right_model, unreadable_paths
 from push_ident.errors import InputError, ModelFileError
+from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.identification.online.identifier import OnlineIdentifier
 from push_ident.identification.online.state_file import load_state, save_state
-from push_ident.identification.results.model_file import load_model, model_of_text
+from push_ident.identification.results.model_file import load_model, model_of_text, save_model
+from push_ident.identification.results.posterior import prior_posterior
+from push_ident.types import ObjectShape
 
 FILES = Path(__file__).parent / "files"
 STATE = json.loads((FILES / "state_2.json").read_text())
@@ -47,6 +50,18 @@ def test_damaged_model_is_refused_with_what_is_wrong(name: str, tmp_path: Path) 
     path = written(tmp_path, content)
     refused(lambda: load_model(path), pattern)
     refused(lambda: model_of_text(json.dumps(content), "model of object o1"), pattern)
+
+
+def test_cells_that_an_outline_cuts_are_read_as_they_were_written_and_refused_where_they_contradict_it(tmp_path: Path) -> None:
+    outline = np.array([[0.0, 0.0], [0.15, 0.0], [0.02, 0.1]])
+    path, cells = tmp_path / "model.json", cells_in_outline(outline, 0.01)
+    save_model(path, prior_posterior(ObjectShape(cells, outline)), object_id="o1")
+    read = load_model(path)[1].unknowns.shape.cells
+    np.testing.assert_array_equal(read.centres, cells.centres)
+    np.testing.assert_array_equal(read.areas, cells.areas)
+    content = json.loads(path.read_text())
+    content["cells"][0][0] += 0.002
+    refused(lambda: load_model(written(tmp_path, content)), "not the centroids of `squares`")
 
 
 @pytest.mark.parametrize("name", DAMAGED_TEXT)

@@ -20,7 +20,8 @@ from push_ident.cli.main import main
 from push_ident.errors import InputError
 from push_ident.geometry.cells import cell_error
 from push_ident.geometry.convex import convex_pieces
-from push_ident.geometry.outline import cells_in_outline, signed_distance
+from push_ident.geometry.cut_cells import cells_in_outline
+from push_ident.geometry.outline import signed_distance
 from push_ident.identification.export.description import describe
 from push_ident.identification.export.files import SUFFIXES, write_description
 from push_ident.identification.results.model_file import load_model, save_model
@@ -87,7 +88,7 @@ class Links:
         assert self.friction[self.name.index("object_o1")] == pytest.approx(model.pusher_friction, rel=1e-12)
         places = np.column_stack([model.shape.cells.centres, np.full(len(cells), HEIGHT / 2)])
         np.testing.assert_allclose(self.centre[cells], places, atol=1e-12)
-        plate = model.shape.cells.size**2 / 6
+        plate = model.shape.cells.areas / 6
         np.testing.assert_allclose(self.inertia[cells, 2], model.mass * plate, rtol=1e-12)
         body = body_of_cells(model.shape, model.mass, model.friction)
         total = self.mass.sum()

@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 
 from helpers.wrong_poses import wrong_poses
 from push_ident.errors import FrameError, InputError
-from push_ident.geometry.outline import cells_in_outline
+from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.nodes.convert import messages
 from push_ident.pushing.executed_push import Purpose
 from push_ident.pushing.ports import Phase

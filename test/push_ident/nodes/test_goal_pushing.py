@@ -22,7 +22,7 @@ from visualization_msgs.msg import MarkerArray
 from helpers.executor_cell import BOX, LATCHED, Cell, Stalls, ask, start_node, summary, wait_for
 from helpers.node_process import NodeProcess
 from helpers.spinning import spinning
-from push_ident.geometry.outline import cells_in_outline
+from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.geometry.se2 import compose, inverse, quaternion_of_yaw, rotation, transform_points
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.nodes.base.keep_alive import KeepAlive

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from helpers.objects import square, uniform
-from push_ident.geometry.outline import cells_in_outline, polygon_area, polygon_centroid
+from push_ident.geometry.cut_cells import cells_in_outline
+from push_ident.geometry.outline import polygon_area, polygon_centroid
 from push_ident.physics.accuracy import SHARE, choose_steps, step_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate

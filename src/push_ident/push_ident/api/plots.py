@@ -11,11 +11,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Ellipse, Polygon, Rectangle
+from matplotlib.patches import Circle, Ellipse, PathPatch, Polygon
+from matplotlib.path import Path
 
 from push_ident.diagnosis.report.figures import ranking_bars
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.errors import InputError
+from push_ident.geometry.cut_cells import cell_polygons
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.predicting.next_push import Proposal
 from push_ident.identification.predicting.planned import PlannedPush
@@ -51,11 +53,11 @@ def draw(result: Any, title: str = "") -> Picture:
 def _maps(result: Identification | ModelPosterior, title: str) -> Picture:
     posterior = result.posterior if isinstance(result, Identification) else result
     model = posterior.model
-    product = model.mass * model.friction
+    product, areas = model.mass * model.friction, model.shape.cells.areas
     panels = (
-        ("mass [g]", 1e3 * model.mass),
+        ("mass per area [g/cm²]", 0.1 * model.mass / areas),
         ("friction", model.friction),
-        ("mass × friction [g]", 1e3 * product),
+        ("mass × friction per area [g/cm²]", 0.1 * product / areas),
         ("its standard deviation [%]", 100 * posterior.mass_friction_std / product),
     )
     figure = Picture(figsize=(12.5, 3.4), layout="constrained")
@@ -153,9 +155,9 @@ def _diagnosis(diagnosis: Diagnosis, title: str) -> Picture:
 
 def draw_cells(ax: Axes, shape: ObjectShape, values: Float64Array, colours: str, limits: tuple[float, float]) -> PatchCollection:
     """Colour the cells of an object by `values`, shape (n_cells,), inside its outline."""
-    size = shape.cells.size
-    squares = [Rectangle((x - size / 2, y - size / 2), size, size) for x, y in shape.cells.centres]
-    patches = PatchCollection(squares, cmap=colours, edgecolor="white", linewidth=0.3)
+    paths = ([Path(np.vstack([line, line[:1]]), closed=True) for line in lines] for lines in cell_polygons(shape))
+    cells = [PathPatch(Path.make_compound_path(*lines)) for lines in paths]
+    patches = PatchCollection(cells, cmap=colours, edgecolor="white", linewidth=0.3)
     patches.set_array(values)
     patches.set_clim(*limits)
     ax.add_collection(patches)

@@ -16,6 +16,7 @@ from push_ident.bags.opening import Connection, OpenBag, open_bag
 from push_ident.bags.read_options import MAPPING, ReadOptions, map_hint, message_types, word_of
 from push_ident.bags.records import LATE
 from push_ident.errors import BagError, ContentError, FrameError, InputError
+from push_ident.geometry.cut_cells import cut_at_outline
 from push_ident.geometry.frames import CAMERA_FRAME, TABLE_FRAME
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.shape_check import check_pusher_radius, check_shape
@@ -384,7 +385,7 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
             outline = outline_of_cells(cells.centres, cells.size, yaw=yaw)
             LIMITS.VERTICES.check(len(outline), "the traced outline", error=BagError)
         std = decode.outline_std_of(deviations[-1], len(outline)) if deviations and measured is not None else None
-        return check_shape(ObjectShape(cells, outline, std)), measured is not None
+        return cut_at_outline(check_shape(ObjectShape(cells, outline, std))), measured is not None
     except (BagError, InputError) as error:
         notes.append(f"object {object_id}: its cells cannot be used: {error}")
         return None, bool(polygons)

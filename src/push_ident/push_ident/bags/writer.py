@@ -19,12 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.bags.contract import Role, topic_of
 from push_ident.bags.typestore import definition_of, jazzy_typestore
-from push_ident.errors import BagError
+from push_ident.errors import BagError, InputError
 from push_ident.files import open_new, write_whole
+from push_ident.geometry.cut_cells import occupancy
 from push_ident.geometry.frames import CAMERA_FRAME, TABLE_FRAME, object_frame
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.geometry.se3 import quaternion_of_pose
-from push_ident.types import BoolArray, CameraIntrinsics, CellGrid, Float64Array, ObjectShape
+from push_ident.types import CameraIntrinsics, ObjectShape
 
 _PLANAR: Final = (0, 1, 5)
 """Rows of x, y and yaw in a 6 x 6 covariance."""
@@ -152,12 +153,15 @@ class BagWriter:
     def write_shape(self, object_id: str, shape: ObjectShape, stamp: float) -> None:
         """Cells and outline of an object, in its own frame, and how well the outline is known.
 
-        Raises BagError for cells on no lattice along the axes of that frame.
+        Raises BagError for cells on no lattice.
         """
         header = self._header(stamp, object_frame(object_id))
-        origin, occupied = _lattice(shape.cells)
+        try:
+            (x, y, yaw), occupied = occupancy(shape.cells)
+        except InputError as error:
+            raise BagError(str(error)) from None
         height, width = occupied.shape
-        corner = self._pose(float(origin[0]), float(origin[1]), 0.0, 0.0)
+        corner = self._pose(float(x), float(y), 0.0, float(yaw))
         info = self._new("nav_msgs/msg/MapMetaData", header.stamp, float(shape.cells.size), width, height, corner)
         self._write(Role.CELLS, stamp, header, info, np.where(occupied, 100, 0).astype(np.int8).ravel(), object_id=object_id)
         points = [self._new("geometry_msgs/msg/Point32", float(x), float(y), 0.0) for x, y in shape.outline]
@@ -281,16 +285,3 @@ def _nanoseconds(stamp: float) -> int:
     if not (math.isfinite(stamp) and 0 <= stamp < 2**31):
         raise BagError(f"stamp is {stamp} s, expected 0 to 2^31 s.")
     return round(stamp * 1e9)
-
-
-def _lattice(cells: CellGrid) -> tuple[Float64Array, BoolArray]:
-    """Lower corner of an occupancy grid [m] and which of its cells are occupied, row by row in y."""
-    low = cells.centres.min(axis=0)
-    exact = (cells.centres - low) / cells.size
-    indices = np.rint(exact).astype(np.int64)
-    if np.abs(exact - indices).max() > 0.02:
-        raise BagError(f"cells do not lie on a lattice of {cells.size:g} m along the object's axes; an occupancy grid cannot hold them.")
-    width, height = (int(n) + 1 for n in indices.max(axis=0))
-    occupied = np.zeros((height, width), dtype=np.bool_)
-    occupied[indices[:, 1], indices[:, 0]] = True
-    return low - 0.5 * cells.size, occupied

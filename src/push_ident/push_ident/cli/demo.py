@@ -26,6 +26,7 @@ from push_ident.cli.push_to import finish, parse_goal, push_to_goal
 from push_ident.cli.supervisor import Supervisor, node_commands
 from push_ident.errors import PushIdentError
 from push_ident.extras import need_ros
+from push_ident.geometry.cut_cells import cell_polygons
 from push_ident.geometry.se2 import transform_points
 from push_ident.identification.identify import identify
 from push_ident.identification.predicting.prediction import push_errors
@@ -157,10 +158,10 @@ def _pushes_section(pushes: Sequence[DemoPush], outline: Float64Array) -> Figure
 
 def _maps_section(models: dict[str, ObjectModel]) -> FigureSection:
     """The truth beside what was identified; loads per area are comparable between grids of different cells."""
-    cells = {name: model.shape.cells for name, model in models.items()}
-    loads = {name: model.mass * model.friction / cells[name].size ** 2 for name, model in models.items()}
-    shares = {name: 1e-2 * load / (load.sum() * cells[name].size ** 2) for name, load in loads.items()}
+    loads = {name: model.mass * model.friction for name, model in models.items()}
+    shares = {name: 1e-2 * load / (load.sum() * models[name].shape.cells.areas) for name, load in loads.items()}
     top = float(np.concatenate(list(shares.values())).max())
-    panels = [CellPanel(n, c.centres, c.size, models[n].shape.outline, shares[n], "%/cm²", top=top) for n, c in cells.items()]
+    shapes = {name: model.shape for name, model in models.items()}
+    panels = [CellPanel(n, s.cells.centres, cell_polygons(s), s.outline, shares[n], "%/cm²", top=top) for n, s in shapes.items()]
     note = "Share of the friction force of the object that each square centimetre bears."
     return FigureSection("The true map beside the identified one", [(panel.title, cell_panel(panel)) for panel in panels], note)

@@ -1,4 +1,4 @@
-"""Outline polygons: traced from square cells, measured, and filled with cells.
+"""Outline polygons: traced from square cells, and measured.
 
 A polygon is simple, counter-clockwise and not closed, shape (n_vertices, 2), in metres.
 """
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation
-from push_ident.types import BoolArray, CellGrid, Float64Array
+from push_ident.types import BoolArray, Float64Array
 
 _Corner = tuple[int, int]
 
@@ -81,24 +81,6 @@ def _in_blocks(function: Callable[[Float64Array, Float64Array], Any], points: Fl
     if len(points) <= size:
         return np.asarray(function(points, polygon))
     return np.concatenate([function(points[at : at + size], polygon) for at in range(0, len(points), size)])
-
-
-def cells_in_outline(outline: ArrayLike, size: float) -> CellGrid:
-    """Square cells of edge `size` [m] whose centres lie inside `outline`; the frame's origin is a corner of the lattice.
-
-    Raises InputError when the outline is too small for one cell centre.
-    """
-    if not (np.isfinite(size) and size > 0):
-        raise InputError(f"cell size is {size}, expected a positive length in metres.")
-    polygon = np.asarray(outline, dtype=np.float64)
-    low, high = np.floor(polygon.min(axis=0) / size), np.ceil(polygon.max(axis=0) / size)
-    x, y = (np.arange(a, b) * size + 0.5 * size for a, b in zip(low, high, strict=True))
-    centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    inside = points_in_polygon(centres, polygon)
-    if not inside.any():
-        area = abs(polygon_area(polygon))
-        raise InputError(f"no cell of {size:g} m has its centre inside an outline of {area:.3g} m^2; take smaller cells.")
-    return CellGrid(centres[inside], float(size))
 
 
 def outline_of_cells(centres: ArrayLike, size: float, *, yaw: float = 0.0) -> Float64Array:

@@ -64,7 +64,7 @@ def check_shape(shape: ObjectShape, *, remedy: str = "") -> ObjectShape:
         raise InputError(
             f"The outline crosses itself: its edges {first} and {second} of {len(shape.outline)} intersect. Give its vertices in order."
         )
-    centres, size = shape.cells.centres, shape.cells.size
+    centres, size = shape.cells.squares, shape.cells.size
     outside = float(np.max(signed_distance(centres, shape.outline)))
     if outside > _LIMITS.cell_outside * size:
         raise InputError(f"Cells lie up to {outside:.3g} m outside the outline, expected at most a cell of {size:.3g} m. {remedy}")
@@ -78,7 +78,7 @@ def check_shape(shape: ObjectShape, *, remedy: str = "") -> ObjectShape:
 
 def _check_cells(shape: ObjectShape, remedy: str) -> None:
     """Raise InputError where cells overlap, or cover another area than the outline encloses."""
-    centres, size, along = shape.cells.centres, shape.cells.size, np.roll(shape.outline, -1, axis=0) - shape.outline
+    centres, size, along = shape.cells.squares, shape.cells.size, np.roll(shape.outline, -1, axis=0) - shape.outline
     distance = np.linalg.norm(centres[:, None] - centres, axis=2) + np.diag(np.full(len(centres), np.inf))
     nearest = float(np.min(distance))
     if nearest < (1.0 - _LIMITS.overlap) * size:
@@ -130,7 +130,7 @@ def _distance_to_cells(shape: ObjectShape, allowed: float) -> float:
     for a, edge in zip(start, along, strict=True):
         n = min(int(np.linalg.norm(edge) / (0.5 * shape.cells.size)) + 1, _LIMITS.edge_points)
         points = a + np.arange(n)[:, None] / n * edge
-        distance2 = np.min(np.sum((points[:, None] - shape.cells.centres) ** 2, axis=2), axis=1)
+        distance2 = np.min(np.sum((points[:, None] - shape.cells.squares) ** 2, axis=2), axis=1)
         worst = max(worst, float(np.sqrt(np.max(distance2))))
         if worst > allowed:
             break

@@ -54,7 +54,8 @@ class CellPanel:
     """What the figure shows."""
     centres: Float64Array
     """Shape (n_cells, 2)."""
-    size: float
+    cells: Sequence[Sequence[Float64Array]]
+    """Closed lines around each cell, each shape (n, 2)."""
     outline: Float64Array
     """Shape (n_vertices, 2)."""
     values: Float64Array
@@ -134,14 +135,13 @@ def cell_panel(panel: CellPanel) -> str:
     bottom, top = float(np.nanmin([0.0, *panel.values])), float(np.nanmax([0.0, *panel.values]))
     top = top if panel.top is None else panel.top
     parts = []
-    side = scale * panel.size
-    for number, (centre, value) in enumerate(zip(panel.centres, panel.values, strict=True), 1):
-        x, y = place(centre)
+    for number, (centre, lines, value) in enumerate(zip(panel.centres, panel.cells, panel.values, strict=True), 1):
+        path = "".join("M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in map(place, line)) + "Z" for line in lines)
         colour = shade((float(value) - bottom) / (top - bottom or 1.0), panel.colours)
         at = f"({1e3 * centre[0]:.0f}, {1e3 * centre[1]:.0f}) mm"
         parts.append(
-            f'<rect x="{x - side / 2:.1f}" y="{y - side / 2:.1f}" width="{side:.1f}" height="{side:.1f}" fill="{colour}">'
-            f"<title>{clean(f'cell {number} at {at}: {value:.3g} {panel.unit}')}</title></rect>"
+            f'<path class="cell" d="{path}" fill="{colour}">'
+            f"<title>{clean(f'cell {number} at {at}: {value:.3g} {panel.unit}')}</title></path>"
         )
     parts.append(titled_polygon(panel.outline, place, "outline"))
     if panel.region is not None:

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import InputError, PerceptionError
-from push_ident.geometry.outline import cells_in_outline, points_in_polygon, polygon_area, signed_distance
+from push_ident.geometry.cut_cells import cells_in_outline
+from push_ident.geometry.outline import points_in_polygon, polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points
 from push_ident.perception.frame.table import STRIDE
 from push_ident.perception.frame.view import FrameView, median_frame, points_in_table

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from push_ident.physics.effect import OnContact, OnPusherPath, OnTable
 from push_ident.physics.effect_values import EffectValues
 from push_ident.physics.effects import EFFECTS
-from push_ident.types import BoolArray, Float64Array
+from push_ident.types import BoolArray, CellGrid, Float64Array
 
 
 class Input(IntEnum):
@@ -91,20 +91,21 @@ class ActiveEffects(NamedTuple):
     """Number of pushes made before this one."""
 
 
-def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Array, cell_size: float, order: float) -> ActiveEffects:
+def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Array, cells: CellGrid, order: float) -> ActiveEffects:
     """The effects in the arrays of the kernels.
 
     Args:
         effects: which act.
         d_path: derivative of the path, as from `driven_path`.
         arms: cell centres from the centre of mass [m], shape (2, n_cells).
-        cell_size: edge of a cell [m].
+        cells: of the object.
         order: how many pushes went before.
     """
     kinds = _kinds_of(effects.names)
-    x, y = arms
-    spread = (float(x.mean()), float(y.mean()), float(np.mean(x * x + y * y) + cell_size**2 / 6))
-    return kinds._replace(values=np.array(effects.values), d_path=d_path, spread=spread, cell_size=cell_size, order=float(order))
+    (x, y), parts, size = arms, cells.parts, float(cells.size)
+    mean_x, mean_y, mean_r2, own = (float(np.mean(parts * values) / np.mean(parts)) for values in (x, y, x * x + y * y, parts))
+    spread = (mean_x, mean_y, mean_r2 + own * size**2 / 6)
+    return kinds._replace(values=np.array(effects.values), d_path=d_path, spread=spread, cell_size=size, order=float(order))
 
 
 @cache

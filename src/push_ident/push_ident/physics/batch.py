@@ -371,7 +371,7 @@ def _actives(shape: ObjectShape, models: Sequence[BatchModel]) -> list[tuple[Eff
     for model in models:
         acting, arms = model.effects.of_motion, owned((shape.cells.centres - model.body.centre).T)
         no_derivative = np.zeros((len(acting), 0, 3))
-        actives.append((acting, active_effects(acting, no_derivative, arms, float(shape.cells.size), 0.0)))
+        actives.append((acting, active_effects(acting, no_derivative, arms, shape.cells, 0.0)))
     return actives
 
 

@@ -1,6 +1,6 @@
 """The rigid body that cells make together, and the derivative of its parameters by those of the cells.
 
-M = sum m_i,   c = sum m_i r_i / M,   I = sum m_i (|r_i - c|^2 + a^2 / 6),   f_i = mu_i m_i g        a: edge of a cell
+M = sum m_i,   c = sum m_i r_i / M,   I = sum m_i (|r_i - c|^2 + a_i / 6),   f_i = mu_i m_i g        a_i: area of a cell
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class BodyParameters:
 
 
 def body_of_cells(shape: ObjectShape, mass: Float64Array, friction: Float64Array) -> BodyParameters:
-    """Rigid body made of the cells: square plates that each rest on their own weight.
+    """Rigid body made of the cells: plates, square or nearly so, that each rest on their own weight.
 
     Args:
         shape: cells of the object.
@@ -60,7 +60,7 @@ def body_of_cells(shape: ObjectShape, mass: Float64Array, friction: Float64Array
 
 def _moments(shape: ObjectShape, centre: Float64Array) -> Float64Array:
     """Moment of inertia about `centre` of each cell per mass [m^2], shape (n_cells,)."""
-    return np.sum((shape.cells.centres - centre) ** 2, axis=1) + shape.cells.size**2 / 6
+    return np.sum((shape.cells.centres - centre) ** 2, axis=1) + shape.cells.areas / 6
 
 
 def cell_gradient(

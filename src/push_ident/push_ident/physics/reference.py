@@ -132,7 +132,7 @@ class _PushedBody:
         mass, friction, pusher_friction = _expanded_model(model, batch, len(shape.cells))
         centres = torch.tensor(shape.cells.centres)
         limit = friction * mass * GRAVITY
-        inertia = mass * (shape.cells.size**2 / 6)
+        inertia = mass * torch.tensor(shape.cells.areas / 6)
         total = mass.sum(dim=1, keepdim=True)
         centre = mass @ centres / total
         arms = centres - centre[:, None]

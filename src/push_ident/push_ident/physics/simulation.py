@@ -415,7 +415,7 @@ def _run(
     active = None
     if len(effects) > 0:
         path, d_path = driven_path(effects, clock.dt, path)
-        active = active_effects(effects, d_path, arms, float(shape.cells.size), scenario.order)
+        active = active_effects(effects, d_path, arms, shape.cells, scenario.order)
     times = timeline.times.with_effects(scenario.time, effects)
     push = _push(shape, body, mu, scenario, path, arms)
     impulses = timeline.impulses

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.geometry.outline import cells_in_outline, points_in_polygon
+from push_ident.geometry.cut_cells import cells_in_outline
+from push_ident.geometry.outline import points_in_polygon, polygon_area
 from push_ident.limits import LIMITS
 from push_ident.types import Float64Array, ObjectShape
 
@@ -29,6 +30,7 @@ def shape_of_outline(outline: Float64Array, *, cell_size: float = CELL_SIZE, wha
     if not cell_size > 0:
         raise InputError(f"cell size is {cell_size:g} m, expected a positive length.")
     LIMITS.GRID.check(float((extent / cell_size + 1.0) ** 2), what, remedy="Choose larger cells.")
+    LIMITS.CELLS.check(abs(polygon_area(outline)) / cell_size**2, what, remedy="Choose larger cells.")
     cells = cells_in_outline(outline, cell_size)
     LIMITS.CELLS.check(len(cells), what, remedy="Choose larger cells.")
     return ObjectShape(cells, outline)

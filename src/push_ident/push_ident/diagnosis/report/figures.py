@@ -181,4 +181,4 @@ def draw_proposal(proposal: PlannedPush, shape: ObjectShape) -> str:
         start = plan.tool_start(0.0)
         arrow = Arrow(start, start + plan.distance * plan.heading, proposal.pusher.radius)
     outline = transform_points(proposal.pose_object_in_table, shape.outline)
-    return cell_panel(CellPanel("Next push on the table", np.empty((0, 2)), shape.cells.size, outline, np.empty(0), "", arrow=arrow))
+    return cell_panel(CellPanel("Next push on the table", np.empty((0, 2)), (), outline, np.empty(0), "", arrow=arrow))

@@ -43,7 +43,7 @@ class ObjectDescription:
     friction: Float64Array
     """Friction coefficient of each cell on the table, shape (n_cells,)."""
     inertia: Float64Array
-    """Inertia of each cell about its centre of mass, (I_xx, I_yy, I_zz) [kg m^2], shape (n_cells, 3), as a square plate."""
+    """Inertia of each cell about its centre of mass, (I_xx, I_yy, I_zz) [kg m^2], shape (n_cells, 3), as a square plate of its area."""
     frame_mass: float
     """Mass of each link other than a cell [kg]: most engines require one, and an inertia, for a moving link."""
     frame_inertia: float
@@ -104,22 +104,22 @@ def describe(
     if not (np.isfinite(height) and height > 2 * CLEARANCE):
         raise InputError(f"The height is {height} m, expected more than {2 * CLEARANCE} m, twice the gap below the outline.")
     acting = effect_values(effects)
-    size, total = model.shape.cells.size, model.total_mass
-    across = model.mass * (size**2 + height**2) / 12
-    arms = model.shape.cells.centres - model.mass @ model.shape.cells.centres / total
+    cells, total = model.shape.cells, model.total_mass
+    across = model.mass * (cells.areas + height**2) / 12
+    arms = cells.centres - model.mass @ cells.centres / total
     return ObjectDescription(
         name="object_" + "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "_" for c in object_id),
-        centres=model.shape.cells.centres,
+        centres=cells.centres,
         mass=model.mass,
         friction=model.friction,
-        inertia=np.column_stack([across, across, model.mass * size**2 / 6]),
+        inertia=np.column_stack([across, across, model.mass * cells.areas / 6]),
         frame_mass=1e-10 * total,
-        frame_inertia=1e-10 * float(model.mass @ (np.sum(arms**2, axis=1) + size**2 / 6)),
+        frame_inertia=1e-10 * float(model.mass @ (np.sum(arms**2, axis=1) + cells.areas / 6)),
         pieces=tuple(convex_pieces(model.shape.outline)),
         pusher_friction=changed_friction(acting, model.pusher_friction)[0],
         effects={name: tuple(map(float, acting.values[acting.slice_of(name)])) for name in acting.names},
         height=height,
-        foot_radius=0.125 * size,
+        foot_radius=0.125 * cells.size,
         sliding=sliding,
         provenance=f"Object {object_id} of {source}, exported by push_ident {__version__}.",
     )

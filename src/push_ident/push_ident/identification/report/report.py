@@ -13,6 +13,7 @@ import numpy as np
 from push_ident import __version__
 from push_ident.errors import InputError
 from push_ident.files import write_whole
+from push_ident.geometry.cut_cells import cell_polygons
 from push_ident.identification.predicting.next_push import N_CANDIDATES, propose_push
 from push_ident.identification.predicting.prediction import PushErrors
 from push_ident.identification.predicting.scoring import PushScore, summarise_scores
@@ -226,18 +227,15 @@ _IDENTIFIED, _FITTED, _NOMINAL = "var(--accent, #1f5fa8)", "var(--warm, #c0561d)
 def draw_maps(posterior: ModelPosterior) -> list[tuple[str, str]]:
     """Mass, friction, their product and its relative standard deviation: title and SVG of each."""
     model = posterior.model
-    product = model.mass * model.friction
+    product, areas = model.mass * model.friction, model.shape.cells.areas
     panels = (
-        ("Mass of each cell", 1e3 * model.mass, "g"),
+        ("Mass per area", 0.1 * model.mass / areas, "g/cm²"),
         ("Support friction of each cell", model.friction, ""),
-        ("Mass × friction: what pushes determine", 1e3 * product, "g"),
+        ("Mass × friction per area: what pushes determine", 0.1 * product / areas, "g/cm²"),
         ("Relative standard deviation of mass × friction", 100 * posterior.mass_friction_std / product, "%"),
     )
-    region, cells, outline = _centre_ellipse(posterior), model.shape.cells, model.shape.outline
-    return [
-        (title, cell_panel(CellPanel(title, cells.centres, cells.size, outline, values, unit, region=region)))
-        for title, values, unit in panels
-    ]
+    region, cells, centres, outline = _centre_ellipse(posterior), cell_polygons(model.shape), model.shape.cells.centres, model.shape.outline
+    return [(title, cell_panel(CellPanel(title, centres, cells, outline, values, unit, region=region))) for title, values, unit in panels]
 
 
 def _centre_ellipse(posterior: ModelPosterior) -> Float64Array:
@@ -299,5 +297,5 @@ def draw_push(posterior: ModelPosterior, plan: PushPlan2D, pusher_radius: float)
     relative = 100 * posterior.mass_friction_std / (model.mass * model.friction)
     start = plan.tool_start(0.0)
     arrow = Arrow(start, start + plan.distance * plan.heading, pusher_radius)
-    cells = model.shape.cells
-    return cell_panel(CellPanel("Next push", cells.centres, cells.size, model.shape.outline, relative, "%", BLUES, arrow=arrow))
+    shape = model.shape
+    return cell_panel(CellPanel("Next push", shape.cells.centres, cell_polygons(shape), shape.outline, relative, "%", BLUES, arrow=arrow))

@@ -31,6 +31,7 @@ def result_json(result: Identification, object_id: str, train: PushErrors, test:
         "map": {
             "x": x.tolist(),
             "y": y.tolist(),
+            "area": model.shape.cells.areas.tolist(),
             "mass": model.mass.tolist(),
             "friction": model.friction.tolist(),
             "mass_friction": (model.mass * model.friction).tolist(),

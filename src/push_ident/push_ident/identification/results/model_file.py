@@ -15,6 +15,7 @@ from push_ident import __version__
 from push_ident.checked_json import CheckedContent, Listed, Numbers, Points, Rows, parse_checked, read_checked
 from push_ident.errors import InputError, ModelFileError
 from push_ident.files import read_regular, write_whole
+from push_ident.geometry.cut_cells import cut_at_outline
 from push_ident.geometry.shape_check import check_shape
 from push_ident.identification.results.posterior import Estimate, ModelPosterior
 from push_ident.identification.results.result import WarmStart
@@ -25,6 +26,8 @@ from push_ident.limits import LIMITS, check_coordinates, plain_text
 from push_ident.types import CellGrid, Float64Array, ObjectShape, SolveStatus
 
 _MODEL_FORMAT: Final = "push_ident/model/1"
+_CELL_ROUNDING: Final = 1e-6
+"""Of the places of cells [m]."""
 
 
 class ModelContent(CheckedContent):
@@ -39,6 +42,9 @@ class ModelContent(CheckedContent):
     """How the fit ended, as in the JSON of `identify`; empty where it is not known."""
     cell_size: float
     cells: Points = Field(max_length=LIMITS.CELLS.value)
+    """Their centroids [m]."""
+    squares: Points | None = Field(None, max_length=LIMITS.CELLS.value)
+    """Of which the outline cuts the cells: their centres [m]; None where cells are whole squares."""
     outline: Points = Field(max_length=LIMITS.VERTICES.value)
     outline_std: Numbers | None = None
     """Of each edge along its normal [m], where a camera traced the outline."""
@@ -65,6 +71,7 @@ class ModelContent(CheckedContent):
 def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[str], status: SolveStatus | None = None) -> ModelContent:
     """Content of the file of a posterior."""
     shape, model = posterior.unknowns.shape, posterior.model
+    squares = shape.cells.squares
     return ModelContent(
         format=_MODEL_FORMAT,
         version=__version__,
@@ -73,6 +80,7 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
         status=status.name.lower() if status else "",
         cell_size=shape.cells.size,
         cells=[(float(x), float(y)) for x, y in shape.cells.centres],
+        squares=None if np.array_equal(squares, shape.cells.centres) else [(float(x), float(y)) for x, y in squares],
         outline=[(float(x), float(y)) for x, y in shape.outline],
         outline_std=None if shape.outline_std is None else shape.outline_std.tolist(),
         prior=asdict(posterior.prior),
@@ -168,11 +176,17 @@ def posterior_of(content: ModelContent, where: str, remedy: str = "identify agai
 
 
 def _posterior(content: ModelContent) -> ModelPosterior:
-    for name, points in (("Cells", content.cells), ("Outline", content.outline)):
+    LIMITS.EXTENT.check(content.cell_size, "Cell")
+    squares = content.cells if content.squares is None else content.squares
+    for name, points in (("Cells", content.cells), ("Squares", squares), ("Outline", content.outline)):
         check_coordinates(points, name)
     std = None if content.outline_std is None else np.array(content.outline_std)
-    cells = CellGrid(np.array(content.cells).reshape(-1, 2), content.cell_size)
+    cells = CellGrid(np.array(squares).reshape(-1, 2), content.cell_size)
     shape = check_shape(ObjectShape(cells, np.array(content.outline).reshape(-1, 2), std))
+    if content.squares is not None:
+        shape = cut_at_outline(shape)
+        if len(content.cells) != len(squares) or not np.max(np.abs(shape.cells.centres - content.cells)) <= _CELL_ROUNDING:
+            raise InputError("`cells` are not the centroids of `squares` within `outline`, expected those that were written with them.")
     modes = array_of(content.modes, "modes")
     return ModelPosterior(
         unknowns=UnknownsSpec.of(shape, prior_of(content.prior), modes=modes, effects=content.effects),

@@ -3,7 +3,7 @@
 Mass and friction of a cell are positive, so their logarithms are the unknowns. Neighbouring cells are similar, so each logarithm is a
 Gaussian process over the object (Matern 3/2). In the coordinates `z` of its leading modes the prior is a unit normal:
 
-    m_i = M w_i,   w = softmax(a),   a = A z_a                     masses, M the total mass
+    m_i = M w_i,   w_i ~ A_i exp(a_i),   a = A z_a                 masses, M the total mass, A_i the area of a cell
     P = load(w, c),   c = A z_c                                    share of the load that each cell bears, see `load`; or
     P = feet(w, p, h, g),   p = p_0 + L z_p                        on feet at the positions p of width h with preferences g, see `load`
     mu_i = mu_0 exp(s) e_i P_i / w_i / (P' e),   e = exp(b),   b = A z_b     support friction, map and scale
@@ -79,7 +79,7 @@ def mechanics_at(spec: UnknownsSpec, z: Float64Array, *, of_reference: bool = Fa
     body = body_of_cells(spec.shape, model.mass, model.friction)
     weight = model.mass / body.mass
     arms = spec.shape.cells.centres - body.centre
-    moment = np.sum(arms**2, axis=1) + spec.shape.cells.size**2 / 6
+    moment = np.sum(arms**2, axis=1) + spec.shape.cells.areas / 6
     effects, d_values = spec.acting_effects(z, of_reference=of_reference)
     mass_factor = float(np.exp(spec.blocks["total_mass"].std @ z[spec.slices["total_mass"]]))
     d_mass, d_friction = log_derivatives_at(spec, z, model)
@@ -111,7 +111,7 @@ def model_at(spec: UnknownsSpec, z: Float64Array) -> ObjectModel:
 
 
 def uniform_model(shape: ObjectShape, prior: Prior | None = None) -> ObjectModel:
-    """Equal cells with nominal values."""
+    """A uniform object with nominal values."""
     spec = UnknownsSpec.of(shape, prior or Prior(), maps=False)
     return model_at(spec, np.zeros(spec.size))
 
@@ -121,7 +121,7 @@ def log_derivatives_at(spec: UnknownsSpec, z: Float64Array, model: ObjectModel |
     prior, at, model = spec.prior, spec.slices, model or model_at(spec, z)
     d_mass = np.zeros((len(model.mass), spec.size))
     d_friction = np.zeros_like(d_mass)
-    # Of the weights w_i = softmax(a): only differences count.
+    # Of the weights, sum 1: only differences count.
     d_mass[:, at["mass_map"]] = prior.mass_map_std * (spec.modes - model.mass @ spec.modes / model.total_mass)
     d_friction[:, at["friction_map"]] = prior.friction_map_std * spec.modes
     if _has_load(spec):
@@ -140,7 +140,7 @@ def _scalar(spec: UnknownsSpec, z: Float64Array, name: str) -> np.float64:
 def _weight(spec: UnknownsSpec, z: Float64Array) -> Float64Array:
     """Share of the mass of each cell, shape (n_cells,)."""
     a = spec.prior.mass_map_std * (spec.modes @ z[spec.slices["mass_map"]])
-    weight = np.exp(a - a.max())
+    weight = spec.shape.cells.parts * np.exp(a - a.max())
     return np.asarray(weight / weight.sum())
 
 
@@ -181,7 +181,7 @@ def _feet(spec: UnknownsSpec, z: Float64Array, weight: Float64Array) -> FeetLoad
     cells = spec.shape.cells
     offset = z[spec.slices["foot_positions"]].reshape(-1, 2) @ _base_root(cells).T
     preference = spec.blocks["foot_preferences"].std * z[spec.slices["foot_preferences"]]
-    return feet_load(weight, cells.centres, cells.centres.mean(axis=0) + offset, _foot_width(spec, z)[0], preference)
+    return feet_load(weight, cells.centres, cells.middle + offset, _foot_width(spec, z)[0], preference)
 
 
 def _feet_derivative(spec: UnknownsSpec, z: Float64Array, weight: Float64Array, d_mass: Float64Array) -> Float64Array:
@@ -201,13 +201,13 @@ def _foot_width(spec: UnknownsSpec, z: Float64Array) -> tuple[float, float]:
 
 def _base_root(cells: CellGrid) -> Float64Array:
     """Root of the covariance of the points of the base [m], shape (2, 2): the prior of the position of a foot."""
-    return np.asarray(np.linalg.cholesky(np.cov(cells.centres.T, bias=True) + np.eye(2) * cells.size**2 / 12))
+    return np.asarray(np.linalg.cholesky(np.cov(cells.centres.T, bias=True, aweights=cells.parts) + np.eye(2) * cells.size**2 / 12))
 
 
 def foot_position_unknowns(spec: UnknownsSpec, positions: Float64Array) -> Float64Array:
     """The block `foot_positions` of given positions [m], shape (n_feet, 2)."""
     cells = spec.shape.cells
-    offset = positions - cells.centres.mean(axis=0)
+    offset = positions - cells.middle
     return np.asarray(np.linalg.solve(_base_root(cells), offset.T).T.ravel())
 
 
@@ -231,7 +231,7 @@ def unknowns_of_maps(spec: UnknownsSpec, mass: Float64Array, friction: Float64Ar
         raise InputError("Masses and friction coefficients must be positive to have a logarithm; raise those at zero a little.")
     prior, at = spec.prior, spec.slices
     z = np.zeros(spec.size)
-    log_mass, log_friction = np.log(mass), np.log(friction / prior.friction)
+    log_mass, log_friction = np.log(mass / spec.shape.cells.parts), np.log(friction / prior.friction)
     scale = np.log(mass @ friction / mass.sum() / prior.friction)
     z[at["mass_map"]] = np.linalg.lstsq(prior.mass_map_std * spec.modes, log_mass - log_mass.mean())[0]
     z[at["friction_map"]] = np.linalg.lstsq(prior.friction_map_std * spec.modes, log_friction - scale)[0]

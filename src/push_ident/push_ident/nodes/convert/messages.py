@@ -22,6 +22,7 @@ from std_msgs.msg import Float32MultiArray, Header, MultiArrayDimension, MultiAr
 
 from push_ident.bags.decode import camera_accuracy_of
 from push_ident.errors import FrameError, InputError
+from push_ident.geometry.cut_cells import cut_at_outline, occupancy
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.se2 import quaternion_of_yaw, transform_points, yaw_of_quaternion
@@ -216,13 +217,9 @@ def outline_std_to_msg(shape: ObjectShape) -> Float32MultiArray:
 
 def shape_to_msgs(shape: ObjectShape, object_id: str, stamp: Time) -> tuple[OccupancyGrid, PolygonStamped]:
     """Cells (100 = cell, 0 = none) and outline, both in the object frame."""
-    size = shape.cells.size
-    low = shape.cells.centres.min(axis=0)
-    index = np.rint((shape.cells.centres - low) / size).astype(np.int64)
-    width, height = (index.max(axis=0) + 1).tolist()
-    data = np.zeros((height, width), dtype=np.int8)
-    data[index[:, 1], index[:, 0]] = 100
-    cells = occupancy_to_msg(data, size, low - 0.5 * size, stamp, frame_id=object_frame(object_id))
+    corner, occupied = occupancy(shape.cells)
+    cells = occupancy_to_msg(100 * occupied.astype(np.int8), shape.cells.size, corner[:2], stamp, frame_id=object_frame(object_id))
+    cells.info.origin.orientation.z, cells.info.origin.orientation.w = (float(q) for q in quaternion_of_yaw(corner[2])[2:])
     outline = PolygonStamped()
     outline.header = cells.header
     outline.polygon.points = [Point32(x=float(x), y=float(y), z=0.0) for x, y in shape.outline]
@@ -259,7 +256,8 @@ def shape_from_msgs(
     _check_frame(outline.header.frame_id, cells.header.frame_id)
     vertices = outline_from_msg(outline)
     std = None if outline_std is None else outline_std_from_msg(outline_std)
-    return check_shape(ObjectShape(CellGrid(centres, size), vertices, std if std is not None and len(std) == len(vertices) else None))
+    std = std if std is not None and len(std) == len(vertices) else None
+    return cut_at_outline(check_shape(ObjectShape(CellGrid(centres, size), vertices, std)))
 
 
 def outline_from_msg(outline: PolygonStamped) -> Float64Array:

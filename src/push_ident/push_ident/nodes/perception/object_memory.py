@@ -15,6 +15,7 @@ import numpy as np
 from push_ident.checked_json import CheckedContent, Listed, Numbers, Points, Rows, read_checked
 from push_ident.errors import InputError, ModelFileError, PushIdentError
 from push_ident.files import write_whole
+from push_ident.geometry.cut_cells import cut_at_outline
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.perception.known_object import KnownObject, TracedObject
 from push_ident.types import CellGrid, Float64Array, ObjectShape
@@ -33,6 +34,7 @@ class _Object(CheckedContent):
     outline: Points
     outline_std: Numbers | None = None
     cells: Points
+    """Centres of their squares, which the outline cuts."""
     cell_size: float
     pose: tuple[float, float, float]
     top: Rows
@@ -78,7 +80,7 @@ class ObjectMemory:
             object_id=object_id,
             outline=traced.shape.outline.tolist(),
             outline_std=None if traced.shape.outline_std is None else traced.shape.outline_std.tolist(),
-            cells=traced.shape.cells.centres.tolist(),
+            cells=traced.shape.cells.squares.tolist(),
             cell_size=traced.shape.cells.size,
             pose=tuple(traced.pose.tolist()),
             top=traced.top.tolist(),
@@ -132,7 +134,7 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
         raise ModelFileError(f"{path} has the format `{content.format}` and the id `{content.object_id}`, expected `{_FORMAT}`; {_REMEDY}.")
     try:
         std = None if content.outline_std is None else np.array(content.outline_std)
-        shape = ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline), std)
+        shape = cut_at_outline(ObjectShape(CellGrid(np.array(content.cells), content.cell_size), np.array(content.outline), std))
         top = np.array(content.top, dtype=np.float32)
         hollow = None if content.hollow is None else np.array(content.hollow, dtype=bool)
     except (InputError, ValueError) as error:

@@ -26,7 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_centroid
+from push_ident.geometry.cut_cells import cells_in_outline
+from push_ident.geometry.outline import edge_normals, polygon_centroid
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.perception.frame.view import FrameView
 from push_ident.perception.kernels import edges_nearest

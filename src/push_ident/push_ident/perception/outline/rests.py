@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from push_ident.errors import InputError, PerceptionError, PushIdentError
-from push_ident.geometry.outline import cells_in_outline, edge_normals, signed_distance
+from push_ident.geometry.cut_cells import cells_in_outline, cut_at_outline
+from push_ident.geometry.outline import edge_normals, signed_distance
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.frame.view import FrameView, median_frame
@@ -373,11 +374,11 @@ def with_cells(shape: ObjectShape) -> ObjectShape:
     """
     cells = shape.cells
     anew = cells_in_outline(shape.outline, cells.size)
-    outside = signed_distance(cells.centres, shape.outline) > 0.5 * cells.size
-    bare = KDTree(cells.centres).query(anew.centres)[0] > 1.5 * cells.size
+    outside = signed_distance(cells.squares, shape.outline) > 0.5 * cells.size
+    bare = KDTree(cells.squares).query(anew.squares)[0] > 1.5 * cells.size
     if np.count_nonzero(outside) + np.count_nonzero(bare) <= 0.1 * len(cells):
         with suppress(InputError):
-            return check_shape(shape)
+            return cut_at_outline(check_shape(shape))
     return check_shape(replace(shape, cells=anew))
 
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.errors import PerceptionError
-from push_ident.geometry.outline import cells_in_outline, edge_normals, polygon_area, polygon_centroid
+from push_ident.geometry.cut_cells import cells_in_outline
+from push_ident.geometry.outline import edge_normals, polygon_area, polygon_centroid
 from push_ident.perception.frame.view import unmeasured_areas
 from push_ident.perception.kernels import outline_distances
 from push_ident.perception.known_object import SegmentedView, TracedObject
