@@ -187,10 +187,12 @@ def test_error_of_a_camera_within_its_accuracy_is_no_effect_and_a_larger_one_is_
 
 def test_cause_far_larger_than_expected_is_named_and_not_taken_for_discrepancy() -> None:
     """Of 250 ms, 12 standard deviations of its prior: near the fit without it, where the contact is displaced by centimetres, a fit stops
-    at a third of it."""
+    at a third of it. A sixth of it may be taken for a lag of the tool, which displaces the poses alike while the tool moves evenly."""
     found = diagnose(simulated_pushes(8, 5, {"pose_latency": [0.25]}))
     assert found.selection is not None and found.selection.base.has_discrepancy_above(20.0)
-    assert found.effects[0].name == "pose_latency" and found.effects[0].parameters["delta"] == pytest.approx(0.25, rel=0.05)
+    late = {effect.name: sum(effect.parameters.values()) for effect in found.effects}
+    assert found.effects[0].name == "pose_latency" and set(late) <= {"pose_latency", "pusher_lag"}
+    assert late["pose_latency"] > 0.2 and sum(late.values()) == pytest.approx(0.25, rel=0.05)
 
 
 def cut_to_motion(record: PushRecord) -> PushRecord:
