@@ -52,8 +52,8 @@ def mit_file(folder: Path, content: Any, *, number: int = 0, shape: str = "rect1
     return file
 
 
-def table_file(file: Path, names: str, rows: Float64Array, *, separator: str = ",") -> Path:
-    lines = [separator.join(f"{value:.9g}" for value in row) for row in rows]
+def table_file(file: Path, names: str, rows: Float64Array, *, separator: str = ",", digits: int = 9) -> Path:
+    lines = [separator.join(f"{value:.{digits}g}" for value in row) for row in rows]
     file.write_text("\n".join([names.replace(",", separator), *lines]) + "\n")
     return file
 

@@ -239,11 +239,10 @@ def _causes(frames: _Frames) -> Iterator[Cause]:
     if frames.n_pushes > 1:
         found += [_radius_cause(frames), _clock_cause(frames)]
     explained = [(cause, distance) for cause, distance in found if _meet(distance, tolerance)]
-    for hypothesis, n_unknown in ((_outline_cause, 2), (_frame_cause, 3)):
+    for n_unknown, hypotheses in ((2, (_outline_cause,)), (3, (_body_cause, _frame_cause))):
         # A frame that is fitted explains whatever fewer unknowns explain.
         if not explained and frames.n_pushes > n_unknown:
-            cause, distance = hypothesis(frames)
-            explained += [(cause, distance)] if _meet(distance, tolerance) else []
+            explained = [fitted for hypothesis in hypotheses if _meet((fitted := hypothesis(frames))[1], tolerance)]
     yield from (cause for cause, _ in explained)
 
 
@@ -292,6 +291,8 @@ def _scale_cause(frames: _Frames) -> Iterator[_Found]:
 
 def _axes_causes(frames: _Frames) -> Iterator[_Found]:
     pusher = frames.pusher()
+    exchanged = frames.distance(pusher, pose=frames.pose[:, [1, 0, 2]])
+    yield _cause("x and y of the poses are exchanged", "exchange their columns", exchanged)
     for swap, sign_x, sign_y in product((False, True), (1.0, -1.0), (1.0, -1.0)):
         if (swap, sign_x, sign_y) == (False, 1.0, 1.0):
             continue
@@ -324,10 +325,40 @@ def _clock_cause(frames: _Frames, latest: float = 2.0, step: float = 0.01) -> _F
 
 
 def _outline_cause(frames: _Frames) -> _Found:
+    x, y, _ = place = _place_of_outline(frames, np.zeros(1))
+    return _cause(
+        "the origin of the outline is not that of the poses",
+        f"add ({x:.4f}, {y:.4f}) m to its points",
+        frames.distance(frames.pusher(), outline=_placed(place, frames.streams.shape.outline)),
+    )
+
+
+def _body_cause(frames: _Frames) -> _Found:
+    x, y, turn = place = _place_of_outline(frames, np.arange(0.0, 2.0 * np.pi, np.pi / 4))
+    return _cause(
+        "the axes of the outline are not those of the poses",
+        f"turn its points by {np.degrees(np.angle(np.exp(1j * turn))):.1f} degrees about their origin and add ({x:.4f}, {y:.4f}) m",
+        frames.distance(frames.pusher(), outline=_placed(place, frames.streams.shape.outline)),
+    )
+
+
+def _placed(place: Float64Array, points: Float64Array) -> Float64Array:
+    """Points [m], shape (n, 2), turned and moved by a place (x, y, turn)."""
+    cosine, sine = np.cos(place[2]), np.sin(place[2])
+    return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]) + place[:2])
+
+
+def _place_of_outline(frames: _Frames, turns: Float64Array) -> Float64Array:
+    """Where the outline lies in the frame of the poses (x [m], y [m], turn [rad]); with a single one of `turns` as it is."""
     pusher, outline = frames.pusher(), frames.streams.shape.outline
-    shift = _fitted(lambda moved: frames.distance(pusher, outline=outline + moved), [np.zeros(2)], frames.streams.tolerance)
-    mend = f"add ({shift[0]:.4f}, {shift[1]:.4f}) m to its points"
-    return _cause("the origin of the outline is not that of the poses", mend, frames.distance(pusher, outline=outline + shift))
+    extent, free = float(np.linalg.norm(outline, axis=1).max()), 3 if len(turns) > 1 else 2
+
+    def distance(place: Float64Array) -> Float64Array:
+        return frames.distance(pusher, outline=_placed(np.append(place, np.zeros(3 - len(place))), outline))
+
+    places = [np.array(place) for place in product(extent * _PLACES, repeat=2)]
+    best = [min((np.append(place, turn)[:free] for place in places), key=lambda start: _rms(distance(start))) for turn in turns]
+    return np.append(_fitted(distance, best, frames.streams.tolerance), np.zeros(3 - free))
 
 
 def _frame_cause(frames: _Frames) -> _Found:
@@ -335,8 +366,7 @@ def _frame_cause(frames: _Frames) -> _Found:
     pusher = frames.pusher()
 
     def moved(pose: Float64Array) -> Float64Array:
-        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-        return pusher @ np.array([[cosine, sine], [-sine, cosine]]) + pose[:2]
+        return _placed(pose, pusher)
 
     def starts() -> Iterator[Float64Array]:
         about = _turn_of_ways(frames, pusher)

@@ -234,7 +234,7 @@ def _is_jump(time: Float64Array, position: Float64Array, at_origin: BoolArray) -
     """Whether a body gets to the origin and leaves it by jumps, much faster than it moves before and after; shapes (n,), (n, k), (n,)."""
     if len(time) < 2:
         return False
-    step = np.diff(time)
+    step = np.maximum(np.diff(time), 1e-9)
     # Stamps jitter; over a pause a body may go far.
     speed = np.linalg.norm(np.diff(position, axis=0), axis=1) / np.maximum(step, np.median(step))
     away = ~at_origin[:-1] & ~at_origin[1:]
@@ -266,7 +266,12 @@ def without_gaps(rows: Float64Array, needed: Sequence[bool], places: Sequence[ob
         notes.append(f"{name}: {late} rows come after later ones and are sorted")
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
         step = np.diff(rows[:, 0])
-    if repeated := int(np.sum(step == 0)):
+    if (repeated := int(np.sum(step == 0))) > 0.5 * len(step):
+        raise BagError(
+            f"{what}: {repeated} of {len(rows)} rows repeat the time before, expected a time for each; were times written with too few "
+            f"digits (as {rows[0, 0]:.0f})? Write them with milliseconds at least."
+        )
+    if repeated:
         notes.append(f"{name}: {repeated} rows repeat a time and are left out")
     return np.asarray(rows[np.append(True, step > 0)])
 
@@ -364,8 +369,8 @@ def _noise(poses: Float64Array, runs: list[Float64Array], name: str, options: Re
                     scatter.append((np.sqrt(block[:, 1:3].var(axis=0, ddof=1).mean()), block[:, 3].std(ddof=1)))
     if not scatter:
         raise InputError(
-            f"{name}: fewer than {least} poses at rest between the pushes, so the noise of a pose is unknown; give "
-            "--position-std and --yaw-std."
+            f"{name}: fewer than {least} poses at rest between the pushes, so the noise of a pose is unknown; give --position-std and "
+            f"--yaw-std. Poses are {np.median(np.diff(poses[:, 0])):.3g} s apart in the median; where they are not, check the unit of time."
         )
     position, yaw = np.median(np.array(scatter), axis=0)
     position_std = max(float(position), _LEAST_POSITION_STD) if options.position_std is None else options.position_std

@@ -24,7 +24,7 @@ def shape_of_outline(outline: Float64Array, *, cell_size: float = CELL_SIZE, wha
     """
     LIMITS.VERTICES.check(len(outline), what)
     extent = float(np.ptp(outline, axis=0).max()) if len(outline) else 0.0
-    remedy = "Are its lengths in millimetres?"
+    remedy = "Are its lengths in millimetres, centimetres or inches? Give their unit."
     LIMITS.EXTENT.check(extent, what, remedy=remedy)
     LIMITS.EXTENT.check(float(np.abs(outline).max(initial=0.0)), f"{what}, largest coordinate", remedy=remedy)
     if not cell_size > 0:
