@@ -329,7 +329,9 @@ def test_a_clock_that_does_not_tick_is_reported_and_no_warning_while_a_cell_star
     domain, started = own_domain(), time.monotonic()
     with running(PerceptionNode, domain, "use_sim_time:=true"), Talker(domain) as talker:
         talker.until(lambda: "nothing comes on /clock" in talker.values().get("why_no_pose", ""))
-        assert "WARN" not in capfd.readouterr().err or time.monotonic() - started > NODE.listener_wait
+        # rcl warns of the nodes of the same name in this process.
+        warned = [line for line in capfd.readouterr().err.splitlines() if "WARN" in line and "rcl." not in line]
+        assert not warned or time.monotonic() - started > NODE.listener_wait
 
 
 def test_the_node_calibrates_all_its_cameras_and_writes_what_it_found(tmp_path):

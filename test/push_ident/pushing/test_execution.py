@@ -13,6 +13,7 @@ import pytest
 from helpers.memory_cell import CONTACT, PARKED, SETTINGS, Bench, Cell, code_of
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
+from push_ident.pushing.command_link import CommandLink
 from push_ident.pushing.executed_push import Purpose, RestingPose, displacement
 from push_ident.pushing.motion import PathPlan
 from push_ident.pushing.ports import Phase
@@ -337,6 +338,17 @@ def test_push_whose_corrections_are_planned_late_goes_on_and_ends(bench: Bench, 
     outcome = bench.push(ALONG_PATH)
     assert code_of(outcome) in (PushCode.NONE, PushCode.CORRECTION), outcome.error
     assert bench.cell.q == pytest.approx(PARKED, abs=1e-3), "the arm went home"
+
+
+def test_arm_that_cannot_go_on_within_its_limits_ends_the_push(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    move = CommandLink.move
+
+    def refuse(link: CommandLink, *args: Any, **kwargs: Any) -> bool:
+        return not bench.execution.is_pushing and move(link, *args, **kwargs)
+
+    monkeypatch.setattr(CommandLink, "move", refuse)
+    outcome = bench.push()
+    assert code_of(outcome) == PushCode.TRACKING and "exceed a limit" in str(outcome.error)
 
 
 @pytest.mark.parametrize(("change", "code"), [({"is_cancel_requested": True}, PushCode.CANCELED), ({"force": 40.0}, PushCode.FORCE)])
