@@ -45,7 +45,11 @@ def cells_in_outline(outline: ArrayLike, size: float) -> CellGrid:
     if not (np.isfinite(size) and size > 0):
         raise InputError(f"cell size is {size}, expected a positive length in metres.")
     polygon = np.asarray(outline, dtype=np.float64)
-    polygon = polygon if polygon_area(polygon) > 0 else polygon[::-1]
+    area = polygon_area(polygon)
+    too_small = InputError(f"no cell of {size:g} m is covered to a quarter by an outline of {abs(area):.3g} m^2; take smaller cells.")
+    if not abs(area) >= _LEAST_PART * size**2:  # as a line, or of no numbers
+        raise too_small
+    polygon = polygon if area > 0 else polygon[::-1]
     turn = rotation(_principal_yaw(polygon))
     local = polygon @ turn / size
     found = []
@@ -58,8 +62,7 @@ def cells_in_outline(outline: ArrayLike, size: float) -> CellGrid:
             unevenness = round(len(areas) * float(np.sum(areas**2) / np.sum(areas) ** 2), 6)
             found.append((unevenness, (origin + names) * size @ turn.T))
     if not found:
-        area = abs(polygon_area(polygon))
-        raise InputError(f"no cell of {size:g} m is covered to a quarter by an outline of {area:.3g} m^2; take smaller cells.")
+        raise too_small
     _, squares = min(found, key=lambda way: way[0])
     return cut_at_outline(ObjectShape(CellGrid(squares, float(size)), polygon)).cells
 
