@@ -11,6 +11,7 @@ import pytest
 
 from helpers.objects import hammer, random_records, with_forces, with_frames
 from push_ident.errors import InputError
+from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.geometry.outline import edge_normals
 from push_ident.identification.identify import identify
 from push_ident.identification.online.identifier import OnlineIdentifier, OnlineState
@@ -18,6 +19,7 @@ from push_ident.identification.online.session import ObjectSession, SessionOptio
 from push_ident.identification.online.state_file import load_state, save_state
 from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.identification.predicting.scoring import PushScore, RunningRecord, summarise_scores
+from push_ident.identification.results.model_file import load_model, save_model
 from push_ident.identification.results.posterior import prior_posterior
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
@@ -188,6 +190,15 @@ def test_a_better_outline_is_used_for_the_pushes_before_it_too_until_they_are_su
     assert again.restored and np.array_equal(again.shape.outline, better.outline) and not again.refine_shape(better)
     summed_up = session_in(None, wide, 2, window=1)
     assert not summed_up.refine_shape(better) and np.array_equal(summed_up.shape.outline, wide.outline)
+
+
+def test_cells_are_those_that_the_better_outline_cuts_and_a_file_of_the_model_holds_both(tmp_path: Path) -> None:
+    wide = replace(shape := traced(TRUTH.shape, 1.5e-3), cells=cells_in_outline(shape.outline, 0.013))
+    session = session_in(None, wide, 1)
+    assert session.refine_shape(replace(traced(TRUTH.shape), cells=wide.cells))
+    assert not np.array_equal(session.shape.cells.centres, wide.cells.centres)
+    save_model(tmp_path / "model.json", session.posterior, object_id="1")
+    np.testing.assert_allclose(load_model(tmp_path / "model.json")[1].unknowns.shape.cells.centres, session.shape.cells.centres, atol=1e-9)
 
 
 # --- the estimate: pushes that are summed up, and updates at each frame

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from push_ident.errors import InputError, PlanningError
+from push_ident.geometry.cut_cells import cut_at_outline
 from push_ident.identification.observing.observation import NoiseModel, observe_push
 from push_ident.identification.online.identifier import FrameUpdate, OnlineIdentifier, OnlineState
 from push_ident.identification.online.state_file import load_state, save_state
@@ -30,7 +31,7 @@ from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.scenario import PushScenario
 from push_ident.pushing.push import PushSettings
-from push_ident.types import Float64Array, ObjectShape, PusherPath, PushRecord, SolveStatus
+from push_ident.types import CellGrid, Float64Array, ObjectShape, PusherPath, PushRecord, SolveStatus
 
 _Key = tuple[float, float, float]
 REMEMBERED_PUSHES = 10_000
@@ -129,9 +130,9 @@ class ObjectSession:
     def refine_shape(self, shape: ObjectShape) -> bool:
         """Take a better outline of the same object; whether its pushes were fitted again with it.
 
-        Cells and unknowns stay: an outline with deviations takes the place of one with deviations. Once older pushes are summed up, the
-        outline stays as well, since they have shown how far it is off. Before the first push any shape of the object is taken, such as the
-        one with its outline after its cells.
+        Squares of cells and unknowns stay: an outline with deviations takes the place of one with deviations. Once older pushes are summed
+        up, the outline stays as well, since they have shown how far it is off. Before the first push any shape of the object is taken, such
+        as the one with its outline after its cells.
 
         Raises:
             ModelFileError: the state cannot be written. The estimate has changed nevertheless.
@@ -145,7 +146,7 @@ class ObjectSession:
             return False
         if all(np.array_equal(getattr(before, name), getattr(shape, name)) for name in ("outline", "outline_std")):
             return False
-        self.online.refine(replace(shape, cells=before.cells))
+        self.online.refine(cut_at_outline(replace(shape, cells=CellGrid(before.cells.squares, before.cells.size))))
         self.save()
         return True
 
