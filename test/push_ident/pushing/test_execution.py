@@ -349,6 +349,8 @@ def test_arm_that_cannot_go_on_within_its_limits_ends_the_push(bench: Bench, mon
     monkeypatch.setattr(CommandLink, "move", refuse)
     outcome = bench.push()
     assert code_of(outcome) == PushCode.TRACKING and "exceed a limit" in str(outcome.error)
+    progress = bench.client.progress
+    assert progress.count(progress[-1]) > 5, "an arm that stands is reported"
 
 
 @pytest.mark.parametrize(("change", "code"), [({"is_cancel_requested": True}, PushCode.CANCELED), ({"force": 40.0}, PushCode.FORCE)])

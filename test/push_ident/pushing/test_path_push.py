@@ -214,6 +214,8 @@ def test_correction_for_which_the_arm_is_too_far_on_changes_nothing_and_a_stop_i
     own.offer(correction(0.01))
     assert own.look(plan.departure + 0.81, NOW + 0.01, 50.81, lambda changed: False) is plan
     assert own.refused == {CorrectionFault.LATE: 1} and own.n_made == 0
+    with pytest.raises(PlanningError, match="1 LATE"):  # it does not count as one that came
+        own.look(plan.departure + 0.86, NOW + 0.06, 50.91, take)
     own.offer(correction(stop=True, stamp=NOW, time=np.empty(0), position=np.empty((0, 2))))
     assert own.look(plan.departure + 0.82, NOW + 0.02, 50.82, lambda changed: False) is plan
     assert own.look(plan.departure + 0.83, NOW + 0.03, 50.83, take).stop < plan.stop

@@ -15,6 +15,7 @@ import numpy as np
 
 from push_ident.geometry.frames import axes_text
 from push_ident.geometry.outline import outline_distance
+from push_ident.geometry.se2 import transform_points
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
 NOISE_FACTOR: Final = 6.0
@@ -325,39 +326,34 @@ def _clock_cause(frames: _Frames, latest: float = 2.0, step: float = 0.01) -> _F
 
 
 def _outline_cause(frames: _Frames) -> _Found:
-    x, y, _ = place = _place_of_outline(frames, np.zeros(1))
+    x, y, _ = pose = _pose_of_outline(frames, np.zeros(1))
     return _cause(
         "the origin of the outline is not that of the poses",
         f"add ({x:.4f}, {y:.4f}) m to its points",
-        frames.distance(frames.pusher(), outline=_placed(place, frames.streams.shape.outline)),
+        frames.distance(frames.pusher(), outline=transform_points(pose, frames.streams.shape.outline)),
     )
 
 
 def _body_cause(frames: _Frames) -> _Found:
-    x, y, turn = place = _place_of_outline(frames, np.arange(0.0, 2.0 * np.pi, np.pi / 4))
+    x, y, yaw = pose = _pose_of_outline(frames, np.arange(0.0, 2.0 * np.pi, np.pi / 4))
     return _cause(
         "the axes of the outline are not those of the poses",
-        f"turn its points by {np.degrees(np.angle(np.exp(1j * turn))):.1f} degrees about their origin and add ({x:.4f}, {y:.4f}) m",
-        frames.distance(frames.pusher(), outline=_placed(place, frames.streams.shape.outline)),
+        f"turn its points by {np.degrees(np.angle(np.exp(1j * yaw))):.1f} degrees about their origin and add ({x:.4f}, {y:.4f}) m",
+        frames.distance(frames.pusher(), outline=transform_points(pose, frames.streams.shape.outline)),
     )
 
 
-def _placed(place: Float64Array, points: Float64Array) -> Float64Array:
-    """Points [m], shape (n, 2), turned and moved by a place (x, y, turn)."""
-    cosine, sine = np.cos(place[2]), np.sin(place[2])
-    return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]) + place[:2])
-
-
-def _place_of_outline(frames: _Frames, turns: Float64Array) -> Float64Array:
-    """Where the outline lies in the frame of the poses (x [m], y [m], turn [rad]); with a single one of `turns` as it is."""
+def _pose_of_outline(frames: _Frames, yaws: Float64Array) -> Float64Array:
+    """Pose of the outline's frame in that of the poses (x [m], y [m], yaw [rad]), fitted from each of `yaws` [rad]; from 0 alone, without
+    its yaw."""
     pusher, outline = frames.pusher(), frames.streams.shape.outline
-    extent, free = float(np.linalg.norm(outline, axis=1).max()), 3 if len(turns) > 1 else 2
+    extent, free = float(np.linalg.norm(outline, axis=1).max()), 3 if len(yaws) > 1 else 2
 
-    def distance(place: Float64Array) -> Float64Array:
-        return frames.distance(pusher, outline=_placed(np.append(place, np.zeros(3 - len(place))), outline))
+    def distance(pose: Float64Array) -> Float64Array:
+        return frames.distance(pusher, outline=transform_points(np.append(pose, np.zeros(3 - len(pose))), outline))
 
-    places = [np.array(place) for place in product(extent * _PLACES, repeat=2)]
-    best = [min((np.append(place, turn)[:free] for place in places), key=lambda start: _rms(distance(start))) for turn in turns]
+    origins = list(product(extent * _PLACES, repeat=2))
+    best = [min((np.array([x, y, yaw])[:free] for x, y in origins), key=lambda start: _rms(distance(start))) for yaw in yaws]
     return np.append(_fitted(distance, best, frames.streams.tolerance), np.zeros(3 - free))
 
 
@@ -365,21 +361,18 @@ def _frame_cause(frames: _Frames) -> _Found:
     """The five best starts are fitted: the distance to an outline has several minima."""
     pusher = frames.pusher()
 
-    def moved(pose: Float64Array) -> Float64Array:
-        return _placed(pose, pusher)
-
     def starts() -> Iterator[Float64Array]:
         about = _turn_of_ways(frames, pusher)
         extent = float(np.linalg.norm(frames.streams.shape.outline, axis=1).max())
         for yaw in about + _TURNS:
-            middle = np.median(frames.pose[:, :2] - moved(np.array([0.0, 0.0, yaw])), axis=0)
+            middle = np.median(frames.pose[:, :2] - transform_points([0.0, 0.0, yaw], pusher), axis=0)
             for x, y in product(extent * _PLACES, repeat=2):
                 yield np.array([middle[0] + x, middle[1] + y, yaw])
 
-    best = sorted(starts(), key=lambda start: _rms(frames.distance(moved(start))))[:5]
-    pose = _fitted(lambda given: frames.distance(moved(given)), best, frames.streams.tolerance)
+    best = sorted(starts(), key=lambda start: _rms(frames.distance(transform_points(start, pusher))))[:5]
+    pose = _fitted(lambda given: frames.distance(transform_points(given, pusher)), best, frames.streams.tolerance)
     mend = f"--pusher-frame {pose[0]:.4f},{pose[1]:.4f},{pose[2]:.4f}"
-    return _cause("the pusher has another frame", mend, frames.distance(moved(pose)))
+    return _cause("the pusher has another frame", mend, frames.distance(transform_points(pose, pusher)))
 
 
 def _turn_of_ways(frames: _Frames, pusher: Float64Array) -> float:

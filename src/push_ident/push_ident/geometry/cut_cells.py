@@ -52,7 +52,7 @@ def cells_in_outline(outline: ArrayLike, size: float) -> CellGrid:
     polygon = polygon if area > 0 else polygon[::-1]
     turn = rotation(_principal_yaw(polygon))
     local = polygon @ turn / size
-    found = []
+    lattices = []
     for phase in product((0.5, 0.0), repeat=2):
         origin = 0.5 * (local.min(axis=0) + local.max(axis=0)) + phase
         pieces = _pieces(local - origin)
@@ -60,10 +60,10 @@ def cells_in_outline(outline: ArrayLike, size: float) -> CellGrid:
         if names:
             _, areas = _measured(_joined(pieces, names))
             unevenness = round(len(areas) * float(np.sum(areas**2) / np.sum(areas) ** 2), 6)
-            found.append((unevenness, (origin + names) * size @ turn.T))
-    if not found:
+            lattices.append((unevenness, (origin + names) * size @ turn.T))
+    if not lattices:
         raise too_small
-    _, squares = min(found, key=lambda way: way[0])
+    _, squares = min(lattices, key=lambda lattice: lattice[0])
     return cut_at_outline(ObjectShape(CellGrid(squares, float(size)), polygon)).cells
 
 

@@ -103,8 +103,8 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
     """
     kinds = _kinds_of(effects.names)
     (x, y), parts, size = arms, cells.parts, float(cells.size)
-    mean_x, mean_y, mean_r2, own = (float(np.mean(parts * values) / np.mean(parts)) for values in (x, y, x * x + y * y, parts))
-    spread = (mean_x, mean_y, mean_r2 + own * size**2 / 6)
+    mean_x, mean_y, mean_r2, mean_part = (float(np.average(values, weights=parts)) for values in (x, y, x * x + y * y, parts))
+    spread = (mean_x, mean_y, mean_r2 + mean_part * size**2 / 6)
     return kinds._replace(values=np.array(effects.values), d_path=d_path, spread=spread, cell_size=size, order=float(order))
 
 

@@ -112,6 +112,7 @@ VARIANTS = {
     "clocks that begin apart": Variant(later(EPOCH), says="--time-offset", remedy=("--time-offset", EPOCH)),
     "pusher 0.1 s late": Variant(tool=later(0.1), says="-0.10 to --time-offset", remedy=("--time-offset", -0.1)),
     "stamps in whole seconds": Variant(lambda rows: np.column_stack([np.floor(rows[:, 0]), rows[:, 1:]]), says="too few digits"),
+    "each pose twice": Variant(lambda rows: np.repeat(rows, 2, axis=0)),
     "rows out of order": Variant(lambda rows: np.roll(rows, 7, axis=0), says="sort the rows"),
     "y up": Variant(quaternions(y_up=True), UPRIGHT, says="--axes x,-z,y", remedy=("--axes", "x,-z,y", "--pusher-axes", "x,y,z")),
     "quaternions of either sign": Variant(quaternions(sign=-1.0), UPRIGHT),

@@ -266,12 +266,14 @@ def without_gaps(rows: Float64Array, needed: Sequence[bool], places: Sequence[ob
         notes.append(f"{name}: {late} rows come after later ones and are sorted")
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
         step = np.diff(rows[:, 0])
-    if (repeated := int(np.sum(step == 0))) > 0.5 * len(step):
+    same_time = step == 0
+    # A message that was recorded twice is left out; other rows at one time show that stamps are coarser than frames.
+    if int(np.sum(same_time & (np.abs(np.diff(rows[:, 1:], axis=0)) > 0).any(axis=1))) > 0.5 * len(step):
         raise BagError(
-            f"{what}: {repeated} of {len(rows)} rows repeat the time before, expected a time for each; were times written with too few "
-            f"digits (as {rows[0, 0]:.0f})? Write them with milliseconds at least."
+            f"{what}: most of {len(rows)} rows repeat the time before with other numbers, expected a time for each; were times written "
+            f"with too few digits (as {rows[0, 0]:.0f})? Write them with milliseconds at least."
         )
-    if repeated:
+    if repeated := int(np.sum(same_time)):
         notes.append(f"{name}: {repeated} rows repeat a time and are left out")
     return np.asarray(rows[np.append(True, step > 0)])
 

@@ -136,13 +136,13 @@ def _read_bag(source: RosbagTopics, shape: ObjectShape) -> tuple[Recording, _Set
     rows, names = body.rows, (f"{source.bag} {body.topic}", f"{source.bag} {tool.topic}")
     other = "; or name a frame of the bag's transforms with z up as --frame" if transforms.are_recorded else ""
     yaw = np.unwrap(planar_of(rows[:, 4:8], source.axes, names[0], notes, other))
-    place = rows[:, 1:4] @ source.axes.T
-    poses = np.column_stack([rows[:, 0], place[:, :2], yaw])
+    position = rows[:, 1:4] @ source.axes.T
+    poses = np.column_stack([rows[:, 0], position[:, :2], yaw])
     pusher = np.column_stack([tool.rows[:, 0], tool.rows[:, 1:4] @ source.pusher_axes.T])
     force = _force(streams["wrench"], source) if "wrench" in streams else np.zeros((0, 3))
     recording = Recording(poses, pusher, shape, None, force, names, tuple(notes), pusher_axes=source.pusher_axes)
     frames = {role: next(iter(stream.frames)) for role, stream in streams.items()}
-    return recording, _Setup(frames, body.child, float(np.median(place[:, 2])))
+    return recording, _Setup(frames, body.child, float(np.median(position[:, 2])))
 
 
 def _check_same(bag: Path, setup: _Setup, first: Path, expected: _Setup) -> None:
