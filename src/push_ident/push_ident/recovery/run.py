@@ -29,8 +29,6 @@ _QUICK: Final = DecisionPolicy(unknown=UnknownPolicy(draws=200), next_push=NextP
 """Fewer draws and candidate pushes than a diagnosis has by default: no next push is wanted, and causes are clear."""
 _MAPS_SHARE: Final = 0.5
 """Of the budget until which objects are begun [1]; the rest is for effects."""
-_DIAGNOSIS: Final = 6.0
-"""Wall time of a diagnosis over that of its base fit [1], before one is timed; measured on ten pushes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +72,6 @@ class _Trial:
         self.state, self.options, self.report, self._start = state, options, report, start
         self.noise = state.settings.noise if state.base is None else state.base.problem.noise or NoiseModel()
         self.left_out: list[str] = []
-        self._base_fit = self.elapsed
 
     @property
     def elapsed(self) -> float:
@@ -99,11 +96,11 @@ class _Trial:
         return tests
 
     def proofs(self, base: Fit, effects: Sequence[VisibleEffect], settings: DiagnosisSettings) -> list[Proof]:
-        """Of effects that are worth it, while the time lasts."""
+        """Of effects that are worth it, while the time lasts for another one like the last."""
         proofs: list[Proof] = []
-        chosen, expected = worth_proving(effects), _DIAGNOSIS * self._base_fit
+        chosen, longest = worth_proving(effects), 0.0
         for k, effect in enumerate(chosen):
-            if self.elapsed + expected > self.options.seconds:
+            if self.elapsed + longest > self.options.seconds:
                 self.left_out.append(f"proof of {', '.join(one.name for one in chosen[k:])}: no time")
                 break
             self.report(f"putting {effect.name} into the pushes and diagnosing them")
@@ -114,7 +111,7 @@ class _Trial:
                 )
             except InputError as error:
                 self.left_out.append(f"proof of {effect.name}: {error}")
-            expected = self.elapsed - start
+            longest = max(longest, self.elapsed - start)
         return proofs
 
 

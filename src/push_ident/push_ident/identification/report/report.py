@@ -113,8 +113,8 @@ def _headline(result: Identification, train: PushErrors, test: PushErrors, known
     centre = posterior.model.centre_of_friction
     spread = {q.name: q.std for q in known.quantities}
     centre_text = (
-        f"the centre of friction is at ({1e3 * centre[0]:z.0f} ± {1e3 * spread['centre of friction x']:.0f}, "
-        f"{1e3 * centre[1]:z.0f} ± {1e3 * spread['centre of friction y']:.0f}) mm of the object frame"
+        f"the centre of friction is at ({1e3 * centre[0]:z.1f} ± {1e3 * spread['centre of friction x']:.1f}, "
+        f"{1e3 * centre[1]:z.1f} ± {1e3 * spread['centre of friction y']:.1f}) mm of the object frame"
     )
     mass = posterior.total_mass
     weight = (
