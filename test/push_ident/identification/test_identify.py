@@ -20,9 +20,13 @@ from push_ident.identification.results.posterior import prior_posterior
 from push_ident.identification.results.result import Identification
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.scenario import PushScenario
-from push_ident.types import SolveStatus
+from push_ident.types import PushRecord, SolveStatus
 
 RECORDS = random_records(hammer(0), 12, 0)
+
+
+def with_late_poses(record: PushRecord, seconds: float) -> PushRecord:
+    return replace(record, poses=replace(record.poses, time=record.poses.time + seconds))
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +39,13 @@ def test_four_noisy_pushes_predict_others_within_three_millimetres(result: Ident
     assert result.status is SolveStatus.CONVERGED
     uniform, identified = (float(np.mean(held_out_errors(m, RECORDS[4:]))) for m in (result.uniform, result.model))
     assert identified < 3e-3 and identified < 0.5 * uniform
+
+
+def test_a_fit_that_leaves_more_than_noise_says_so(result: Identification) -> None:
+    assert not [note for note in result.notes if "squared residuals" in note]
+    late = identify([with_late_poses(record, 0.04) for record in RECORDS[:4]])
+    assert late.reduced_chi2 > 1.5
+    assert [note for note in late.notes if f"{late.reduced_chi2:.2g} times those of noise" in note]
 
 
 def test_threads_change_no_bit_of_a_result_and_report_progress_in_order() -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
 
 from push_ident.checking.records import RecordCheck
 from push_ident.identification.results.explanation import Explanation
@@ -11,6 +14,11 @@ from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.unknowns.prior import MapPrior
 from push_ident.pages.tables import html_table
 from push_ident.types import Float64Array, ObjectModel, SolveStatus, short_repr
+
+_DEVIATIONS: Final = 3.0
+"""Standard deviations by which a misfit exceeds 1 where it is said: by chance in 0.1 % of fits."""
+_QUANTILE_STD: Final = 1.03
+"""Relative standard deviation of the quantile of 0.8 of chi squared with 3 degrees of freedom, times the root of the number of frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +116,15 @@ class Identification:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was corrected in the pushes."""
-        return self.checked.notes
+        """What was corrected in the pushes, and whether the fit leaves more of them than noise does."""
+        n_frames = max(1, sum(len(record.poses.time) for record in self.checked.records))
+        if not self.reduced_chi2 > 1.0 + _DEVIATIONS * _QUANTILE_STD / np.sqrt(n_frames):
+            return self.checked.notes
+        misfit = (
+            f"the squared residuals are {self.reduced_chi2:.2g} times those of noise: the pushes hold something that the model lacks, as "
+            "an impact, a delay or another outline; standard deviations are widened by it, and `push-ident diagnose` looks for its cause"
+        )
+        return (*self.checked.notes, misfit)
 
     @property
     def warnings(self) -> tuple[str, ...]:
