@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.geometry.outline import signed_distance
 from push_ident.identification.export.description import describe
 from push_ident.identification.export.files import SUFFIXES, write_description
+from push_ident.identification.export.samples import drawn_objects, ranges
+from push_ident.identification.predicting.prediction import predict
 from push_ident.identification.results.model_file import load_model, save_model
 from push_ident.identification.results.posterior import Estimate, ModelPosterior
 from push_ident.identification.unknowns.prior import Prior
@@ -347,12 +350,53 @@ def test_command_writes_beside_the_model_and_the_same_bytes_again(
         links.assert_carries(load_model(model_file)[1].model)
 
 
+def test_samples_share_the_outline_and_ranges_say_what_they_have_in_common(
+    model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In MuJoCo each sample has the masses that the file of numbers states, and all scatter as the posterior says."""
+    for name in SUFFIXES:
+        folder, known = tmp_path / name, tmp_path / f"{name}.json"
+        assert command(monkeypatch, model_file, "--format", name, "--samples", 40, "--out", folder, "--ranges", known) == 0
+        assert sum(path.suffix == ".obj" for path in folder.iterdir()) == (name != "mjcf")
+    samples, text = [json.loads((tmp_path / name / "samples.json").read_text())["samples"] for name in ("mjcf", "urdf")]
+    assert samples == text and len(samples) == 40
+    links = links_in_mujoco(tmp_path / "mjcf" / "sample_007.xml")
+    np.testing.assert_allclose([m for m in links.mass if m > 1e-6], samples[7]["mass_kg"], rtol=1e-12)
+    quantities = {q["name"]: q for q in json.loads((tmp_path / "mjcf.json").read_text())["quantities"]}
+    total = np.array([one["total_mass_kg"] for one in samples])
+    posterior = load_model(model_file)[1]
+    assert quantities["total mass"]["std"] == pytest.approx(posterior.total_mass.std, rel=0.3)
+    assert np.std(np.log(total)) == pytest.approx(posterior.total_mass.std / posterior.total_mass.value, rel=0.35)
+    assert np.mean((total > quantities["total mass"]["low_5_percent"]) & (total < quantities["total mass"]["high_95_percent"])) >= 0.8
+
+
+def test_ends_of_samples_scatter_as_predicted(model_file: Path) -> None:
+    posterior = load_model(model_file)[1]
+    drawn = drawn_objects(posterior, 60, 3)
+    for pose, pusher in random_pushes(posterior.model, 3, 9):
+        scenario = PushScenario(pusher, pose, pusher.time[-1:])
+        ends = np.array([simulate(one.model, scenario, effects=one.effects).pose[-1] for one in drawn])
+        stated = np.std(predict(posterior, scenario, first_covariance=np.zeros((3, 3)), n_samples=60).ends, axis=0)
+        assert np.all(np.std(ends, axis=0) < 2.0 * stated + 1e-4) and np.all(np.std(ends, axis=0) > 0.5 * stated - 1e-4)
+
+
+def test_ranges_hold_what_was_drawn_with_correlations(model_file: Path) -> None:
+    known = ranges(load_model(model_file)[1])
+    assert np.all(known.low < known.mean) and np.all(known.mean < known.high) and known.names[0] == "total mass"
+    np.testing.assert_allclose(np.diag(known.correlation), 1.0)
+    # A heavier object of the same shape has more inertia.
+    assert known.correlation[0, known.names.index("yaw inertia about the centre of mass")] > 0.5
+    with pytest.raises(InputError, match="expected at least 1"):
+        drawn_objects(load_model(model_file)[1], 0)
+
+
 def test_what_cannot_be_exported_ends_in_one_clear_line(
     model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = model_file.read_bytes()
     for arguments, says in (
         ((model_file, "--format", "usd"), "expected one of sdf, urdf, mjcf"),
+        ((model_file,), "There is nothing to write"),
         ((model_file, "--format", "sdf", "--cells", "welded"), "expected one of sliding, fixed"),
         ((model_file, "--format", "mjcf", "--out", model_file), "is the model itself"),
         ((model_file, "--format", "urdf", "--out", model_file / "thing.urdf"), "Cannot write"),

@@ -2,32 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from push_ident.errors import InputError, ModelFileError
-from push_ident.files import write_whole
+from push_ident.files import json_text, write_whole
 from push_ident.identification.export.description import ObjectDescription, printable
 from push_ident.identification.export.mjcf import mjcf
+from push_ident.identification.export.samples import sample_json
 from push_ident.identification.export.sdf import sdf
 from push_ident.identification.export.urdf import urdf
+from push_ident.identification.results.posterior import ModelPosterior
 
 SUFFIXES = {"sdf": ".sdf", "urdf": ".urdf", "mjcf": ".xml"}
 """Suffix of the file of each format."""
 
 
-def write_description(path: Path, description: ObjectDescription, format_name: str) -> list[Path]:
+def write_description(path: Path, description: ObjectDescription, format_name: str, *, mesh: Path | None = None) -> list[Path]:
     """Write an object for a simulator, in a format of `SUFFIXES`; the files written. The same object gives the same bytes.
 
-    SDF and URDF have no polyhedra: their outline is written to a mesh file, `path` with .obj added.
+    SDF and URDF have no polyhedra: their outline is written to a mesh file, `path` with .obj added unless `mesh` names one in that folder.
 
     Raises:
         InputError: unknown format.
         ModelFileError: a file cannot be written.
     """
-    mesh = path.with_name(path.name + ".obj")
+    mesh = mesh or path.with_name(path.name + ".obj")
     if format_name == "mjcf":
         files = {path: _xml(mjcf(description))}
     elif format_name in SUFFIXES:
@@ -38,6 +41,33 @@ def write_description(path: Path, description: ObjectDescription, format_name: s
     for file, content in files.items():
         write_whole(file, content, "the description", error=ModelFileError)
     return list(files)
+
+
+def write_samples(
+    folder: Path, drawn: Sequence[ModelPosterior], described: Callable[[ModelPosterior], ObjectDescription], format_name: str
+) -> list[Path]:
+    """Write drawn objects for a simulator, `sample_000` and so on, which share their mesh, and all their numbers as `samples.json`.
+
+    Args:
+        folder: where to, made if missing.
+        drawn: of `drawn_objects`.
+        described: an object for a simulator.
+        format_name: of `SUFFIXES`.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InputError: unknown format.
+        ModelFileError: a file cannot be written.
+    """
+    files: dict[Path, None] = {}
+    for number, one in enumerate(drawn):
+        path = folder / f"sample_{number:03d}{SUFFIXES.get(format_name, '')}"
+        files |= dict.fromkeys(write_description(path, described(one), format_name, mesh=folder / "outline.obj"))
+    numbers = folder / "samples.json"
+    write_whole(numbers, json_text({"samples": [sample_json(one) for one in drawn]}), "the samples", error=ModelFileError)
+    return [numbers, *files]
 
 
 def _xml(root: ElementTree.Element) -> bytes:
