@@ -20,6 +20,20 @@ from push_ident.identification.results.model_file import failure_of_model, load_
 from push_ident.identification.results.posterior import ModelPosterior
 
 _CELLS = {"sliding": True, "fixed": False}
+_HeightOption = Annotated[
+    float,
+    typer.Option(metavar="M", parser=in_unit("m"), callback=above_zero, help="Height of the object, which pushes do not determine [m]."),
+]
+_SamplesOption = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="Write so many objects that the pushes allow, instead of the mean one.", show_default=False),
+]
+_RangesOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--ranges", metavar="FILE", callback=writable_file, help="Write what is known of each quantity, as JSON.", show_default=False
+    ),
+]
 
 
 def export_command(
@@ -39,26 +53,13 @@ def export_command(
             show_default=False,
         ),
     ] = None,
-    height: Annotated[
-        float,
-        typer.Option(
-            metavar="M", parser=in_unit("m"), callback=above_zero, help="Height of the object, which pushes do not determine [m]."
-        ),
-    ] = DEFAULT_HEIGHT,
+    height: _HeightOption = DEFAULT_HEIGHT,
     cells: Annotated[
         str,
         typer.Option(metavar="|".join(_CELLS), help="sliding: each cell carries its own weight. fixed: one rigid body."),
     ] = "sliding",
-    samples: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Write so many objects that the pushes allow, instead of the mean one.", show_default=False),
-    ] = None,
-    ranges_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--ranges", metavar="FILE", callback=writable_file, help="Write what is known of each quantity, as JSON.", show_default=False
-        ),
-    ] = None,
+    samples: _SamplesOption = None,
+    ranges_file: _RangesOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the samples and the ranges.")] = 0,
 ) -> None:
     """Write a model for a simulator: mass and friction of every cell, and the outline for the pusher.
