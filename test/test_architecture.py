@@ -27,6 +27,7 @@ ORDER = [
     "pushing",
     "physics",
     "identification",
+    "simulators",
     "planning",
     "diagnosis",
     "recovery",

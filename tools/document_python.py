@@ -16,6 +16,7 @@ STAGES = {
         "physics",
         "physics.effects",
         "identification",
+        "simulators",
         "planning",
         "diagnosis",
         "recovery",

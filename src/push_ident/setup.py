@@ -27,6 +27,7 @@ extras = {
     "arm": ["pin>=4.1"],
     "fleet": ["pyarrow>=26.0", "ray>=2.60"],
     "mit": ["h5py>=3.16"],
+    "mujoco": ["mujoco>=3.3,<4"],
     "pcd": ["open3d>=0.20"],
     "report": ["jinja2>=3.1", "matplotlib>=3.11"],
     "torch": ["torch>=2.13"],

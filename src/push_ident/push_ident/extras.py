@@ -11,6 +11,7 @@ EXTRAS: Final = {
     "arm": ("pinocchio",),
     "fleet": ("ray", "pyarrow"),
     "mit": ("h5py",),
+    "mujoco": ("mujoco",),
     "pcd": ("open3d",),
     "report": ("jinja2", "matplotlib"),
     "torch": ("torch",),

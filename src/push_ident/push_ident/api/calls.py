@@ -25,6 +25,7 @@ from push_ident.api.arrays import record, records
 from push_ident.bags.read_options import ReadOptions, parse_topics
 from push_ident.checking.records import RecordCheck, check_records
 from push_ident.diagnosis.diagnose import diagnose as _diagnose
+from push_ident.diagnosis.diagnose import with_simulator
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
@@ -44,7 +45,8 @@ from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.offline.pusher_file import read_pusher_path
 from push_ident.recovery.run import SelfTest, SelfTestOptions
 from push_ident.recovery.run import selftest as _selftest
-from push_ident.types import PusherPath, PushRecord
+from push_ident.simulators.protocol import FunctionSimulator, PushSimulator
+from push_ident.types import Float64Array, PusherPath, PushRecord
 
 if TYPE_CHECKING:
     from push_ident.api.plots import Picture
@@ -232,6 +234,7 @@ def diagnose(
     from_camera: bool = False,
     against: Sequence[PushRecord] = (),
     earlier: Diagnosis | None = None,
+    simulator: PushSimulator | Callable[[Float64Array, PusherPath, Float64Array], Float64Array] | None = None,
 ) -> Diagnosis:
     """Say where simulation and reality differ, which effect that the model lacks causes it, and how far the gap shrinks with it.
 
@@ -243,9 +246,11 @@ def diagnose(
         from_camera: whether poses and outline come from a camera.
         against: pushes of the same object in the same cell while all was well: effects are then changes since.
         earlier: outcome for the first of these pushes, from whose fits this diagnosis starts: with one more push it takes less time.
+        simulator: a simulation of your own, whose gap on these pushes is divided as well: `MujocoScene`, another `PushSimulator`, or a
+            function `(first_pose, tool_path, times)` that returns poses (x, y, yaw), shape (n, 3).
 
     Returns:
-        `verdict`, `sentence`, `effects` with their sizes, `next_push` and more.
+        `verdict`, `sentence`, `effects` with their sizes, `next_push`, `simulator` and more.
 
     Raises:
         InputError: no push, pushes of different objects, or an unknown effect.
@@ -253,7 +258,11 @@ def diagnose(
     settings = DiagnosisSettings(
         prior=_weighed(prior or Prior(), total_mass), base_effects=tuple(base_effects), outline_from_camera=from_camera
     )
-    return _diagnose(list(pushes), settings, against=list(against), earlier=earlier)
+    found = _diagnose(list(pushes), settings, against=list(against), earlier=earlier)
+    if simulator is None:
+        return found
+    scene = simulator if isinstance(simulator, PushSimulator) else FunctionSimulator(simulator)
+    return with_simulator(found, list(pushes), scene, settings.prior)
 
 
 @in_one_thread

@@ -26,7 +26,8 @@ from push_ident.cli.identify import (
     read_options,
 )
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, progress, say, warn, write_json
-from push_ident.diagnosis.diagnose import diagnose
+from push_ident.cli.scene import ObjectBodyOption, ObjectInBodyOption, PusherBodyOption, TableInSceneOption, scene_of
+from push_ident.diagnosis.diagnose import diagnose, with_simulator
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.report import write_report
 from push_ident.diagnosis.result import Diagnosis
@@ -50,6 +51,13 @@ _AgainstOption = Annotated[
         show_default=False,
     ),
 ]
+_FromCameraOption = Annotated[
+    bool, typer.Option("--from-camera", help="Poses and outline in the bags come from a camera, not from a model.")
+]
+_SimulatorOption = Annotated[
+    Path | None,
+    typer.Option("--simulator", metavar="SCENE", help="Divide the gap of this scene of MuJoCo (MJCF) as well.", show_default=False),
+]
 
 
 def diagnose_command(
@@ -61,15 +69,18 @@ def diagnose_command(
     against: _AgainstOption = None,
     without: WithoutOption = "",
     no_forces: NoForcesOption = False,
+    simulator: _SimulatorOption = None,
+    object_body: ObjectBodyOption = "",
+    pusher_body: PusherBodyOption = "",
+    table_in_scene: TableInSceneOption = "",
+    object_in_body: ObjectInBodyOption = "",
     out: OutOption = None,
     json: JsonOption = None,
     object_id: ObjectOption = "",
     camera: CameraOption = None,
     map_: MapOption = None,
     depth_unit: DepthUnitOption = None,
-    from_camera: Annotated[
-        bool, typer.Option("--from-camera", help="Poses and outline in the bags come from a camera, not from a model.")
-    ] = False,
+    from_camera: _FromCameraOption = False,
     total_mass: TotalMassOption = None,
     nominal_mass: NominalMassOption = _NOMINAL.total_mass,
     friction: FrictionOption = _NOMINAL.friction,
@@ -82,6 +93,7 @@ def diagnose_command(
         need("report")
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
+    scene = simulator and scene_of(simulator, object_body, pusher_body, table_in_scene, object_in_body)
     left_out = parse_numbers(without, "--without") if without else []
     options, in_table = read_options(map_, depth_unit), read_camera(camera)
     with progress() as report:
@@ -94,6 +106,8 @@ def diagnose_command(
             both = load_pushes([*bags, *against], object_id=loaded.object_id, camera_in_table=in_table, options=options, on_progress=report)
             reference = leave_out(both[len(loaded) :], [], no_forces=no_forces)[0]
         diagnosis = diagnose(records, settings, against=reference, on_progress=report)
+        if scene:
+            diagnosis = with_simulator(diagnosis, records, scene, prior, report)
     _show(diagnosis, loaded.notes)
     content = to_json(diagnosis)
     for file in (json, None if out is None else out / "diagnosis.json"):
@@ -121,6 +135,8 @@ def _show(diagnosis: Diagnosis, notes: Sequence[str]) -> None:
         say(f"To check: {diagnosis.check}")
     if diagnosis.next_push is not None and (push := describe_push(diagnosis.next_push)) not in diagnosis.sentence:
         say(f"The push that teaches most: {push}.")
+    for line in diagnosis.simulator.lines() if diagnosis.simulator else ():
+        say(line)
     if diagnosis.selection is not None:
         console.print(_ranking(diagnosis.selection))
 

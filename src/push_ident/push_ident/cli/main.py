@@ -21,6 +21,7 @@ LazyGroup.lazy_subcommands = {
         ("identify", "identify:identify_command", "Identify the mass and friction maps from recorded pushes"),
         ("predict", "predict:predict_command", "Predict recorded pushes with a model and compare"),
         ("diagnose", "diagnose:diagnose_command", "Report which missing effect causes a gap, and where"),
+        ("fix", "fix:fix_command", "Correct a scene of MuJoCo by recorded pushes"),
         ("selftest", "selftest:selftest_command", "Show what recorded pushes can tell, and what not"),
         ("fleet", "fleet:fleet_command", "Identify many bags in parallel"),
         ("export", "export:export_command", "Write a model for a simulator"),
@@ -37,7 +38,7 @@ LazyGroup.lazy_subcommands = {
         ("salvage", "salvage:salvage_command", "Copy the readable messages of a damaged bag"),
     )
 }
-_READ_FILES = frozenset({"look", "identify", "predict", "diagnose", "selftest", "import", "salvage"})
+_READ_FILES = frozenset({"look", "identify", "predict", "diagnose", "fix", "selftest", "import", "salvage"})
 """Commands that read what others recorded, in this process."""
 app = typer.Typer(
     name="push-ident",

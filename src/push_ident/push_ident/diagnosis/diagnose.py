@@ -17,9 +17,27 @@ from push_ident.diagnosis.settings import DiagnosisSettings, Progress
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.diagnosis.validate import validate
 from push_ident.errors import InputError
+from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.effects import EFFECTS
 from push_ident.pushing.push import PushSettings
+from push_ident.simulators.gap import simulator_gap
+from push_ident.simulators.protocol import PushSimulator
 from push_ident.types import PushRecord
+
+
+def with_simulator(
+    diagnosis: Diagnosis,
+    records: Sequence[PushRecord],
+    simulator: PushSimulator,
+    prior: Prior | None = None,
+    on_progress: Progress | None = None,
+) -> Diagnosis:
+    """A diagnosis of pushes with the gap of somebody else's simulator on them, divided by the causes that were found.
+
+    Raises InputError as `simulator_gap` does.
+    """
+    names = [effect.name for effect in diagnosis.effects]
+    return replace(diagnosis, simulator=simulator_gap(records, simulator, prior, effects=names, on_progress=on_progress))
 
 
 def diagnose(

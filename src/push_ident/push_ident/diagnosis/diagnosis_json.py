@@ -49,6 +49,7 @@ def to_json(diagnosis: Diagnosis) -> Json:
         "mechanisms": p and dict(p.mechanisms),
         "subsystems": p and {part.value: value for part, value in p.subsystems.items()},
         "something_else": _something_else(diagnosis),
+        "simulator": diagnosis.simulator and diagnosis.simulator.as_json(),
         "warnings": list(diagnosis.warnings),
         "gates": [{"passed": g.passed, "found": g.finding, "remedy": g.remedy} for g in diagnosis.gates],
     }

@@ -19,6 +19,7 @@ from push_ident.diagnosis.wording import amplitude_of, size_of
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.predicting.next_push import PlannedPush
 from push_ident.pages.tables import html_table
+from push_ident.simulators.gap import SimulatorGap
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +76,8 @@ class Diagnosis:
     """Of the residuals beside all effects that were named."""
     excess_autocorrelation: float = np.nan
     """Of the same residuals."""
+    simulator: SimulatorGap | None = None
+    """The gap of somebody else's simulator on the same pushes, where one was given."""
     warnings: tuple[str, ...] = ()
     """What is wrong with the pushes, whatever the verdict says: contacts, clocks or forces that contradict each other (`checking/`)."""
 

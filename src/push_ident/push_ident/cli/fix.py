@@ -1,0 +1,98 @@
+"""`push-ident fix`: a scene of somebody else, corrected by what recorded pushes show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from push_ident.bags.read_options import ReadOptions
+from push_ident.cli.checks import writable_file
+from push_ident.cli.identify import MapOption, ObjectOption, TotalMassOption, prior_of_options, read_options
+from push_ident.cli.output import BagsArgument, JsonOption, progress, say, warn, write_json
+from push_ident.cli.scene import ObjectBodyOption, ObjectInBodyOption, PusherBodyOption, TableInSceneOption, scene_of
+from push_ident.diagnosis.diagnose import diagnose
+from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.errors import InputError
+from push_ident.files import write_whole
+from push_ident.identification.identify import identify
+from push_ident.identification.results.result import Identification
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.offline.loading import load_pushes
+from push_ident.simulators.gap import SimulatorGap, corrected_by, simulator_gap
+from push_ident.simulators.measured import Measured
+from push_ident.simulators.mujoco_scene import MujocoScene
+
+_NOMINAL = Prior()
+_OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="FILE", callback=writable_file, help="Default: beside the scene.", show_default=False)
+]
+_WithOption = Annotated[
+    list[str] | None,
+    typer.Option("--with", metavar="EFFECT", help="Add this cause instead of those of a diagnosis; may be repeated.", show_default=False),
+]
+
+
+def fix_command(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="MJCF file of MuJoCo.", show_default=False)],
+    bags: BagsArgument,
+    object_body: ObjectBodyOption = "",
+    pusher_body: PusherBodyOption = "",
+    table_in_scene: TableInSceneOption = "",
+    object_in_body: ObjectInBodyOption = "",
+    with_: _WithOption = None,
+    out: _OutOption = None,
+    json: JsonOption = None,
+    object_id: ObjectOption = "",
+    map_: MapOption = None,
+    total_mass: TotalMassOption = None,
+) -> None:
+    """Correct a scene of MuJoCo by recorded pushes, and show in that engine how far its gap shrinks.
+
+    The object gets a foot with mass and friction under each cell, its outline the friction of the pusher; a tilt of the table becomes
+    gravity, contacts become precise. Causes of tool, clocks and camera are corrections of the data: they stand in the JSON result.
+    """
+    simulator = scene_of(scene, object_body, pusher_body, table_in_scene, object_in_body)
+    path = out or scene.with_name(f"{scene.stem}_fixed.xml")
+    if path.exists() and path.samefile(scene):
+        raise InputError(f"{path} is the scene itself; name another file with --out.")
+    prior = prior_of_options(total_mass, _NOMINAL.total_mass, _NOMINAL.friction, _NOMINAL.pusher_friction)
+    with progress() as report:
+        options: ReadOptions = read_options(map_, None)
+        loaded = load_pushes(bags, object_id=object_id, options=options, on_progress=report)
+        effects = with_
+        if effects is None:
+            diagnosis = diagnose(loaded.records, DiagnosisSettings(prior=prior), on_progress=report)
+            effects = [effect.name for effect in diagnosis.effects]
+        gap = simulator_gap(loaded.records, simulator, prior, effects=effects, on_progress=report)
+        report("identifying from all pushes")
+        fit = identify(loaded.records, prior, effects=effects)
+        if fit.status.is_failure:
+            raise InputError(f"The pushes identify no object, so that the scene cannot be corrected: {fit.status.value}.")
+        _write(path, simulator, fit)
+    for note in loaded.notes:
+        warn(f"note: {note}")
+    _show(gap, fit, path)
+    write_json(
+        json, {**gap.as_json(), "effects": dict(zip(fit.posterior.effects.labels, map(float, fit.posterior.effects.values), strict=True))}
+    )
+
+
+def _write(path: Path, simulator: MujocoScene, fit: Identification) -> None:
+    """The corrected scene, which has to be readable again."""
+    corrected = corrected_by(simulator, fit)
+    assert isinstance(corrected, Measured) and isinstance(corrected.simulator, MujocoScene)
+    write_whole(path, corrected.simulator.xml(), "the scene")
+
+
+def _show(gap: SimulatorGap, fit: Identification, path: Path) -> None:
+    before, after = (float(np.mean(gap.errors[row])) for row in (0, -2))
+    for line in gap.lines():
+        say(line)
+    say(f"On pushes that no fit has seen, the error of this scene falls from {1e3 * before:.1f} to {1e3 * after:.1f} mm.")
+    outside = [name for name in fit.posterior.effects.names if name not in gap.left_out]
+    if outside:
+        say(f"Of {', '.join(outside)}, those of tool, clocks and camera are corrections of the data, not of the scene.")
+    say(f"written {path}")

@@ -1,0 +1,1 @@
+"""Simulators of other people: recorded pushes repeated in them, and their gap to what was recorded."""

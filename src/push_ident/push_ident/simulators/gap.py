@@ -1,0 +1,169 @@
+"""The gap of somebody else's simulator, in parts that add up.
+
+Each push is repeated in the simulator and compared with its recorded end. What the simulator gets wrong is divided by correcting one thing
+after the other, always by fits that have not seen the push:
+
+    gap = (as it is - with the identified object)            its mass and friction
+        + (that - with precise contact)                      its contact parameters and time step
+        + (that - with an effect), for each effect           what the scene or the data lack
+        + (that - the model of this package, same object)    what its engine does otherwise
+        + the error of that model                            noise, maps, other causes: the account of a diagnosis
+
+The parts are differences of mean cell errors on the same pushes [m]; a part is negative where a correction makes the simulator worse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.geometry.cells import cell_error
+from push_ident.identification.fitting.fit import FitOptions
+from push_ident.identification.identify import identify
+from push_ident.identification.observing.observation import observe_push
+from push_ident.identification.predicting.prediction import held_out_errors
+from push_ident.identification.results.result import Identification
+from push_ident.identification.unknowns.prior import Prior
+from push_ident.physics.effect_values import effect_values
+from push_ident.simulators.measured import Measured, inexpressible
+from push_ident.simulators.protocol import CorrectableSimulator, PushSimulator
+from push_ident.types import Float64Array, PushRecord
+
+OBJECT: Final = "mass and friction of the object"
+CONTACT: Final = "contact parameters and time step"
+ENGINE: Final = "what the engine does otherwise"
+ALL: Final = "mass and friction of the object, contact, and what the engine does otherwise"
+MODEL: Final = "noise, and what the model lacks"
+_WITH_OBJECT: Final = "with the identified object"
+_PRECISE: Final = "with precise contact"
+_MODEL: Final = "the model"
+_FOLDS: Final = 4
+"""Parts of the pushes that are held out in turn: each fit has three of four pushes."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatorGap:
+    """Errors of a simulator on recorded pushes."""
+
+    name: str
+    """Of the simulator."""
+    stages: tuple[str, ...]
+    """What was corrected, one after the other; the first is the simulator as it is, the last the model of this package."""
+    errors: Float64Array
+    """Cell error at the end of each push [m], shape (n_stages, n_pushes)."""
+    parts: tuple[str, ...]
+    """Names of the differences from one stage to the next; the last is what remains."""
+    left_out: tuple[str, ...] = ()
+    """Effects among them that neither the scene nor corrected data can have: their part is that of a refitted object."""
+
+    @property
+    def sizes(self) -> Float64Array:
+        """Mean of each part over the pushes [m], shape (n_parts,); they add up to the gap."""
+        means = self.errors.mean(axis=1)
+        return np.append(means[:-1] - means[1:], means[-1])
+
+    @property
+    def stds(self) -> Float64Array:
+        """Standard error of each part from push to push [m], shape (n_parts,)."""
+        rows = np.vstack([self.errors[:-1] - self.errors[1:], self.errors[-1:]])
+        return np.asarray(rows.std(axis=1, ddof=1) / np.sqrt(rows.shape[1]))
+
+    def lines(self) -> list[str]:
+        """For people: the gap and its parts."""
+        width = max(map(len, self.parts))
+        total = f"{self.name} misses the ends of {self.errors.shape[1]} pushes by {1e3 * float(self.errors[0].mean()):.1f} mm in the mean:"
+        rows = zip(self.parts, self.sizes, self.stds, strict=True)
+        lines = [total, *(f"  {name:<{width}}  {1e3 * size:6.1f} ± {1e3 * std:.1f} mm" for name, size, std in rows)]
+        return [*lines, *(f"  {name} is in no scene: its part is that of the object fitted beside it" for name in self.left_out)]
+
+    def as_json(self) -> dict[str, object]:
+        """Plain numbers in SI units."""
+        keys = ("name", "mean", "std")
+        parts = [
+            dict(zip(keys, (name, float(m), float(s)), strict=True)) for name, m, s in zip(self.parts, self.sizes, self.stds, strict=True)
+        ]
+        stages = [{"name": name, "errors": row.tolist()} for name, row in zip(self.stages, self.errors, strict=True)]
+        return {"simulator": self.name, "parts": parts, "stages": stages, "in_no_scene": list(self.left_out)}
+
+
+def simulator_gap(
+    records: Sequence[PushRecord],
+    simulator: PushSimulator,
+    prior: Prior | None = None,
+    *,
+    effects: Sequence[str] = (),
+    options: FitOptions | None = None,
+    on_progress: Callable[[str], None] | None = None,
+) -> SimulatorGap:
+    """Repeat recorded pushes in a simulator, and divide its error.
+
+    Args:
+        records: pushes of one object, at least 4.
+        simulator: whose gap it is. One that is no `CorrectableSimulator` has the parts of object, contact and engine as one.
+        prior: of the object.
+        effects: names of causes, of a diagnosis, that are added one after the other.
+        options: of the fits.
+        on_progress: called with what is under way.
+
+    Raises:
+        InputError: fewer than 4 pushes, fits that explain nothing, or a simulator that fails.
+    """
+    if len(records) < _FOLDS:
+        raise InputError(f"There are {len(records)} pushes, expected {_FOLDS} or more: each is compared with fits that did not see it.")
+    report = on_progress or (lambda text: None)
+    report(f"repeating {len(records)} pushes in {simulator.name}")
+    corrected = isinstance(simulator, CorrectableSimulator)
+    stages = (*((_WITH_OBJECT, _PRECISE) if corrected else ()), *(f"with {name}" for name in effects), _MODEL)
+    errors = np.full((1 + len(stages), len(records)), np.nan)
+    errors[0] = _errors(simulator, records)
+    for fold in range(_FOLDS):
+        held_out = list(range(fold, len(records), _FOLDS))
+        tests, train = [records[k] for k in held_out], [record for k, record in enumerate(records) if k not in held_out]
+        fits = []
+        for n in range(len(effects) + 1):
+            report(f"identifying {' and '.join(('the object', *effects[:n]))} from {len(train)} pushes")
+            fits.append(_identified(train, prior, effects[:n], options))
+        for row, scene in enumerate(_corrected_one_after_the_other(simulator, fits), start=1):
+            report(f"repeating the other {len(tests)} pushes in {simulator.name} {stages[row - 1]}")
+            errors[row, held_out] = _errors(scene, tests)
+        errors[-1, held_out] = held_out_errors(fits[-1].model, tests, effects=fits[-1].posterior.effects)
+    parts = (*((OBJECT, CONTACT) if corrected else ()), *effects, ENGINE if corrected else ALL, MODEL)
+    left_out = inexpressible(effect_values(tuple(effects)))
+    return SimulatorGap(simulator.name, ("as it is", *stages), errors, parts, left_out)
+
+
+def _identified(records: Sequence[PushRecord], prior: Prior | None, effects: Sequence[str], options: FitOptions | None) -> Identification:
+    result = identify(records, prior, effects=effects, options=options)
+    if result.status.is_failure:
+        raise InputError(f"{len(records)} of the pushes identify no object: {result.status.value}.")
+    return result
+
+
+def _corrected_one_after_the_other(simulator: PushSimulator, fits: Sequence[Identification]) -> Iterator[PushSimulator]:
+    """The simulator with the object of the first fit, with precise contact, and with the object and the effects of each further fit."""
+    if isinstance(simulator, CorrectableSimulator):
+        yield simulator.with_object(fits[0].model)
+    for fit in fits if isinstance(simulator, CorrectableSimulator) else fits[1:]:
+        yield corrected_by(simulator, fit)
+
+
+def corrected_by(simulator: PushSimulator, fit: Identification) -> PushSimulator:
+    """The simulator with the object of a fit, precise contact, and those of its effects that scene or data can have."""
+    effects = fit.posterior.effects
+    if isinstance(simulator, CorrectableSimulator):
+        return Measured(simulator.with_object(fit.model, effects).with_precise_contact(), effects)
+    return Measured(simulator, effects)
+
+
+def _errors(simulator: PushSimulator, records: Sequence[PushRecord]) -> Float64Array:
+    """Cell error at the end of each push [m], shape (n_records,)."""
+    errors = []
+    for record in records:
+        observed = observe_push(record)
+        end = simulator.simulate(observed.pose[0], record.pusher, observed.time[-1:])[-1]
+        errors.append(cell_error(record.shape.cells, end, observed.pose[-1]))
+    return np.array(errors)

@@ -1,0 +1,54 @@
+"""A simulator as the cell sees it: errors of the tool's path, of clocks and of the camera, which act outside any engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from push_ident.physics.effect import ExportAs, OnPoses, OnPusherPath, OnTimes
+from push_ident.physics.effect_values import EffectValues, driven_path, measurement_times, reported_poses, true_pose
+from push_ident.simulators.protocol import PushSimulator
+from push_ident.types import Float64Array, PusherPath
+
+_STEP: Final = 2e-3
+"""Of the path [s]: a lag of the tool is a law of time."""
+_OUTSIDE: Final = (OnPusherPath, OnTimes, OnPoses)
+_IN_SCENE: Final = (ExportAs.GRAVITY, ExportAs.PUSHER_FRICTION)
+
+
+def inexpressible(effects: EffectValues) -> tuple[str, ...]:
+    """Names of the effects that neither a scene nor corrected data can have."""
+    return tuple(one.name for one in effects.effects if not isinstance(one.acts, _OUTSIDE) and one.export not in _IN_SCENE)
+
+
+def corrected_path(effects: EffectValues, path: PusherPath) -> PusherPath:
+    """The path that the tool drove where `path` was reported."""
+    if not any(isinstance(one.acts, OnPusherPath) for one in effects.effects):
+        return path
+    time = np.linspace(path.time[0], path.time[-1], max(2, int(np.ceil((path.time[-1] - path.time[0]) / _STEP)) + 1))
+    position = [np.interp(time, path.time, path.position[:, axis]) for axis in (0, 1)]
+    yaw = np.zeros(len(time)) if path.yaw is None else np.interp(time, path.time, path.yaw)
+    driven = driven_path(effects, np.diff(time), np.column_stack([*position, yaw]))[0]
+    return PusherPath(time, driven[:, :2], path.radius, path.polygon, None if path.yaw is None else driven[:, 2])
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Another simulator whose poses are those that the cell would report, and whose tool goes where it went in the cell."""
+
+    simulator: PushSimulator
+    effects: EffectValues
+    """Those of path, clocks and camera act; others are the business of the simulator."""
+
+    @property
+    def name(self) -> str:
+        """Of the simulator."""
+        return self.simulator.name
+
+    def simulate(self, first_pose: Float64Array, tool_path: PusherPath, times: Float64Array) -> Float64Array:
+        """As of `PushSimulator`, with poses as they are reported."""
+        measured = measurement_times(self.effects, times)[0]
+        poses = self.simulator.simulate(true_pose(self.effects, first_pose), corrected_path(self.effects, tool_path), measured)
+        return reported_poses(self.effects, poses)[0]
