@@ -22,7 +22,7 @@ from push_ident.identification.results.result import Identification
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import load_pushes
 from push_ident.simulators.gap import SimulatorGap, corrected_by, simulator_gap
-from push_ident.simulators.measured import Measured
+from push_ident.simulators.measured import Measured, of_the_data
 from push_ident.simulators.mujoco_scene import MujocoScene
 
 _NOMINAL = Prior()
@@ -92,7 +92,6 @@ def _show(gap: SimulatorGap, fit: Identification, path: Path) -> None:
     for line in gap.lines():
         say(line)
     say(f"On pushes that no fit has seen, the error of this scene falls from {1e3 * before:.1f} to {1e3 * after:.1f} mm.")
-    outside = [name for name in fit.posterior.effects.names if name not in gap.left_out]
-    if outside:
-        say(f"Of {', '.join(outside)}, those of tool, clocks and camera are corrections of the data, not of the scene.")
+    if outside := of_the_data(fit.posterior.effects):
+        say(f"{', '.join(outside)}: corrected in the data, not in the scene; the values stand in --json.")
     say(f"written {path}")

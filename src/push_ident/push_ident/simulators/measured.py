@@ -23,6 +23,11 @@ def inexpressible(effects: EffectValues) -> tuple[str, ...]:
     return tuple(one.name for one in effects.effects if not isinstance(one.acts, _OUTSIDE) and one.export not in _IN_SCENE)
 
 
+def of_the_data(effects: EffectValues) -> tuple[str, ...]:
+    """Names of the effects of tool, clocks and camera: corrections of the data, not of a scene."""
+    return tuple(one.name for one in effects.effects if isinstance(one.acts, _OUTSIDE))
+
+
 def corrected_path(effects: EffectValues, path: PusherPath) -> PusherPath:
     """The path that the tool drove where `path` was reported."""
     if not any(isinstance(one.acts, OnPusherPath) for one in effects.effects):
