@@ -24,6 +24,7 @@ class Cell:
     """Stands for the client of a cell: an executor that makes the pushes it is asked for, of an object that lies near the edge first."""
 
     pusher_radius = 0.01
+    phases = (1, 2, 3)
 
     def __init__(self, *codes: int) -> None:
         self.asked: list[ExecutePush.Goal] = []
@@ -33,6 +34,8 @@ class Cell:
         self.asked.append(goal)
         result = RESULT(distance=0.05, direction=-1.5 if goal.mode == GOAL.MODE_RECENTRE else 0.0, speed=0.1, tool_path=PATH)
         if not goal.dry_run:
+            for phase in self.phases:
+                on_feedback(SimpleNamespace(phase=phase))
             result.error_code = self._codes.pop(0) if self._codes else RESULT.NONE
             self._pose = np.zeros(3) if result.error_code == RESULT.NONE else self._pose
         return result
@@ -61,6 +64,19 @@ def test_a_push_back_to_the_middle_is_a_push_of_the_list_and_one_that_missed_is_
     assert [goal.mode for goal in moved] == [GOAL.MODE_CONTACT] * 4, "each as it was planned, so that it can be predicted"
     assert [push.number for push in pushes.made] == [1, 2, 3] and pushes.made == training + tested
     assert moved[0].direction == training[0].direction == -1.5
+
+
+@pytest.mark.parametrize(("phases", "listed"), [((1, 2), 0), ((1, 2, 3, 4), 1)])
+def test_a_push_whose_arm_was_held_on_its_way_back_was_made(
+    phases: tuple[int, ...], listed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As its record and the identification have it; one that was held before its end was not."""
+    cell = Cell(RESULT.TRACKING)
+    cell.phases = phases
+    pushes = DemoPushes(cell, "o1", 0, tmp_path / "model.json", lambda **shown: None)  # type: ignore[arg-type]
+    pushes.make(1)
+    n_moved = sum(not goal.dry_run for goal in cell.asked)
+    assert len(pushes.made) == 1 and n_moved == 2 - listed
 
 
 def test_console_and_report_have_one_score() -> None:

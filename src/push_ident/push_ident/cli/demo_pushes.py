@@ -34,6 +34,10 @@ if TYPE_CHECKING:
 
 _OK: Final = 0
 _PHASES: Final = ("planning", "approach", "pushing, identifying", "rest", "retreat", "re-centring")
+_RETREAT: Final = _PHASES.index("retreat")
+"""Phase in which a push is made, and its record is published."""
+_NO_CONTACT: Final = -5
+"""Error of a push that moved nothing, which is known at its end."""
 
 
 @dataclass(slots=True)
@@ -140,10 +144,19 @@ class DemoPushes:
         predicted = self._predict(push, path, before) if self._n_learned() else None
         known = self._n_learned()
         plan = {name: getattr(planned, name) for name in ("contact_point", "direction", "distance", "speed")}
-        result = self._execute("CONTACT", lambda feedback: self._show(description=f"push {number}: {_PHASES[feedback.phase]}"), **plan)
+        phases = [0]
+
+        def follow(feedback: ExecutePush.Feedback) -> None:
+            phases.append(int(feedback.phase))
+            self._show(description=f"push {number}: {_PHASES[feedback.phase]}")
+
+        result = self._execute("CONTACT", follow, **plan)
         if result.error_code != _OK:
-            self._refused(result)
-            return
+            if _RETREAT not in phases or result.error_code == _NO_CONTACT:
+                self._refused(result)
+                return
+            # The push was made, recorded and learned; the arm was held on its way back.
+            say(f"push {number} is made, then: {result.error_text}", style="yellow")
         after = client.pose_at_rest(object_id, after=client.poses(object_id)[-1][0])
         push.after, push.moved_m = after.tolist(), cell_error(shape.cells, before, after)
         text = f"push {number}: travel {millimetres(push.moved_m)}"
