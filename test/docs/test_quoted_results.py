@@ -40,10 +40,10 @@ def test_figures_of_known_causes_in_real_recordings() -> None:
     alone, against_half = rows["single"], rows["single-against-half"]
     assert f"it named {alone['all_named']} of {alone['detectable']} detectable ones" in README
     assert f"against half of the same recording {against_half['all_named']} of {against_half['detectable']}" in README
-    sizes = [round(100 * float(np.median(row["size_errors"]))) for row in (alone, against_half)]
-    assert f"wrong by {sizes[0]} and {sizes[1]} % (median)" in README
-    assert alone["wrong"] + against_half["wrong"] == 0 and f"none of {alone['n'] + against_half['n']} was named wrongly" in README
-    held, n = np.sum([alone["account_holds"], against_half["account_holds"]], axis=0)
+    wrong, n_single = (alone[key] + against_half[key] for key in ("wrong", "n"))
+    assert f"{wrong} of these {n_single} got a wrong name" in README
+    assert f"its size was wrong by {100 * float(np.median(alone['size_errors'])):.0f} %" in README
+    held, n = np.sum([row["account_holds"] for row in rows.values()], axis=0)
     assert f"{held} of {n}." in README
 
 
