@@ -6,11 +6,11 @@
     result = pi.identify(pushes[:3])
     pi.predict(result, pushes[3:])
 
-`load`, `record`, `records`, `check`, `identify`, `predict`, `diagnose`, `selftest`, `next_push` and `plot` are imported at their first use
+`load`, `record`, `records`, `check`, `identify`, `predict`, `diagnose`, `selftest`, `save`, `next_push` and `plot` are imported at their first use
 (`api/calls.py`): the package itself is imported in milliseconds.
 
 The stages, each a subpackage that imports only from those before it: `geometry`, `checking`, `perception`, `pushing`, `physics`,
-`identification`, `planning`, `diagnosis`, `recovery`, `bags`, `offline`, `fleet`, `api`, `nodes`, `cli`. The types they share are in
+`identification`, `simulators`, `planning`, `diagnosis`, `recovery`, `bags`, `offline`, `fleet`, `api`, `nodes`, `cli`. The types they share are in
 `types` and `errors`.
 """
 
@@ -19,9 +19,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from push_ident.api.calls import check, diagnose, identify, load, next_push, plot, predict, record, records, selftest
+    from push_ident.api.calls import check, diagnose, identify, load, next_push, plot, predict, record, records, save, selftest
 
-__all__ = ["__version__", "check", "diagnose", "identify", "load", "next_push", "plot", "predict", "record", "records", "selftest"]
+__all__ = ["__version__", "check", "diagnose", "identify", "load", "next_push", "plot", "predict", "record", "records", "save", "selftest"]
 
 __version__ = "0.1.0"
 

@@ -12,7 +12,7 @@ import pytest
 import push_ident as pi
 from helpers.objects import hammer, random_records
 from helpers.recordings import tracked_rows
-from push_ident.errors import InputError
+from push_ident.errors import InputError, PushIdentError
 from push_ident.types import PushRecord
 
 
@@ -91,3 +91,25 @@ def test_a_clock_that_is_wrong_is_said_with_a_page(arrays: dict[str, Any], tmp_p
     assert not checked.agrees and "clock" in repr(checked) and "the clock of the pusher is 0.1" in page and "--time-offset" not in page
     with pytest.raises(InputError, match="no push to check"):
         pi.check([])
+
+
+def test_errors_of_arrays_name_arguments_of_python(arrays: dict[str, Any]) -> None:
+    for wrong, says in (
+        ({"pose_std": 5e-4}, "`pose_std` is 0.0005, expected two numbers above 0"),
+        ({"pose_std": (1e-3, 1e-3, 5e-3)}, "expected two numbers above 0"),
+        ({"radius": 4.75}, "Pusher"),
+    ):
+        with pytest.raises(PushIdentError, match=says) as error:
+            pi.records(**{**arrays, **wrong})
+        assert "--" not in str(error.value) and "/tmp" not in str(error.value)
+
+
+def test_a_result_is_saved_and_a_planned_push_has_the_pusher_of_the_pushes(pushed: list[PushRecord], tmp_path: Path) -> None:
+    result = pi.identify(pushed[:2])
+    path = pi.save(result, tmp_path / "models" / "thing.json", "thing")
+    assert "thing" in path.read_text()
+    start = np.array([-0.3, 0.01])
+    planned = pi.predict(result, pose=(0, 0, 0), path=[start, start + [0.2, 0.0]], speed=0.1)
+    assert planned.path.radius == pushed[0].pusher.radius
+    assert len(planned.outcomes) != 1 or np.array_equal(planned.outcomes[0].end, planned.prediction.pose[-1])
+    assert pi.predict(path, pose=(0, 0, 0), path=[start, start + [0.2, 0.0]], speed=0.1, radius=0.01).path.radius == 0.01

@@ -14,6 +14,7 @@ from push_ident.bags.importers.recording import Recording, RecordingOptions, imp
 from push_ident.bags.importers.shapes import shape_of_outline
 from push_ident.errors import InputError
 from push_ident.geometry.outline import polygon_area
+from push_ident.geometry.shape_check import check_pusher_radius
 from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.types import Float64Array, PushRecord
 
@@ -55,7 +56,8 @@ def records(
         outline: vertices in the object frame [m], shape (k, 2), in either sense.
         radius: of the pusher [m].
         wrench: (time, fx, fy): force of the pusher on the object in the same frame [s, N, N], shape (l, 3).
-        details: `push`, `pose_std`, `cell_size`, `object_id`; see `Details`.
+        details: optional. `push`: number of the push of each sample of the path, negative for none, shape (m,). `pose_std`: (position,
+            yaw), standard deviations of a pose [m, rad]. `cell_size`: edge of a cell [m]. `object_id`: name of the object.
 
     Returns:
         The pushes, as `load` gives them from a bag, cells and all.
@@ -78,8 +80,11 @@ def records(
     at_table = np.column_stack([path[:, :3], np.zeros(len(path))])
     shape, of_push = shape_of_outline(vertices, cell_size=size), None if numbers is None else path[:, 3]
     recording = Recording(poses, at_table, shape, of_push, forces, notes=tuple(notes))
-    position_std, yaw_std = details.get("pose_std", (None, None))
-    options = RecordingOptions(float(radius), details.get("object_id", "1"), position_std, yaw_std)
+    position_std, yaw_std = _pose_std(details.get("pose_std"))
+    check_pusher_radius(radius)
+    options = RecordingOptions(
+        float(radius), details.get("object_id", "1"), position_std, yaw_std, noise_option="pose_std=(position, yaw) [m, rad]"
+    )
     # As a bag: whatever is done with the pushes of a bag is done with these.
     with tempfile.TemporaryDirectory() as folder:
         report = import_recording(recording, options, bag := Path(folder) / "arrays")
@@ -93,6 +98,16 @@ def record(
     """One push; the arguments of `records`, except `push`. Raises as `records` does."""
     one = np.zeros(len(_array("pusher_time", pusher_time, 1)))
     return records(time, pose, pusher_time, pusher, outline=outline, radius=radius, push=one, **details)[0]
+
+
+def _pose_std(given: object) -> tuple[float | None, float | None]:
+    """Standard deviations of a position and a yaw; none where none are given. Raises InputError for another form."""
+    if given is None:
+        return None, None
+    std = _array("pose_std", given, np.ndim(np.asarray(given, dtype=object)))
+    if std.shape != (2,) or not np.all(np.isfinite(std) & (std > 0)):
+        raise InputError(f"`pose_std` is {given}, expected two numbers above 0: standard deviations of a position [m] and of a yaw [rad].")
+    return float(std[0]), float(std[1])
 
 
 def _rows(

@@ -36,7 +36,7 @@ from push_ident.identification.identify import identify as _identify
 from push_ident.identification.predicting.next_push import Proposal, propose_push
 from push_ident.identification.predicting.planned import PUSHER_RADIUS, PlannedPush, predict_planned, pusher_path
 from push_ident.identification.predicting.scoring import Comparison, compare_pushes
-from push_ident.identification.results.model_file import load_model
+from push_ident.identification.results.model_file import load_model, save_model
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.results.result import Identification
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
@@ -53,7 +53,20 @@ if TYPE_CHECKING:
 
 Model: TypeAlias = Identification | ModelPosterior | str | PathLike[str]
 """A result of `identify`, its posterior, or the path of a model file."""
-__all__ = ["check", "diagnose", "identify", "in_one_thread", "load", "next_push", "plot", "predict", "record", "records", "selftest"]
+__all__ = [
+    "check",
+    "diagnose",
+    "identify",
+    "in_one_thread",
+    "load",
+    "next_push",
+    "plot",
+    "predict",
+    "record",
+    "records",
+    "save",
+    "selftest",
+]
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -169,13 +182,37 @@ def identify(
     return _identify(list(pushes), known, method=method, effects=effects, budget=Budget(max_seconds=max_seconds), options=options)
 
 
+def save(result: Identification, path: str | PathLike[str], object_id: str = "1") -> Path:
+    """Write a result of `identify` as a model file, which `predict`, `push-ident export` and the nodes read.
+
+    Args:
+        result: to write.
+        path: of the file (JSON); its folder is made.
+        object_id: name of the object.
+
+    Returns:
+        The path.
+
+    Raises:
+        ModelFileError: the file cannot be written.
+    """
+    sources = [record.source for record in result.checked.records]
+    save_model(Path(path), result.posterior, object_id=object_id, sources=sources, status=result.status)
+    return Path(path)
+
+
 @overload
 def predict(model: Model, pushes: PushRecord | Sequence[PushRecord]) -> Comparison: ...
 
 
 @overload
 def predict(
-    model: Model, *, pose: ArrayLike, path: PusherPath | str | PathLike[str] | ArrayLike, speed: float | None = None, radius: float = ...
+    model: Model,
+    *,
+    pose: ArrayLike,
+    path: PusherPath | str | PathLike[str] | ArrayLike,
+    speed: float | None = None,
+    radius: float | None = ...,
 ) -> PlannedPush: ...
 
 
@@ -187,7 +224,7 @@ def predict(
     pose: ArrayLike | None = None,
     path: PusherPath | str | PathLike[str] | ArrayLike | None = None,
     speed: float | None = None,
-    radius: float = PUSHER_RADIUS,
+    radius: float | None = None,
 ) -> Comparison | PlannedPush:
     """Predict recorded pushes and compare their ends with what was observed, or predict a push that was not made.
 
@@ -198,7 +235,7 @@ def predict(
         path: of the axis of the pusher in that push, table frame: rows time, x, y [s, m, m], or rows x, y [m] with a `speed`; or a CSV
             file with these columns.
         speed: along a path without times [m/s].
-        radius: of the pusher of that push [m].
+        radius: of the pusher of that push [m]; by default that of the pushes of an `Identification`, else of the executor's pusher.
 
     Returns:
         For each recorded push the predicted poses (`prediction.pose`, shape (n_frames, 3), table frame) with their covariance, the cell
@@ -216,6 +253,10 @@ def predict(
     if pushes is None:
         if pose is None or path is None:
             raise InputError("There is no push to predict; give recorded pushes, or `pose` and `path` of one that was not made.")
+        if radius is None:
+            radius = (
+                model.checked.records[0].pusher.radius if isinstance(model, Identification) and model.checked.records else PUSHER_RADIUS
+            )
         if isinstance(path, str | PathLike):
             path = read_pusher_path(Path(path), radius, speed)
         return predict_planned(posterior, pose, path if isinstance(path, PusherPath) else pusher_path(path, radius, speed))
@@ -235,6 +276,7 @@ def diagnose(
     against: Sequence[PushRecord] = (),
     earlier: Diagnosis | None = None,
     simulator: PushSimulator | Callable[[Float64Array, PusherPath, Float64Array], Float64Array] | None = None,
+    on_progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Say where simulation and reality differ, which effect that the model lacks causes it, and how far the gap shrinks with it.
 
@@ -248,6 +290,7 @@ def diagnose(
         earlier: outcome for the first of these pushes, from whose fits this diagnosis starts: with one more push it takes less time.
         simulator: a simulation of your own, whose gap on these pushes is divided as well: `MujocoScene`, another `PushSimulator`, or a
             function `(first_pose, tool_path, times)` that returns poses (x, y, yaw), shape (n, 3).
+        on_progress: called with what is under way, such as `print`.
 
     Returns:
         `verdict`, `sentence`, `effects` with their sizes, `next_push`, `simulator` and more.
@@ -258,11 +301,11 @@ def diagnose(
     settings = DiagnosisSettings(
         prior=_weighed(prior or Prior(), total_mass), base_effects=tuple(base_effects), outline_from_camera=from_camera
     )
-    found = _diagnose(list(pushes), settings, against=list(against), earlier=earlier)
+    found = _diagnose(list(pushes), settings, against=list(against), earlier=earlier, on_progress=on_progress)
     if simulator is None:
         return found
     scene = simulator if isinstance(simulator, PushSimulator) else FunctionSimulator(simulator)
-    return with_simulator(found, list(pushes), scene, settings.prior)
+    return with_simulator(found, list(pushes), scene, settings.prior, on_progress)
 
 
 @in_one_thread

@@ -18,7 +18,7 @@ from push_ident.errors import PushIdentError
 from push_ident.geometry.cells import cell_error
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.observing.observation import NoiseModel
-from push_ident.identification.predicting.prediction import Outcome, Prediction, outcomes_of, predict
+from push_ident.identification.predicting.prediction import Prediction, outcomes_of, predict
 from push_ident.identification.predicting.scoring import PushScore
 from push_ident.identification.results.model_file import load_model
 from push_ident.identification.unknowns.mechanics import uniform_model
@@ -178,8 +178,6 @@ class DemoPushes:
         _, posterior = load_model(self._model)
         prediction = predict(posterior, PushScenario(path, before, path.time))
         outcomes = outcomes_of(posterior.unknowns.shape.cells, prediction)
-        # Where there is one outcome only, the prediction is where the mean model ends.
-        outcomes = outcomes if len(outcomes) > 1 else [Outcome(1.0, prediction.pose[-1])]
         push.expected_m = prediction.cell_error_std
         push.ways = [{"chance": outcome.chance, "end": outcome.end.tolist()} for outcome in outcomes]
         say(f"push {len(self.made) + 1} predicted, {push.expectation}")

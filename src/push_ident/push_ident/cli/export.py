@@ -111,6 +111,6 @@ def _report(written: Sequence[Path], posterior: ModelPosterior, most: int = 4) -
     if len(written) > most:
         say(f"and {len(written) - most} more, the last of them {written[-1]}")
     if names := posterior.effects.names:
-        say(f"note: the model has effects ({', '.join(names)}); a comment in the file lists those that it contains")
+        say(f"note: the model has effects ({', '.join(names)}); a comment in the file says of each whether the file contains it")
     if not posterior.total_mass_identifiable:
         say(f"note: the total mass, {posterior.total_mass.value:.3g} kg, is the nominal one: pushes alone do not determine it")

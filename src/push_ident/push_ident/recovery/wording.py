@@ -86,8 +86,8 @@ def would_help(test: SelfTest) -> list[str]:
 
 def proof_text(proof: Proof) -> str:
     """Size, outcome and verdict of one injection."""
-    named = f": {', '.join(proof.named)}" if proof.named else ""
-    return f"{proof.name} {detectable_size(proof.name, proof.size)}: {OUTCOMES[proof.outcome]} ({proof.verdict}{named})"
+    named = f" (first name: {', '.join(proof.named)})" if proof.named else ""
+    return f"{proof.name} {detectable_size(proof.name, proof.size)}: {OUTCOMES[proof.outcome]}{named}"
 
 
 def selftest_json(test: SelfTest) -> dict[str, Any]:

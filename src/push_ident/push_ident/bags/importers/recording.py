@@ -55,6 +55,8 @@ class RecordingOptions:
     """Added to the times of the pusher and of the force, to bring them to the clock of the poses [s]."""
     pusher_frame: Float64Array | None = None
     """Pose (x, y, yaw) of the frame in which the pusher was recorded, in that of the object's poses [m, m, rad]; None: they are one."""
+    noise_option: str = "--position-std and --yaw-std"
+    """What the caller has to give where the noise of a pose is unknown, in words."""
 
     def check(self) -> None:
         """Raise InputError for an option that is out of its range."""
@@ -132,7 +134,7 @@ def import_recording(recording: Recording, options: RecordingOptions, out_bag: P
     contacts = [contact for _, contact in spans]
     warnings = contact_warnings(dict(enumerate(contacts)), tolerance)
     overlap = overlap_of(replace(streams, runs=[run for run, _ in spans]))
-    if warnings or not overlap.fits:
+    if not overlap.fits:
         warnings = (*warnings, overlap.explanation())
     warnings = (*warnings, *_not_one_push(recording.parts, spans))
     return ImportReport(
@@ -371,8 +373,8 @@ def _noise(poses: Float64Array, runs: list[Float64Array], name: str, options: Re
                     scatter.append((np.sqrt(block[:, 1:3].var(axis=0, ddof=1).mean()), block[:, 3].std(ddof=1)))
     if not scatter:
         raise InputError(
-            f"{name}: fewer than {least} poses at rest between the pushes, so the noise of a pose is unknown; give --position-std and "
-            f"--yaw-std. Poses are {np.median(np.diff(poses[:, 0])):.3g} s apart in the median; where they are not, check the unit of time."
+            f"{name}: fewer than {least} poses at rest between the pushes, so the noise of a pose is unknown; give {options.noise_option}. "
+            f"Poses are {np.median(np.diff(poses[:, 0])):.3g} s apart in the median; where they are not, check the unit of time."
         )
     position, yaw = np.median(np.array(scatter), axis=0)
     position_std = max(float(position), _LEAST_POSITION_STD) if options.position_std is None else options.position_std

@@ -211,7 +211,7 @@ class Outcome:
     chance: float
     """[1]"""
     end: Float64Array
-    """Mean last pose, table frame, shape (3,)."""
+    """Last pose, table frame, shape (3,): of the mean model where there is one outcome, else the mean of these models."""
 
 
 def outcomes_of(cells: CellGrid, prediction: Prediction, *, least_chance: float = 0.1, reach: float = 2.0) -> list[Outcome]:
@@ -235,12 +235,12 @@ def outcomes_of(cells: CellGrid, prediction: Prediction, *, least_chance: float 
     least = max(1, int(np.ceil(least_chance * len(ends))))
     cuts = range(least, len(ends) - least + 1)
     if not cuts:
-        return [Outcome(1.0, ends.mean(axis=0))]
+        return [Outcome(1.0, prediction.pose[-1])]
     cut = min(cuts, key=lambda n: np.var(score[order[:n]]) * n + np.var(score[order[n:]]) * (len(ends) - n))
     parts = [order[:cut], order[cut:]]
     gap = float(np.mean(score[parts[1]]) - np.mean(score[parts[0]]))
     floor = metric @ NoiseModel().floor @ metric.T
     if gap <= reach * sum(float(np.sqrt(np.var(score[part]) + np.trace(floor))) for part in parts):
-        return [Outcome(1.0, ends.mean(axis=0))]
+        return [Outcome(1.0, prediction.pose[-1])]
     outcomes = [Outcome(len(part) / len(ends), ends[part].mean(axis=0)) for part in parts]
     return sorted(outcomes, key=lambda outcome: -outcome.chance)
