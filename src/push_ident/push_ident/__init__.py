@@ -6,12 +6,12 @@
     result = pi.identify(pushes[:3])
     pi.predict(result, pushes[3:])
 
-`load`, `record`, `records`, `check`, `identify`, `predict`, `diagnose`, `selftest`, `save`, `next_push` and `plot` are imported at their first use
-(`api/calls.py`): the package itself is imported in milliseconds.
+`load`, `record`, `records`, `check`, `identify`, `save`, `predict`, `diagnose`, `selftest`, `next_push` and `plot` are imported at their
+first use (`api/calls.py`): the package itself is imported in milliseconds.
 
 The stages, each a subpackage that imports only from those before it: `geometry`, `checking`, `perception`, `pushing`, `physics`,
-`identification`, `simulators`, `planning`, `diagnosis`, `recovery`, `bags`, `offline`, `fleet`, `api`, `nodes`, `cli`. The types they share are in
-`types` and `errors`.
+`identification`, `simulators`, `planning`, `diagnosis`, `recovery`, `bags`, `offline`, `fleet`, `api`, `nodes`, `cli`. The types they
+share are in `types` and `errors`.
 """
 
 from __future__ import annotations

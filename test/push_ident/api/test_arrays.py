@@ -108,8 +108,8 @@ def test_a_result_is_saved_and_a_planned_push_has_the_pusher_of_the_pushes(pushe
     result = pi.identify(pushed[:2])
     path = pi.save(result, tmp_path / "models" / "thing.json", "thing")
     assert "thing" in path.read_text()
-    start = np.array([-0.3, 0.01])
-    planned = pi.predict(result, pose=(0, 0, 0), path=[start, start + [0.2, 0.0]], speed=0.1)
+    path_of_push = [(-0.3, 0.01), (-0.1, 0.01)]
+    planned = pi.predict(result, pose=(0, 0, 0), path=path_of_push, speed=0.1)
     assert planned.path.radius == pushed[0].pusher.radius
     assert len(planned.outcomes) != 1 or np.array_equal(planned.outcomes[0].end, planned.prediction.pose[-1])
-    assert pi.predict(path, pose=(0, 0, 0), path=[start, start + [0.2, 0.0]], speed=0.1, radius=0.01).path.radius == 0.01
+    assert pi.predict(path, pose=(0, 0, 0), path=path_of_push, speed=0.1, radius=0.01).path.radius == 0.01

@@ -254,9 +254,8 @@ def predict(
         if pose is None or path is None:
             raise InputError("There is no push to predict; give recorded pushes, or `pose` and `path` of one that was not made.")
         if radius is None:
-            radius = (
-                model.checked.records[0].pusher.radius if isinstance(model, Identification) and model.checked.records else PUSHER_RADIUS
-            )
+            made = model.checked.records if isinstance(model, Identification) else ()
+            radius = made[0].pusher.radius if made else PUSHER_RADIUS
         if isinstance(path, str | PathLike):
             path = read_pusher_path(Path(path), radius, speed)
         return predict_planned(posterior, pose, path if isinstance(path, PusherPath) else pusher_path(path, radius, speed))
@@ -276,7 +275,6 @@ def diagnose(
     against: Sequence[PushRecord] = (),
     earlier: Diagnosis | None = None,
     simulator: PushSimulator | Callable[[Float64Array, PusherPath, Float64Array], Float64Array] | None = None,
-    on_progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Say where simulation and reality differ, which effect that the model lacks causes it, and how far the gap shrinks with it.
 
@@ -290,7 +288,6 @@ def diagnose(
         earlier: outcome for the first of these pushes, from whose fits this diagnosis starts: with one more push it takes less time.
         simulator: a simulation of your own, whose gap on these pushes is divided as well: `MujocoScene`, another `PushSimulator`, or a
             function `(first_pose, tool_path, times)` that returns poses (x, y, yaw), shape (n, 3).
-        on_progress: called with what is under way, such as `print`.
 
     Returns:
         `verdict`, `sentence`, `effects` with their sizes, `next_push`, `simulator` and more.
@@ -301,11 +298,11 @@ def diagnose(
     settings = DiagnosisSettings(
         prior=_weighed(prior or Prior(), total_mass), base_effects=tuple(base_effects), outline_from_camera=from_camera
     )
-    found = _diagnose(list(pushes), settings, against=list(against), earlier=earlier, on_progress=on_progress)
+    found = _diagnose(list(pushes), settings, against=list(against), earlier=earlier)
     if simulator is None:
         return found
     scene = simulator if isinstance(simulator, PushSimulator) else FunctionSimulator(simulator)
-    return with_simulator(found, list(pushes), scene, settings.prior, on_progress)
+    return with_simulator(found, list(pushes), scene, settings.prior)
 
 
 @in_one_thread
