@@ -39,6 +39,7 @@ SHARED = {
     "robot": ("up", "replay"),
     "robot_doctor": ("doctor",),
     "live_view": ("up",),
+    "scene": ("fix", "diagnose"),
     "output": ("identify",),
 }
 """Those of modules of `cli` that hold no command."""
