@@ -18,7 +18,7 @@ from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, wr
 from push_ident.fleet.job import Outcome
 from push_ident.identification.results.model_file import load_model
 
-pytestmark = pytest.mark.live
+pytestmark = pytest.mark.alone
 
 OPTIONS = FleetOptions(max_seconds=5.0)
 

@@ -116,7 +116,8 @@ def _start(address: str, workers: int, scratch: str) -> Any:
         }
     try:
         ray.init(address=address or "local", runtime_env={"env_vars": threads}, logging_level=logging.ERROR, log_to_driver=False, **here)
-    except (ConnectionError, RuntimeError, ValueError) as error:
+    except Exception as error:  # what Ray raises where its node is not up within 30 s
+        ray.shutdown()  # a later start would wait for what is left of this one
         line = (str(error).strip().splitlines() or ["no reason given"])[0]
         raise InputError(f"Ray does not start at {address or 'this machine'}: {line}; start a cluster with `ray start --head`.") from None
     return ray
