@@ -67,9 +67,7 @@ def test_a_push_back_to_the_middle_is_a_push_of_the_list_and_one_that_missed_is_
 
 
 @pytest.mark.parametrize(("phases", "listed"), [((1, 2), 0), ((1, 2, 3, 4), 1)])
-def test_a_push_whose_arm_was_held_on_its_way_back_was_made(
-    phases: tuple[int, ...], listed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_push_whose_arm_was_held_on_its_way_back_was_made(phases: tuple[int, ...], listed: int, tmp_path: Path) -> None:
     """As its record and the identification have it; one that was held before its end was not."""
     cell = Cell(RESULT.TRACKING)
     cell.phases = phases

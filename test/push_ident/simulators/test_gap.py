@@ -119,6 +119,9 @@ def test_what_no_simulation_can_be_is_said(path: Path, tmp_path: Path) -> None:
     path.write_text(scene(tool=arm), encoding="utf-8")
     with pytest.raises(InputError, match="hangs on `arm`"):
         MujocoScene(path, "thing", "finger")
+    path.write_text(scene().replace("</asset>", '<mesh name="lost" file="lost.stl"/></asset>'), encoding="utf-8")
+    with pytest.raises(InputError, match="lost"):
+        MujocoScene(path, "thing", "finger")
     path.write_text(scene(joint='<joint axis="0 0 1"/>'), encoding="utf-8")
     with pytest.raises(InputError, match="expected a free joint"):
         MujocoScene(path, "thing", "finger")

@@ -45,6 +45,7 @@ from push_ident.offline.loading import LoadedPushes, load_pushes
 from push_ident.offline.pusher_file import read_pusher_path
 from push_ident.recovery.run import SelfTest, SelfTestOptions
 from push_ident.recovery.run import selftest as _selftest
+from push_ident.simulators.gap import check_number_of_pushes
 from push_ident.simulators.protocol import FunctionSimulator, PushSimulator
 from push_ident.types import Float64Array, PusherPath, PushRecord
 
@@ -298,11 +299,13 @@ def diagnose(
     settings = DiagnosisSettings(
         prior=_weighed(prior or Prior(), total_mass), base_effects=tuple(base_effects), outline_from_camera=from_camera
     )
-    found = _diagnose(list(pushes), settings, against=list(against), earlier=earlier)
+    if simulator is not None:
+        check_number_of_pushes(pushes)
+    diagnosis = _diagnose(list(pushes), settings, against=list(against), earlier=earlier)
     if simulator is None:
-        return found
+        return diagnosis
     scene = simulator if isinstance(simulator, PushSimulator) else FunctionSimulator(simulator)
-    return with_simulator(found, list(pushes), scene, settings.prior)
+    return with_simulator(diagnosis, list(pushes), scene, settings.prior)
 
 
 @in_one_thread

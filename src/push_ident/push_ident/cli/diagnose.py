@@ -38,6 +38,7 @@ from push_ident.extras import need
 from push_ident.identification.results.model_file import save_model
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import load_pushes
+from push_ident.simulators.gap import check_number_of_pushes
 from push_ident.types import PushRecord
 
 _NOMINAL = Prior()
@@ -51,6 +52,10 @@ _AgainstOption = Annotated[
         show_default=False,
     ),
 ]
+_WithOption = Annotated[
+    list[str] | None,
+    typer.Option("--with", metavar="EFFECT", help="Put this effect into the base model; may be repeated.", show_default=False),
+]
 _FromCameraOption = Annotated[
     bool, typer.Option("--from-camera", help="Poses and outline in the bags come from a camera, not from a model.")
 ]
@@ -62,10 +67,7 @@ _SimulatorOption = Annotated[
 
 def diagnose_command(
     bags: BagsArgument,
-    base: Annotated[
-        list[str] | None,
-        typer.Option("--with", metavar="EFFECT", help="Put this effect into the base model; may be repeated.", show_default=False),
-    ] = None,
+    base: _WithOption = None,
     against: _AgainstOption = None,
     without: WithoutOption = "",
     no_forces: NoForcesOption = False,
@@ -105,6 +107,8 @@ def diagnose_command(
             # Read together, so that it is certainly the same object with the same cells.
             both = load_pushes([*bags, *against], object_id=loaded.object_id, camera_in_table=in_table, options=options, on_progress=report)
             reference = leave_out(both[len(loaded) :], [], no_forces=no_forces)[0]
+        if scene:
+            check_number_of_pushes(records)
         diagnosis = diagnose(records, settings, against=reference, on_progress=report)
         if scene:
             diagnosis = with_simulator(diagnosis, records, scene, prior, report)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
-from push_ident.bags.read_options import ReadOptions
 from push_ident.cli.checks import writable_file
 from push_ident.cli.identify import MapOption, ObjectOption, TotalMassOption, prior_of_options, read_options
 from push_ident.cli.output import BagsArgument, JsonOption, progress, say, warn, write_json
@@ -21,7 +21,7 @@ from push_ident.identification.identify import identify
 from push_ident.identification.results.result import Identification
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import load_pushes
-from push_ident.simulators.gap import SimulatorGap, corrected_by, simulator_gap
+from push_ident.simulators.gap import SimulatorGap, check_number_of_pushes, corrected_by, simulator_gap
 from push_ident.simulators.measured import Measured, of_the_data
 from push_ident.simulators.mujoco_scene import MujocoScene
 
@@ -60,8 +60,8 @@ def fix_command(
         raise InputError(f"{path} is the scene itself; name another file with --out.")
     prior = prior_of_options(total_mass, _NOMINAL.total_mass, _NOMINAL.friction, _NOMINAL.pusher_friction)
     with progress() as report:
-        options: ReadOptions = read_options(map_, None)
-        loaded = load_pushes(bags, object_id=object_id, options=options, on_progress=report)
+        loaded = load_pushes(bags, object_id=object_id, options=read_options(map_, None), on_progress=report)
+        check_number_of_pushes(loaded.records)
         effects = with_
         if effects is None:
             diagnosis = diagnose(loaded.records, DiagnosisSettings(prior=prior), on_progress=report)
@@ -81,10 +81,11 @@ def fix_command(
 
 
 def _write(path: Path, simulator: MujocoScene, fit: Identification) -> None:
-    """The corrected scene, which has to be readable again."""
+    """Write the corrected scene, and read it again. Raises InputError where it cannot be read there, as beside relative mesh files."""
     corrected = corrected_by(simulator, fit)
     assert isinstance(corrected, Measured) and isinstance(corrected.simulator, MujocoScene)
     write_whole(path, corrected.simulator.xml(), "the scene")
+    replace(simulator, path=path)
 
 
 def _show(gap: SimulatorGap, fit: Identification, path: Path) -> None:

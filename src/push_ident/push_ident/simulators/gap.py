@@ -36,7 +36,7 @@ from push_ident.types import Float64Array, PushRecord
 OBJECT: Final = "mass and friction of the object"
 CONTACT: Final = "contact parameters and time step"
 ENGINE: Final = "what the engine does otherwise"
-ALL: Final = "mass and friction of the object, contact, and what the engine does otherwise"
+UNDIVIDED: Final = "mass and friction of the object, contact, and what the engine does otherwise"
 MODEL: Final = "noise, and what the model lacks"
 _WITH_OBJECT: Final = "with the identified object"
 _PRECISE: Final = "with precise contact"
@@ -90,6 +90,12 @@ class SimulatorGap:
         return {"simulator": self.name, "parts": parts, "stages": stages, "in_no_scene": list(self.left_out)}
 
 
+def check_number_of_pushes(records: Sequence[PushRecord]) -> None:
+    """Raise InputError where they are too few for `simulator_gap`."""
+    if len(records) < _FOLDS:
+        raise InputError(f"There are {len(records)} pushes, expected {_FOLDS} or more: each is compared with fits that did not see it.")
+
+
 def simulator_gap(
     records: Sequence[PushRecord],
     simulator: PushSimulator,
@@ -112,8 +118,7 @@ def simulator_gap(
     Raises:
         InputError: fewer than 4 pushes, fits that explain nothing, or a simulator that fails.
     """
-    if len(records) < _FOLDS:
-        raise InputError(f"There are {len(records)} pushes, expected {_FOLDS} or more: each is compared with fits that did not see it.")
+    check_number_of_pushes(records)
     report = on_progress or (lambda text: None)
     report(f"repeating {len(records)} pushes in {simulator.name}")
     corrected = isinstance(simulator, CorrectableSimulator)
@@ -131,7 +136,7 @@ def simulator_gap(
             report(f"repeating the other {len(tests)} pushes in {simulator.name} {stages[row - 1]}")
             errors[row, held_out] = _errors(scene, tests)
         errors[-1, held_out] = held_out_errors(fits[-1].model, tests, effects=fits[-1].posterior.effects)
-    parts = (*((OBJECT, CONTACT) if corrected else ()), *effects, ENGINE if corrected else ALL, MODEL)
+    parts = (*((OBJECT, CONTACT) if corrected else ()), *effects, ENGINE if corrected else UNDIVIDED, MODEL)
     left_out = inexpressible(effect_values(tuple(effects)))
     return SimulatorGap(simulator.name, ("as it is", *stages), errors, parts, left_out)
 

@@ -72,7 +72,7 @@ class MujocoScene:
     def xml(self) -> str:
         """The scene with its changes, as MJCF; its tool moves as in the file."""
         spec = self._spec(driven=False)
-        spec.compile()
+        _compile(spec, self.path)
         return str(spec.to_xml())
 
     def with_object(self, model: ObjectModel, effects: EffectValues | None = None) -> MujocoScene:
@@ -81,11 +81,11 @@ class MujocoScene:
 
         The body then moves in the plane. Its geoms carry nothing any more: what they weighed is in the cells.
         """
-        thing = describe(model, object_id=self.object_body, source="the identification", effects=effects)
+        description = describe(model, object_id=self.object_body, source="the identification", effects=effects)
 
         def edit(spec: Any) -> None:
-            _stand_on_cells(spec, self.object_body, self.tool_body, thing, self.object_in_body)
-            if slope := thing.exported(ExportAs.GRAVITY):
+            _add_feet(spec, self, description)
+            if slope := description.exported(ExportAs.GRAVITY):
                 down = rotation(self.table_in_world[2]) @ np.array(slope)
                 strength = float(np.linalg.norm(spec.option.gravity))
                 spec.option.gravity = [*(strength * down), -strength]
@@ -117,15 +117,15 @@ class MujocoScene:
         ways = np.column_stack([np.interp(ticks, tool_path.time, path[:, axis]) for axis in (0, 1)])
         poses = np.empty((len(ticks), 3))
         for k, here in enumerate(ways):
-            poses[k] = _pose(data, body)
             data.qpos[places] = here
             data.qvel[speeds] = (ways[min(k + 1, len(ways) - 1)] - here) / step
             mujoco.mj_step(model, data)
+            poses[k] = _pose(data, body)  # a step leaves the places of bodies as they were at its start
         if not np.all(np.isfinite(poses)) or data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise InputError(f"{self.path} became unstable within a push; give it a shorter time step or softer contacts.")
         poses[:, 2] = np.unwrap(poses[:, 2])
-        seen = np.column_stack([np.interp(times, ticks, poses[:, column]) for column in range(3)])
-        return np.asarray(compose(inverse(self.table_in_world), compose(seen, self.object_in_body)))
+        at_times = np.column_stack([np.interp(times, ticks, poses[:, column]) for column in range(3)])
+        return np.asarray(compose(inverse(self.table_in_world), compose(at_times, self.object_in_body)))
 
     def _spec(self, *, driven: bool = True) -> Any:
         import mujoco
@@ -146,8 +146,16 @@ class MujocoScene:
 
     def _compiled(self) -> tuple[Any, Callable[[Any, Float64Array], None]]:
         """The model, and the function that puts the object to rest at a pose in the world."""
-        model = self._spec().compile()
+        model = _compile(self._spec(), self.path)
         return model, _placing(model, self.path, self.object_body)
+
+
+def _compile(spec: Any, path: Path) -> Any:
+    """The model of a scene. Raises InputError where MuJoCo refuses it, as for a mesh file that is missing."""
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise InputError(f"MuJoCo cannot compile {path}: {error}") from None
 
 
 def _joint(body: str, axis: str) -> str:
@@ -167,7 +175,7 @@ def _drive(spec: Any, path: Path, name: str) -> None:
     body.mocap = False
     for joint in list(body.joints):
         spec.delete(joint)
-    for axis, direction in zip("xy", _turn(spec, name)[:2], strict=True):
+    for axis, direction in zip("xy", _world_axes(spec, path, name)[:2], strict=True):
         body.add_joint(name=_joint(name, axis), type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
     # The path is that of the origin of the body.
     body.pos = [0, 0, body.pos[2]]
@@ -193,9 +201,7 @@ def _placing(model: Any, path: Path, name: str) -> Callable[[Any, Float64Array],
             data.qvel[dof : dof + 6] = 0.0
 
         return place
-    turn_of_body = np.zeros(9)
-    mujoco.mju_quat2Mat(turn_of_body, body.quat)
-    along = [turn_of_body.reshape(3, 3) @ joint.axis for joint in joints]
+    along = [_rotation_matrix(body.quat) @ joint.axis for joint in joints]
     if kinds == [slide, slide, hinge] and np.allclose(along, np.eye(3), atol=_TILT):
         places, dofs = [int(joint.qposadr[0]) for joint in joints], [int(joint.dofadr[0]) for joint in joints]
         offset = np.array([*body.pos[:2], yaw_of_quaternion(np.array(body.quat)[[1, 2, 3, 0]])])
@@ -211,13 +217,18 @@ def _placing(model: Any, path: Path, name: str) -> Callable[[Any, Float64Array],
     )
 
 
-def _turn(spec: Any, name: str) -> Float64Array:
+def _world_axes(spec: Any, path: Path, name: str) -> Float64Array:
     """The axes of the world in the frame of a body as it stands in the file, one a row, shape (3, 3)."""
+    return _rotation_matrix(_compile(spec.copy(), path).body(name).quat)
+
+
+def _rotation_matrix(quaternion: Float64Array) -> Float64Array:
+    """Of a quaternion (w, x, y, z), shape (3, 3)."""
     import mujoco
 
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, spec.copy().compile().body(name).quat)
-    return turn.reshape(3, 3)
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
 
 
 def _pose(data: Any, body: int) -> Float64Array:
@@ -236,11 +247,12 @@ def _make_precise(spec: Any) -> None:
         geom.solref = list(_STIFF)
 
 
-def _stand_on_cells(spec: Any, name: str, tool: str, thing: ObjectDescription, frame: Float64Array) -> None:
-    """Let an object stand on a foot under each of its cells, and meet only the tool with its own geoms; `frame`: of cells in the body."""
+def _add_feet(spec: Any, scene: MujocoScene, description: ObjectDescription) -> None:
+    """Let the object stand on a foot under each cell, and meet only the tool with its own geoms."""
     import mujoco
 
-    body, axes = spec.body(name), _turn(spec, name)
+    name = scene.object_body
+    body, axes = spec.body(name), _world_axes(spec, scene.path, name)
     if not np.allclose(axes[2], [0, 0, 1], atol=_TILT):
         raise InputError(f"The z axis of `{name}` does not point up in the scene; give the object a body frame whose z axis does.")
     height = float(body.pos[2])
@@ -250,25 +262,24 @@ def _stand_on_cells(spec: Any, name: str, tool: str, thing: ObjectDescription, f
     for axis, kind, direction in zip(("x", "y", "yaw"), (slide, slide, hinge), axes, strict=True):
         body.add_joint(name=f"{name}_{axis}", type=kind, axis=direction)
     # Written files have six digits behind the point, and a moving body needs a mass.
-    inertia_of_cells = float(thing.mass @ np.sum(thing.centres**2, axis=1))
-    body.explicitinertial, body.mass, body.inertia = True, _FRAME * float(thing.mass.sum()), [_FRAME * inertia_of_cells] * 3
+    inertia_of_cells = float(description.mass @ np.sum(description.centres**2, axis=1))
+    body.explicitinertial, body.mass, body.inertia = True, _FRAME * float(description.mass.sum()), [_FRAME * inertia_of_cells] * 3
     body.ipos = [0, 0, 0]
-    meeting = [*_geoms_below(body), *_geoms_below(spec.body(tool))]
-    ids = {id(geom) for geom in meeting}
     for geom in spec.geoms:
-        # Feet meet all that meets anything, but for the tool.
-        if id(geom) not in ids and (geom.contype or geom.conaffinity):
+        # Feet meet all that meets anything, but for object and tool, which have another bit below.
+        if geom.contype or geom.conaffinity:
             geom.contype |= _TABLE
-    for geom in meeting:
+    for geom in (*_geoms_below(body), *_geoms_below(spec.body(scene.tool_body))):
         geom.contype, geom.conaffinity, geom.condim, geom.mass = _TOOL, _TOOL, 3, 0.0
-        geom.friction = [thing.pusher_friction, geom.friction[1], geom.friction[2]]
+        geom.friction = [description.pusher_friction, geom.friction[1], geom.friction[2]]
         geom.priority = 1
-    centres = transform_points(frame, thing.centres)
-    for label, (x, y), mass, inertia, friction in zip(thing.cell_names, centres, thing.mass, thing.inertia, thing.friction, strict=True):
+    centres = transform_points(scene.object_in_body, description.centres)
+    rows = zip(description.cell_names, centres, description.mass, description.inertia, description.friction, strict=True)
+    for label, (x, y), mass, inertia, friction in rows:
         cell = body.add_body(name=label, pos=[x, y, -height])
         cell.add_joint(name=f"{label}_z", type=slide, axis=[0, 0, 1])
-        cell.explicitinertial, cell.mass, cell.inertia, cell.ipos = True, mass, list(inertia), [0, 0, thing.cell_height]
-        foot = cell.add_geom(name=label, type=sphere, size=[thing.foot_radius, 0, 0], pos=[0, 0, thing.foot_radius])
+        cell.explicitinertial, cell.mass, cell.inertia, cell.ipos = True, mass, list(inertia), [0, 0, description.cell_height]
+        foot = cell.add_geom(name=label, type=sphere, size=[description.foot_radius, 0, 0], pos=[0, 0, description.foot_radius])
         foot.contype, foot.conaffinity, foot.priority, foot.friction = 0, _TABLE, 1, [friction, 0.0, 0.0]
 
 

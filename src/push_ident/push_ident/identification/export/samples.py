@@ -14,7 +14,7 @@ from push_ident.physics.simulation import GRAVITY
 from push_ident.types import Float64Array
 
 _OF_RANGES: Final = 2000
-"""Objects of which the ranges are those of 90 %: their ends are then known to 4 % of a standard deviation."""
+"""Objects of which the ranges are those of 90 %: their ends are then known to 5 % of a standard deviation."""
 _OUTSIDE: Final = 0.05
 """Share of the objects on either side of a range."""
 
@@ -62,7 +62,7 @@ def drawn_objects(posterior: ModelPosterior, n: int, seed: int = 0) -> list[Mode
     """Objects that the pushes allow: `posterior` with drawn unknowns as its mean, all with the same outline and cells.
 
     The total mass is drawn as well, to its standard deviation, where it is no unknown beside the others; and so are effects. `n` of a seed
-    are the first `n` of any larger number.
+    are the first `n` of any larger number. Modes that the maps leave out are not drawn, as in predictions.
 
     Raises:
         InputError: fewer than one.

@@ -16,7 +16,7 @@ from push_ident.pages.tables import html_table
 from push_ident.types import Float64Array, ObjectModel, SolveStatus, short_repr
 
 _DEVIATIONS: Final = 3.0
-"""Standard deviations by which a misfit exceeds 1 where it is said: by chance in 0.1 % of fits."""
+"""Standard deviations by which a misfit exceeds 1 where it is said: by chance in 0.1 % of fits to independent frames."""
 _QUANTILE_STD: Final = 1.03
 """Relative standard deviation of the quantile of 0.8 of chi squared with 3 degrees of freedom, times the root of the number of frames."""
 
