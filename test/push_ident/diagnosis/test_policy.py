@@ -10,42 +10,32 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from helpers.diagnosis import frame_residuals
-from helpers.objects import hammer_shape
+from helpers.diagnosis import NOISE, simulated_pushes
 from push_ident.diagnosis import policy as module
-from push_ident.diagnosis.camera import OUTLINE_ERRORS, POSE_ERRORS, camera_settings, outlier_pushes
-from push_ident.diagnosis.policy import CameraPolicy, DecisionPolicy, SelectionPolicy
+from push_ident.diagnosis.camera import OUTLINE_ERRORS, camera_settings
+from push_ident.diagnosis.policy import DecisionPolicy
 from push_ident.diagnosis.settings import DiagnosisSettings
+from push_ident.physics.effects import CAMERA_ERRORS
 
 
 def test_errors_of_a_camera_join_the_base_model_once_and_an_outline_is_as_accurate_as_its_deviations_say() -> None:
-    settings = camera_settings(DiagnosisSettings(base_effects=("wear", *POSE_ERRORS[:1])), hammer_shape())
-    assert settings.base_effects[:2] == ("wear", POSE_ERRORS[0])
-    assert sorted(settings.base_effects) == sorted({"wear", *OUTLINE_ERRORS, *POSE_ERRORS})
-    traced = replace(hammer_shape(), outline_std=np.full(len(hammer_shape().outline), 1.5e-3))
+    (record,) = simulated_pushes(1, seed=0)
+    settings = camera_settings(DiagnosisSettings(base_effects=("wear", "camera_rotation")), [record])
+    assert settings.base_effects[:2] == ("wear", "camera_rotation")
+    assert sorted(settings.base_effects) == sorted({"wear", *CAMERA_ERRORS})
+    traced = replace(record, shape=replace(record.shape, outline_std=np.full(len(record.shape.outline), 1.5e-3)))
     (name,) = OUTLINE_ERRORS
     assert settings.effect_std[name] == pytest.approx((4e-4,))
-    assert camera_settings(DiagnosisSettings(), traced).effect_std[name] == pytest.approx((1.5e-3,))
+    assert camera_settings(DiagnosisSettings(), [traced]).effect_std[name] == pytest.approx((1.5e-3,))
 
 
-def test_camera_raises_margins_and_noise_and_lowers_none() -> None:
-    strict = DiagnosisSettings(policy=DecisionPolicy(selection=SelectionPolicy(discrepancy_rivals=50.0)))
-    with_camera = camera_settings(strict, hammer_shape())
-    selection = with_camera.policy.selection
-    assert selection.discrepancy_rivals == 50.0 and selection.min_log_bayes_factor == pytest.approx(15.0, abs=0.1)
-    assert with_camera.policy.for_camera() == with_camera.policy
-    assert with_camera.noise.floor_position >= strict.noise.floor_position
-    assert selection.log_prior_effect == SelectionPolicy().log_prior_effect
-
-
-def test_pushes_that_disagree_with_all_others_are_outliers_unless_they_are_many() -> None:
-    policy, noise = CameraPolicy(), np.random.default_rng(2).normal(size=(8, 30, 3))
-    assert outlier_pushes(frame_residuals(noise), policy) == ()
-    # So many pushes have a common cause.
-    for pushes, outliers in (([2, 5], (2, 5)), ([2, 5, 6], ())):
-        larger = noise.copy()
-        larger[pushes] *= 3.0
-        assert outlier_pushes(frame_residuals(larger), policy) == outliers
+def test_errors_that_frames_of_a_camera_share_are_those_that_their_scatter_does_not_show() -> None:
+    records = simulated_pushes(4, seed=0)
+    assert camera_settings(DiagnosisSettings(), records).noise.floor_position < 4e-4
+    # Frames that state twice the deviation by which they scatter.
+    claimed = [replace(record, poses=replace(record.poses, covariance=4.0 * record.poses.covariance)) for record in records]
+    noise = camera_settings(DiagnosisSettings(), claimed).noise
+    assert (noise.floor_position, noise.floor_yaw) == pytest.approx((np.sqrt(3.0) * NOISE[0], np.sqrt(3.0) * NOISE[2]), rel=0.1)
 
 
 def test_hash_depends_on_every_number() -> None:

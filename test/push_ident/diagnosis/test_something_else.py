@@ -23,6 +23,7 @@ from push_ident.diagnosis.something_else.precision import AmplitudePrecision
 from push_ident.diagnosis.something_else.words import PatternWords, describe_pattern
 from push_ident.identification.fitting.discrepancy import departing_pushes
 from push_ident.identification.fitting.fit import Fit
+from push_ident.physics.simulation import SimulationSettings
 from push_ident.types import PushRecord
 
 N_PUSHES, FIRST = 8, 4
@@ -91,7 +92,7 @@ def test_push_in_which_nothing_moves_has_no_friction_however_few_steps_its_respo
     for step in range(4):
         time = np.append(pusher.time[:-1], pusher.time[-1] + step / 240)
         misses.append(replace(plain[0], pusher=replace(pusher, time=time, position=pusher.position + 5.0)))
-    fit = fit_base(misses, DiagnosisSettings())
+    fit = fit_base(misses, DiagnosisSettings(numerics=SimulationSettings(step=1 / 240)))
     responses = [fit.problem.respond(fit.x, push)[1] for push in range(4)]
     assert any(r is not None and len(r.time) < r.steps.start % PATTERNS.stride for r in responses)
     families = pattern_families(fit)

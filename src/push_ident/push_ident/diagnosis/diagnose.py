@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from push_ident.diagnosis.base_fit import fit_base_model
-from push_ident.diagnosis.camera import camera_is_in_question, camera_settings, question_camera, set_outliers_aside
+from push_ident.diagnosis.camera import camera_is_in_question, camera_settings, question_camera
 from push_ident.diagnosis.decide import decide
 from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.explain import explain
@@ -76,10 +76,6 @@ def diagnose(
     if camera_is_in_question(state):
         report("the camera is less accurate than a calibrated one: its errors are effects now")
         state = select(fit_base_model(question_camera(state), report), report)
-    without_outliers = set_outliers_aside(state)
-    if without_outliers is not state:
-        report(f"{' and '.join(without_outliers.outliers)} set aside")
-        state = select(fit_base_model(without_outliers, report), report)
     return explain(decide(validate(state, report)), push_settings, report)
 
 
@@ -90,5 +86,5 @@ def initial_state(records: Sequence[PushRecord], settings: DiagnosisSettings) ->
     if missing := [name for name in settings.base_effects if name not in EFFECTS]:
         raise InputError(f"There is no effect `{missing[0]}`; choose from {', '.join(EFFECTS)}.")
     from_camera = settings.outline_from_camera or records[0].shape.outline_std is not None
-    in_force = camera_settings(settings, records[0].shape) if from_camera else settings
+    in_force = camera_settings(settings, records) if from_camera else settings
     return DiagnosisState(tuple(records), requested=settings, settings=in_force, from_camera=from_camera)

@@ -113,6 +113,4 @@ def _sentence(
         )
     if validation.departing:
         sentence += wording.sentence_of_departing({state.source_of(push): times for push, times in validation.departing.items()})
-    if state.outliers:
-        sentence += wording.sentence_of_outliers(state.outliers)
     return sentence

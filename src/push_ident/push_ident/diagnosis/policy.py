@@ -18,7 +18,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import CAUSES
@@ -59,9 +59,6 @@ class GatePolicy:
     time steps. Judgement: with those of a usual camera a diagnosis still says something."""
     step_margin: float = 1.2
     """Factor of the variance that this adds [1]: the median of the step effect then ends below its limit. Judgement."""
-    max_outline_deviations: float = 3.75
-    """Fitted distance of the surface from an outline that a camera traced, in standard deviations of that outline, below which it is
-    accepted [-]: 1.5 mm where the simulated camera traced it (0.4 mm)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +93,8 @@ class SelectionPolicy:
     """The same of the difference between two effects that explain the same pushes [1]: 6 nat exclude a rival, as in the prototype."""
     discrepancy_rivals_share: float = 0.056
     """At least this times the log Bayes factor of the effect that was found, where the law of the rival is approximate [1/nat]."""
+    min_deficit_standard_errors: float = 2.0
+    """Standard errors by which a rival is behind, above which it is excluded [1]: about 95 %, as of `min_gap_standard_errors`."""
     discrepancy_something_else: float = 1.0
     """Factor by which the log evidence of a structure in the residuals is too large [1]. Of 12 tuning cases without effects none had a log
     Bayes factor above -1.4, and of 16 whose effects were named rightly none above -1.0."""
@@ -290,33 +289,13 @@ class NextPushPolicy:
 
 @dataclass(frozen=True, slots=True)
 class CameraPolicy:
-    """Poses and outline from a camera: larger noise and larger margins, because errors of perception depend on the pose."""
+    """Poses and outline from a camera, whose errors depend on the pose."""
 
-    discrepancy_first: float = 3.0
-    """As `SelectionPolicy.discrepancy_first` [1]: 15 nat are needed. Camera nulls brought up to 11 nat under the noise below, 18 before."""
-    discrepancy_rivals: float = 5.6
-    """As `SelectionPolicy.discrepancy_rivals` [1]: 10 nat exclude a rival. Scaled with the above; judgement."""
-    discrepancy_something_else: float = 6.0
-    """As `SelectionPolicy.discrepancy_something_else` [1]: edges that are displaced by their own amount each look like a structure.
-    Judgement: as many times more evidence as a smooth force of unknown law once needed, tripled for an effect, doubled for its shape."""
-    floor_position: float = 7e-4
-    """Standard deviation of a pose that all frames of a rest share [m]. Perception of the simulated cell against its ground truth."""
-    floor_yaw: float = 6e-3
-    """The same of the yaw [rad]."""
-    fit_discrepancy_position: float = 0.012
-    """Model discrepancy a travel in a fit [1]: the edge that the pusher meets is displaced by its own amount at each place. One and a half
-    times that of other poses; camera nulls."""
-    fit_discrepancy_yaw: float = 0.12
-    """The same of the yaw [rad/m]."""
     max_moving_frames: int = 10
     """Frames of a motion that are kept at most: neighbours share a pose-dependent error, so that more add nothing. Judgement."""
     max_deviations: float = 2.5
     """Fitted error of the camera in prior standard deviations (`EffectParameter.camera_std`), above which the camera itself is in question
     [1]. About one in eighty by chance for each number."""
-    outlier_residual_ratio: float = 2.5
-    """Residual ratio of one push above which it is an outlier [1]. In camera nulls single pushes had errors of 2 mm, others 0.2 mm."""
-    max_outlier_share: float = 0.25
-    """Share of the pushes that may be outliers; more have a common cause. Judgement."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,13 +310,6 @@ class DecisionPolicy:
     residuals: ResidualPolicy = field(default_factory=ResidualPolicy)
     next_push: NextPushPolicy = field(default_factory=NextPushPolicy)
     camera: CameraPolicy = field(default_factory=CameraPolicy)
-
-    def for_camera(self) -> DecisionPolicy:
-        """The policy for poses and outlines that come from a camera: no margin falls, some rise."""
-        selection, camera = self.selection, self.camera
-        names = ("discrepancy_first", "discrepancy_rivals", "discrepancy_something_else")
-        larger = {name: max(getattr(selection, name), getattr(camera, name)) for name in names}
-        return replace(self, selection=replace(selection, **larger))
 
     @property
     def sha256(self) -> str:

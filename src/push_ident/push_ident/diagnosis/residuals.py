@@ -25,7 +25,7 @@ from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.observing.observation import Observation
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion
-from push_ident.types import BoolArray, Float64Array
+from push_ident.types import Float64Array
 
 PHASES = ("contact", "steady", "stop", "rest")
 """Of a push, in the order of `FrameResiduals.phase`."""
@@ -70,10 +70,6 @@ class FrameResiduals:
         expected = np.mean(self.null_draws**2, axis=(1, 2))
         observed = float(np.mean(self.standardized**2))
         return observed / float(np.mean(expected)), _p_value(expected, observed)
-
-    def residual_ratio_of(self, chosen: BoolArray) -> float:
-        """The same ratio of some frames, chosen by a mask of shape (n,)."""
-        return float(np.mean(self.standardized[chosen] ** 2) / np.mean(self.null_draws[:, chosen] ** 2))
 
     def excess_autocorrelation(self, correlation_std: float = 0.0) -> tuple[float, float]:
         """Part of the residual ratio that continues from one frame of a motion to the next, beyond its expectation, and the p-value.

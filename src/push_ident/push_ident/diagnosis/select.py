@@ -7,16 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from push_ident.diagnosis.camera import OUTLINE_ERRORS
 from push_ident.diagnosis.fits import fit_effects, polished, under_usual_discrepancy, with_another, with_shared
-from push_ident.diagnosis.policy import GatePolicy, SelectionPolicy
+from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.relabelling import gains_by_chance
 from push_ident.diagnosis.scores import EffectScore, effect_information, score_effects, score_in_place
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
 from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.state import DiagnosisState
 from push_ident.diagnosis.threads import map_in_threads
-from push_ident.diagnosis.verdict import Gate
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
@@ -24,31 +22,10 @@ from push_ident.types import SolveStatus
 
 
 def select(state: DiagnosisState, on_progress: Progress) -> DiagnosisState:
-    """The stage: effects beside the base model, and the gate of a traced outline beside them."""
+    """The stage: effects beside the base model."""
     if state.abstains or state.base is None:
         return state
-    policy = state.settings.policy
-    selection = select_effects(state.base, policy.selection, on_progress)
-    outline = [name for name in OUTLINE_ERRORS if name in state.base.names]
-    selected = replace(state, fit_gates=(*state.fit_gates, *check_outline(selection.fit, outline, policy.gates)))
-    return selected if selected.abstains else replace(selected, selection=selection)
-
-
-def check_outline(fit: Fit, names: Sequence[str], policy: GatePolicy) -> list[Gate]:
-    """Gates of a traced outline, after all effects were added: the errors of a working camera are smaller.
-
-    `names`: of the effects of the base model that displace the outline, see `camera.OUTLINE_ERRORS`.
-    """
-    columns = [fit.fitted_effects.slice_of(name) for name in names if name in fit.names]
-    return [
-        Gate(
-            abs(offset) < policy.max_outline_deviations * std,
-            f"the surface that the pusher met lies {1e3 * offset:+.2f} mm outside the outline",
-            "Measure the radius of the pusher; calibrate the camera; compare the outline with the object.",
-        )
-        for of_effect in columns
-        for offset, std in zip(fit.fitted_effects.values[of_effect].tolist(), fit.unknowns.effect_std[of_effect].tolist(), strict=True)
-    ]
+    return replace(state, selection=select_effects(state.base, state.settings.policy.selection, on_progress))
 
 
 def select_effects(base: Fit, policy: SelectionPolicy, on_progress: Progress | None = None) -> Selection:

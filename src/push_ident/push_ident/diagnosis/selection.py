@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import ndtri
 
 from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.scores import EffectInformation, EffectScore
@@ -146,7 +145,7 @@ class Selection:
     def margin(self, rival: RivalFit, policy: SelectionPolicy) -> float:
         """Deficit at which a rival is excluded [nat]: such that other pushes would hardly turn it round, too."""
         of_law = policy.tie_margin_of(EFFECTS[rival.name].law, self.added[rival.replaces][1].log_bayes_factor)
-        return max(of_law, -float(ndtri(policy.max_probability_of_error)) * rival.deficit_std)
+        return max(of_law, policy.min_deficit_standard_errors * rival.deficit_std)
 
     def special_cases(self, tie_margin: float) -> dict[str, str]:
         """Of effects that were found: one that contains it as a special case and explains the pushes no better."""

@@ -91,8 +91,6 @@ class DiagnosisState:
     fit_gates: tuple[Gate, ...] = ()
     contradictions: tuple[str, ...] = ()
     """Between contacts, clocks and forces of the pushes, one sentence each."""
-    outliers: tuple[str, ...] = ()
-    """Sources of pushes that were set aside."""
     base: Fit | None = None
     selection: Selection | None = None
     validation: Validation | None = None

@@ -154,13 +154,6 @@ def sentence_of_negligible(effects: Sequence[FoundEffect]) -> str:
     return f" Detected but negligible, below the accuracy of a cell: {detected}."
 
 
-def sentence_of_outliers(pushes: Sequence[str]) -> str:
-    """Added to the sentence where some pushes of an object that a camera traced were set aside, at least one."""
-    disagree, they = ("disagrees with all others and was", "it") if len(pushes) == 1 else ("disagree with all others and were", "they")
-    named = " and ".join(pushes)
-    return f" {named[0].upper()}{named[1:]} {disagree} set aside: compare the traced outline with the object where {they} touched it."
-
-
 def size_of(effect: FoundEffect) -> str:
     """Sizes with their standard deviation, in everyday units."""
     parts = []

@@ -3,7 +3,8 @@
 The error of a step of fixed length grows with speed: an object that is released at the speed v and coasts ends v dt / 2 too early, and the
 contact moves by v dt between two steps. The steps are therefore chosen for each push, on a grid of levels:
 
-    level 0: equal steps of 1/240 s                         level k: steps of 1/240 s / 2^(k - 1) at most, with `resolve_events`
+    level 0: equal steps of 1/240 s                         level k > 0: steps of 1/240 s / 2^(k - 1) at most, with `resolve_events`
+                                                            level k < 0: steps of 1/240 s * 2^-k at most, with `resolve_events`
 
 The level is the lowest at which halving the steps moves the last pose by less than `SHARE` of the standard deviation of its noise (step
 doubling: Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, section II.4). It is chosen before a fit, where it is 2 at
@@ -25,6 +26,8 @@ SHARE: Final = 0.1
 """Largest effect of halving the steps on the last pose, in standard deviations of its noise [-]: it adds 1 % to a squared residual."""
 MAX_LEVEL: Final = 7
 """Finest level: steps of 1/15360 s."""
+MIN_LEVEL: Final = -3
+"""Coarsest level: steps of 1/30 s, for a slow push."""
 
 EndPose = Callable[[SimulationSettings], Float64Array]
 """Simulates a push and gives its last pose, shape (3,); NaN where the simulation fails."""
@@ -48,7 +51,9 @@ class StepChoice:
 
 def at_level(settings: SimulationSettings, level: int) -> SimulationSettings:
     """The settings on one level of the grid; those of level 0 are the given ones."""
-    return settings if level == 0 else replace(settings, step=DEFAULT_STEP / 2 ** (level - 1), resolve_events=True)
+    if level == 0:
+        return settings
+    return replace(settings, step=DEFAULT_STEP / 2.0 ** (level - 1 if level > 0 else level), resolve_events=True)
 
 
 def quick_steps(settings: SimulationSettings | None) -> SimulationSettings:
@@ -82,7 +87,13 @@ def step_error(end_pose: EndPose, settings: SimulationSettings, covariance: Floa
 
 
 def choose_steps(
-    end_pose: EndPose, settings: SimulationSettings, covariance: Float64Array, duration: float, *, least: int = 0, most: int = MAX_LEVEL
+    end_pose: EndPose,
+    settings: SimulationSettings,
+    covariance: Float64Array,
+    duration: float,
+    *,
+    least: int = MIN_LEVEL,
+    most: int = MAX_LEVEL,
 ) -> StepChoice:
     """The lowest level at which the steps are short enough for the noise.
 
@@ -95,8 +106,8 @@ def choose_steps(
         most: level to end with, at most.
 
     Returns:
-        The choice. Where no level is fine enough, that of the smallest error, which is then `SHARE` or more; and `least` where no level
-        comes within a standard deviation, as of an impossible push, whose motion has no limit.
+        The choice. Where no level is fine enough, that of the smallest error, which is then `SHARE` or more; and `least`, 0 at least,
+        where none comes within a standard deviation, as of an impossible push, whose motion has no limit.
     """
     if settings.step is not None:
         return StepChoice(settings, 0, np.nan)
@@ -110,9 +121,10 @@ def choose_steps(
 
     # 10,000 steps of a push bound the time of one simulation with its derivative to some 0.1 s.
     finest = min(most, 1 + int(np.log2(max(1.0, 10_000 * DEFAULT_STEP / duration))))
-    best = first = StepChoice(at_level(settings, least), least, np.inf)
+    first = StepChoice(at_level(settings, max(least, 0)), max(least, 0), np.inf)
+    best = first
     for level in range(least, max(finest, least) + 1):
-        error = _distance(pose(level), pose(max(level + 1, 2)), whitening)
+        error = _distance(pose(level), pose(1 if level < 0 else max(level + 1, 2)), whitening)
         if error < best.error:
             best = StepChoice(at_level(settings, level), level, error)
         if error < SHARE:

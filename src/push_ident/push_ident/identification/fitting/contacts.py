@@ -66,11 +66,12 @@ def freed(problem: FitProblem, x: Float64Array) -> Float64Array:
         before = one.evaluate(x[problem.slice_of_push(push)])
         if before.cost < FRAME_COST * len(before.residual):
             continue
-        ends = [minimise_roughly(one, start, _FREEING_STEPS)[:2] for start in _contacts(problem, push)]
-        of_push, end = min(ends, key=lambda result: result[1].cost)
-        if end.cost < before.cost - _GAIN:
-            better = np.array(better)
-            better[problem.slice_of_push(push)] = of_push
+        needed = before.cost - _GAIN
+        for start in _contacts(problem, push):
+            of_push, end, _ = minimise_roughly(one, start, _FREEING_STEPS, needed_cost=needed)
+            if end.cost < needed:
+                better, needed = np.array(better), end.cost
+                better[problem.slice_of_push(push)] = of_push
     return better
 
 

@@ -33,7 +33,7 @@ from push_ident.identification.observing.observation import ForceObservation, No
 from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at
 from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.identification.unknowns.spec import Block, Layout, UnknownsSpec
-from push_ident.physics.accuracy import MAX_LEVEL, SHARE, StepChoice, choose_steps, step_error
+from push_ident.physics.accuracy import MAX_LEVEL, MIN_LEVEL, SHARE, StepChoice, choose_steps, step_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion, SimulationSettings, StepResponse, Timeline, simulate_body_with_response
 from push_ident.physics.tape import Param
@@ -318,8 +318,12 @@ class FitProblem:
         scenario = self._scenario(mechanics, x, push)
         return mechanics.simulate(scenario, settings=settings, timeline=self._timeline(scenario, push, settings)).pose[-1]
 
-    def _choose_steps(self, mechanics: Mechanics, x: Float64Array, push: int, least: int = 0, most: int = MAX_LEVEL) -> StepChoice:
+    def _choose_steps(
+        self, mechanics: Mechanics, x: Float64Array, push: int, least: int | None = None, most: int = MAX_LEVEL
+    ) -> StepChoice:
         duration, covariance = self._scenario(mechanics, x, push).duration, self.observations[push].end_covariance
+        if least is None:  # forces are means over steps
+            least = MIN_LEVEL if self.forces[push] is None else 0
         return choose_steps(partial(self._end_pose, mechanics, x, push), self.settings, covariance, duration, least=least, most=most)
 
     def settings_of(self, push: int) -> SimulationSettings:

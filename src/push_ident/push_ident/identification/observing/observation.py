@@ -182,6 +182,9 @@ def observe_push(record: PushRecord, noise: NoiseModel | None = None) -> Observa
     groups = [before, *singles, after]
 
     time = np.array([poses.time[g].mean() for g in groups])
+    # The object rests until it is touched. In a simulation whose pusher touches it from the start, a later time would not be of the first
+    # pose, which nothing then determines.
+    time[0] = min(time[0], record.pusher.time[0])
     pose = np.array([poses.pose[g].mean(axis=0) for g in groups])
     floor = noise.floor
     travel = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1))])
@@ -384,6 +387,16 @@ def scatter_at_rest(record: PushRecord, correlation: float = 0.0) -> float:
     """Variance of the frames of the rests, without wrong poses, over the one that their covariance states; see `_scatter`."""
     before, after, _ = rest_frames(record)
     return _scatter(record, _agreeing(record, before), _agreeing(record, after), correlation=correlation)
+
+
+def errors_shared_by_frames(records: Sequence[PushRecord]) -> tuple[float, float, float]:
+    """Standard deviation (x, y, yaw) of the errors of a pose that all frames of a rest have in common [m, m, rad].
+
+    What is stated of a frame and its scatter at rest does not show; the median of the records. Zero where frames scatter as stated.
+    """
+    shared = [max(0.0, 1.0 - scatter_at_rest(r)) * np.diagonal(r.poses.covariance.mean(axis=0)) for r in records]
+    x, y, yaw = map(float, np.sqrt(np.median(shared, axis=0)))
+    return x, y, yaw
 
 
 def pusher_gaps(record: PushRecord) -> Float64Array:

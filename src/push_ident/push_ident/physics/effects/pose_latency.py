@@ -13,7 +13,7 @@ EFFECT = Effect(
     name="pose_latency",
     what="Each pose was measured earlier than its time stamp.",
     equation="reported(t) = pose(t - delta)",
-    parameters=(EffectParameter("delta", "s", "age of a pose at its stamp", scale=0.02, typical=0.02, low=-0.3, high=0.3),),
+    parameters=(EffectParameter("delta", "s", "age of a pose at its stamp", scale=0.1, typical=0.02, low=-0.3, high=0.3),),
     acts=OnTimes(_delayed),
     law=Law.EXACT,
     signature="Speed of the object times delta; zero at rest.",

@@ -33,7 +33,7 @@ EFFECT = Effect(
     name="pusher_lag",
     what="The pusher follows its reported path with a first-order lag.",
     equation="tau dp/dt = p_reported - p, initially at rest",
-    parameters=(EffectParameter("tau", "s", "time constant", scale=0.03, typical=0.03, low=0.0, high=0.5),),
+    parameters=(EffectParameter("tau", "s", "time constant", scale=0.1, typical=0.03, low=0.0, high=0.5),),
     acts=OnPusherPath(_move),
     law=Law.EXACT,
     signature="Speed times tau while the pusher moves; fades after it stops.",

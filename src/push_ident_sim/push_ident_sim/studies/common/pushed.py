@@ -27,8 +27,8 @@ TABLE: Final = np.array([0.8, 0.7])
 _EXPLORING: Final = 3
 """Random pushes before the first goal."""
 _SYSTEMATIC_STD: Final = np.array([7e-4, 7e-4, 6e-3])
-"""Standard deviation of the errors of a pose at rest that no further frame lessens [m, m, rad]: perception in the simulated cell
-(`CameraPolicy.floor_position`, `floor_yaw`)."""
+"""Standard deviation of the errors of a pose at rest that no further frame lessens [m, m, rad]: perception in the simulated cell,
+where it is worst."""
 REST: Final = 0.4
 """Before and after each push [s]."""
 
