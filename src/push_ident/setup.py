@@ -25,6 +25,7 @@ requires = [
 # Modules of each: push_ident/extras.py.
 extras = {
     "arm": ["pin>=4.1"],
+    "bullet": ["pybullet>=3.2"],
     "fleet": ["pyarrow>=26.0", "ray>=2.60"],
     "mit": ["h5py>=3.16"],
     "mujoco": ["mujoco>=3.3,<4"],

@@ -9,6 +9,7 @@ from push_ident.errors import PushIdentError
 
 EXTRAS: Final = {
     "arm": ("pinocchio",),
+    "bullet": ("pybullet",),
     "fleet": ("ray", "pyarrow"),
     "mit": ("h5py",),
     "mujoco": ("mujoco",),

@@ -75,7 +75,7 @@ def test_a_corrected_scene_is_a_file_that_moves_the_object_alike(path: Path, tmp
     table, frame = np.array([0.2, -0.1, 0.7]), np.array([0.01, -0.02, 0.4])
     corrected = MujocoScene(path, "thing", "finger").with_object(TRUTH).with_precise_contact()
     file = tmp_path / "fixed.xml"
-    file.write_text(corrected.xml(), encoding="utf-8")
+    assert corrected.write(file) == [file] and 'cone="elliptic" impratio="10"' in corrected.contact_settings
     again = MujocoScene(file, "thing", "finger")
     for record in simulated_pushes(4, 5)[1:]:  # the first one slips round a corner
         first, times = record.poses.pose[0], record.poses.time[-1:]

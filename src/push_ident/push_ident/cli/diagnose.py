@@ -26,7 +26,7 @@ from push_ident.cli.identify import (
     read_options,
 )
 from push_ident.cli.output import BagsArgument, JsonOption, OutOption, console, progress, say, warn, write_json
-from push_ident.cli.scene import ObjectBodyOption, ObjectInBodyOption, PusherBodyOption, TableInSceneOption, scene_of
+from push_ident.cli.scene import EngineFrictionOption, ObjectBodyOption, ObjectInBodyOption, PusherBodyOption, TableInSceneOption, scene_of
 from push_ident.diagnosis.diagnose import diagnose, with_simulator
 from push_ident.diagnosis.diagnosis_json import to_json
 from push_ident.diagnosis.report import write_report
@@ -61,7 +61,12 @@ _FromCameraOption = Annotated[
 ]
 _SimulatorOption = Annotated[
     Path | None,
-    typer.Option("--simulator", metavar="SCENE", help="Divide the gap of this scene of MuJoCo (MJCF) as well.", show_default=False),
+    typer.Option(
+        "--simulator",
+        metavar="SCENE",
+        help="Divide the gap of this scene of MuJoCo (MJCF) or object of Bullet (URDF) as well.",
+        show_default=False,
+    ),
 ]
 
 
@@ -76,6 +81,7 @@ def diagnose_command(
     pusher_body: PusherBodyOption = "",
     table_in_scene: TableInSceneOption = "",
     object_in_body: ObjectInBodyOption = "",
+    engine_friction: EngineFrictionOption = "",
     out: OutOption = None,
     json: JsonOption = None,
     object_id: ObjectOption = "",
@@ -95,7 +101,7 @@ def diagnose_command(
         need("report")
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
-    scene = simulator and scene_of(simulator, object_body, pusher_body, table_in_scene, object_in_body)
+    scene = simulator and scene_of(simulator, object_body, pusher_body, table_in_scene, object_in_body, engine_friction)
     left_out = parse_numbers(without, "--without") if without else []
     options, in_table = read_options(map_, depth_unit), read_camera(camera)
     with progress() as report:

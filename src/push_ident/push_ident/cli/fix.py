@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,18 +11,19 @@ import typer
 from push_ident.cli.checks import writable_file
 from push_ident.cli.identify import MapOption, ObjectOption, TotalMassOption, prior_of_options, read_options
 from push_ident.cli.output import BagsArgument, JsonOption, progress, say, warn, write_json
-from push_ident.cli.scene import ObjectBodyOption, ObjectInBodyOption, PusherBodyOption, TableInSceneOption, scene_of
+from push_ident.cli.scene import EngineFrictionOption, ObjectBodyOption, ObjectInBodyOption, PusherBodyOption, TableInSceneOption, scene_of
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
-from push_ident.files import write_whole
 from push_ident.identification.identify import identify
 from push_ident.identification.results.result import Identification
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.offline.loading import load_pushes
+from push_ident.simulators.bullet_scene import BulletScene
 from push_ident.simulators.gap import SimulatorGap, check_number_of_pushes, corrected_by, simulator_gap
 from push_ident.simulators.measured import Measured, of_the_data
 from push_ident.simulators.mujoco_scene import MujocoScene
+from push_ident.simulators.protocol import CorrectableSimulator
 
 _NOMINAL = Prior()
 _OutOption = Annotated[
@@ -33,15 +33,21 @@ _WithOption = Annotated[
     list[str] | None,
     typer.Option("--with", metavar="EFFECT", help="Add this cause instead of those of a diagnosis; may be repeated.", show_default=False),
 ]
+_SceneArgument = Annotated[
+    Path, typer.Argument(metavar="SCENE", help="MJCF file of MuJoCo, or URDF of the object for Bullet.", show_default=False)
+]
 
 
 def fix_command(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="MJCF file of MuJoCo.", show_default=False)],
+    scene: Annotated[
+        Path, typer.Argument(metavar="SCENE", help="MJCF file of MuJoCo, or URDF of the object for Bullet.", show_default=False)
+    ],
     bags: BagsArgument,
     object_body: ObjectBodyOption = "",
     pusher_body: PusherBodyOption = "",
     table_in_scene: TableInSceneOption = "",
     object_in_body: ObjectInBodyOption = "",
+    engine_friction: EngineFrictionOption = "",
     with_: _WithOption = None,
     out: _OutOption = None,
     json: JsonOption = None,
@@ -49,13 +55,13 @@ def fix_command(
     map_: MapOption = None,
     total_mass: TotalMassOption = None,
 ) -> None:
-    """Correct a scene of MuJoCo by recorded pushes, and show in that engine how far its gap shrinks.
+    """Correct a scene of MuJoCo or an object of Bullet by recorded pushes, and show in that engine how far its gap shrinks.
 
     The object gets a foot with mass and friction under each cell, its outline the friction of the pusher; a tilt of the table becomes
     gravity, contacts become precise. Causes of tool, clocks and camera are corrections of the data: they stand in the JSON result.
     """
-    simulator = scene_of(scene, object_body, pusher_body, table_in_scene, object_in_body)
-    path = out or scene.with_name(f"{scene.stem}_fixed.xml")
+    simulator = scene_of(scene, object_body, pusher_body, table_in_scene, object_in_body, engine_friction)
+    path = out or scene.with_name(f"{scene.stem}_fixed{scene.suffix}")
     if path.exists() and path.samefile(scene):
         raise InputError(f"{path} is the scene itself; name another file with --out.")
     prior = prior_of_options(total_mass, _NOMINAL.total_mass, _NOMINAL.friction, _NOMINAL.pusher_friction)
@@ -71,28 +77,28 @@ def fix_command(
         fit = identify(loaded.records, prior, effects=effects)
         if fit.status.is_failure:
             raise InputError(f"The pushes identify no object, so that the scene cannot be corrected: {fit.status.value}.")
-        _write(path, simulator, fit)
+        corrected = _corrected(simulator, fit)
+        written = corrected.write(path)
     for note in loaded.notes:
         warn(f"note: {note}")
-    _show(gap, fit, path)
+    _show(gap, fit)
+    say(f"written {' and '.join(map(str, written))}; in it: {corrected.contact_settings}")
     write_json(
         json, {**gap.as_json(), "effects": dict(zip(fit.posterior.effects.labels, map(float, fit.posterior.effects.values), strict=True))}
     )
 
 
-def _write(path: Path, simulator: MujocoScene, fit: Identification) -> None:
-    """Write the corrected scene, and read it again. Raises InputError where it cannot be read there, as beside relative mesh files."""
+def _corrected(simulator: MujocoScene | BulletScene, fit: Identification) -> CorrectableSimulator:
+    """The scene with the object of a fit."""
     corrected = corrected_by(simulator, fit)
-    assert isinstance(corrected, Measured) and isinstance(corrected.simulator, MujocoScene)
-    write_whole(path, corrected.simulator.xml(), "the scene")
-    replace(simulator, path=path)
+    assert isinstance(corrected, Measured) and isinstance(corrected.simulator, CorrectableSimulator)
+    return corrected.simulator
 
 
-def _show(gap: SimulatorGap, fit: Identification, path: Path) -> None:
+def _show(gap: SimulatorGap, fit: Identification) -> None:
     before, after = (float(np.mean(gap.errors[row])) for row in (0, -2))
     for line in gap.lines():
         say(line)
     say(f"On pushes that no fit has seen, the error of this scene falls from {1e3 * before:.1f} to {1e3 * after:.1f} mm.")
     if outside := of_the_data(fit.posterior.effects):
         say(f"{', '.join(outside)}: corrected in the data, not in the scene; the values stand in --json.")
-    say(f"written {path}")

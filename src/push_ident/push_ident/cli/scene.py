@@ -11,6 +11,7 @@ from push_ident.cli.units import parse_floats
 from push_ident.errors import InputError
 
 if TYPE_CHECKING:
+    from push_ident.simulators.bullet_scene import BulletScene
     from push_ident.simulators.mujoco_scene import MujocoScene
 
 ObjectBodyOption = Annotated[
@@ -27,14 +28,34 @@ ObjectInBodyOption = Annotated[
 ]
 
 
-def scene_of(path: Path, object_body: str, pusher_body: str, table_in_scene: str, object_in_body: str) -> MujocoScene:
-    """The scene of the options. Raises InputError where it cannot be read, or a body is missing or not named."""
-    from push_ident.simulators.mujoco_scene import MujocoScene
+EngineFrictionOption = Annotated[
+    str,
+    typer.Option(
+        "--engine-friction",
+        metavar="TABLE,PUSHER",
+        help="Of a URDF: lateral friction of plane and pusher in your program.",
+        show_default="1,1",
+    ),
+]
 
-    if not object_body or not pusher_body:
-        raise InputError("Name the bodies of the scene with --object-body and --pusher-body.")
+
+def scene_of(
+    path: Path, object_body: str, pusher_body: str, table_in_scene: str, object_in_body: str, engine_friction: str = ""
+) -> MujocoScene | BulletScene:
+    """The scene of the options, by the suffix of the file. Raises InputError where it cannot be read, or a body is missing or not named."""
     table, frame = (
         parse_floats(text or "0,0,0", ("m", "m", "rad"), option, "X,Y,YAW in metres and radians, such as 0.4,-0.1,1.57")
         for text, option in ((table_in_scene, "--table-in-scene"), (object_in_body, "--object-in-body"))
     )
+    if path.suffix.lower() == ".urdf":
+        from push_ident.simulators.bullet_scene import BulletScene
+
+        of_table, of_pusher = parse_floats(engine_friction or "1,1", ("", ""), "--engine-friction", "TABLE,PUSHER, such as 0.5,1.0")
+        return BulletScene(path, float(of_table), float(of_pusher), table, frame)
+    if path.suffix.lower() == ".sdf":
+        raise InputError(f"{path}: PyBullet reads neither friction nor inertia of SDF; give an MJCF file of MuJoCo, or a URDF.")
+    from push_ident.simulators.mujoco_scene import MujocoScene
+
+    if not object_body or not pusher_body:
+        raise InputError("Name the bodies of the scene with --object-body and --pusher-body.")
     return MujocoScene(path, object_body, pusher_body, table, frame)

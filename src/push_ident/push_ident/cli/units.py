@@ -19,6 +19,7 @@ _KINDS: Final[Mapping[str, Mapping[str, float]]] = {
     "angle": {"rad": 1.0, "deg": math.pi / 180.0, "°": math.pi / 180.0},
     "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
     "number of pixels": {"px": 1.0},
+    "number": {"": 1.0},
 }
 """In SI units, by the names of the units."""
 _MOST_BARE: Final = {"rad": (2.0 * math.pi, "radians", "deg"), "m": (float(LIMITS.EXTENT.value), "metres", "mm")}

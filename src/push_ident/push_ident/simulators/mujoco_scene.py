@@ -11,6 +11,7 @@ import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.extras import need
+from push_ident.files import write_whole
 from push_ident.geometry.se2 import compose, inverse, quaternion_of_yaw, rotation, transform_points, yaw_of_quaternion
 from push_ident.identification.export.description import ObjectDescription, describe
 from push_ident.physics.effect import ExportAs
@@ -69,11 +70,26 @@ class MujocoScene:
         """The name of the file."""
         return self.path.name
 
-    def xml(self) -> str:
-        """The scene with its changes, as MJCF; its tool moves as in the file."""
+    def write(self, path: Path) -> list[Path]:
+        """Write the scene with its changes as MJCF, and read it again; its tool moves as in the file.
+
+        Raises InputError where it cannot be read there, as beside relative mesh files.
+        """
         spec = self._spec(driven=False)
         _compile(spec, self.path)
-        return str(spec.to_xml())
+        write_whole(path, str(spec.to_xml()), "the scene")
+        replace(self, path=path, edits=())
+        return [path]
+
+    @property
+    def contact_settings(self) -> str:
+        """For people: gravity and contact of this scene."""
+        option = self._compiled()[0].opt
+        gravity = " ".join(f"{value:.4f}" for value in option.gravity)
+        cone = "elliptic" if option.cone else "pyramidal"
+        return (
+            f'option gravity="{gravity}" cone="{cone}" impratio="{option.impratio:g}" timestep="{option.timestep:g}", solref of all geoms'
+        )
 
     def with_object(self, model: ObjectModel, effects: EffectValues | None = None) -> MujocoScene:
         """The same scene in which the object stands on a foot under each cell with its mass and friction, and keeps its own shape for the

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -44,6 +45,13 @@ class CorrectableSimulator(PushSimulator, Protocol):
 
     def with_precise_contact(self) -> CorrectableSimulator:
         """The same scene with the time step and the contact parameters at which its engine is near rigid contact with Coulomb friction."""
+
+    @property
+    def contact_settings(self) -> str:
+        """For people: what the engine has to be set to for gravity and contact of this scene."""
+
+    def write(self, path: Path) -> list[Path]:
+        """Write the scene with its changes; the files written."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,242 @@
+"""An object of Bullet as a simulator of pushes: a URDF on a plane, pushed by a ball that follows the recorded path.
+
+Bullet solves friction on the axes of the table, each with its own effective mass: where these differ, as at the ends of a long object, the
+direction of a friction force is up to 30 degrees wrong, whatever the parameters are (docs/how-to/own-simulator.md).
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from push_ident.errors import InputError
+from push_ident.extras import need
+from push_ident.geometry.se2 import compose, inverse, quaternion_of_yaw, rotation, yaw_of_quaternion
+from push_ident.identification.export.description import ObjectDescription, describe
+from push_ident.identification.export.files import write_description
+from push_ident.physics.effect import ExportAs
+from push_ident.physics.effect_values import EffectValues
+from push_ident.physics.support import GRAVITY
+from push_ident.types import Float64Array, ObjectModel, PusherPath
+
+_HEAVY: Final = 1e3
+"""Mass of the tool [kg]: its speed is set in each step, and no contact changes it within one."""
+_SETTLE: Final = 0.3
+"""Time in which the object comes to rest on the table before a push [s]."""
+_STEP: Final = 1.0 / 240.0
+"""Time step, Bullet's default [s]. A quarter of it changes less than the error of Bullet's friction (docs/how-to/own-simulator.md)."""
+_SWELLING: Final = 1e-3
+"""By which Bullet makes a mesh too large [m]."""
+_MOST_JOINTS: Final = 120
+"""Of an object with sliding cells: PyBullet reports the state of a body with up to 127."""
+
+Place = Callable[[Float64Array], None]
+Pose = Callable[[], Float64Array]
+
+
+@dataclass(frozen=True)
+class BulletScene:
+    """An object in a URDF file whose z axis points up, at rest on a plane whose world frame is `table_in_world`.
+
+    Bullet multiplies the friction of two bodies: that of the plane and of the pusher are as in the user's program.
+    """
+
+    path: Path
+    table_friction: float = 1.0
+    """Lateral friction of the plane [1]."""
+    pusher_friction: float = 1.0
+    """Lateral friction of the pusher [1]."""
+    table_in_world: Float64Array = field(default_factory=lambda: np.zeros(3))
+    """(x, y, yaw) [m, m, rad]."""
+    object_in_body: Float64Array = field(default_factory=lambda: np.zeros(3))
+    """Frame of the recorded poses in the frame of the base link (x, y, yaw) [m, m, rad]."""
+    identified: ObjectDescription | None = None
+    """In place of the object of the file."""
+    precise: bool = False
+
+    def __post_init__(self) -> None:
+        need("bullet")
+        with self._world(0.01):
+            pass
+
+    @property
+    def name(self) -> str:
+        """The name of the file."""
+        return self.path.name
+
+    @property
+    def gravity(self) -> Float64Array:
+        """For `setGravity` [m/s^2], shape (3,): a tilt of the table is in it."""
+        slope = None if self.identified is None else self.identified.exported(ExportAs.GRAVITY)
+        along = np.zeros(2) if slope is None else rotation(self.table_in_world[2]) @ np.array(slope)
+        return np.array([*(GRAVITY * along), -GRAVITY])
+
+    def with_object(self, model: ObjectModel, effects: EffectValues | None = None) -> BulletScene:
+        """The same scene with an object that stands on a foot under each cell with its mass and friction, and has the outline of the
+        recorded poses' frame with the friction of the pusher of `model`; plane and pusher then have a friction of 1."""
+        sliding = len(model.mass) <= _MOST_JOINTS
+        description = describe(model, object_id=self.path.stem, source="the identification", effects=effects, sliding=sliding)
+        return replace(self, identified=description, table_friction=1.0, pusher_friction=1.0, object_in_body=np.zeros(3))
+
+    def with_precise_contact(self) -> BulletScene:
+        """The same scene with a friction cone in place of Bullet's pyramid."""
+        return replace(self, precise=True)
+
+    @property
+    def contact_settings(self) -> str:
+        """For people: what a program has to set for the gravity and the contact of this scene."""
+        gravity = ", ".join(f"{value:.4f}" for value in self.gravity)
+        return (
+            f"setGravity({gravity}), setPhysicsEngineParameter(enableConeFriction=1), lateralFriction {self.table_friction:g} of the plane "
+            f"and {self.pusher_friction:g} of the pusher, which is 1 mm thinner for the mesh; a comment in the file names the rest"
+        )
+
+    def write(self, path: Path) -> list[Path]:
+        """Write the identified object as URDF with its mesh; the files written. Raises InputError where none was identified."""
+        if self.identified is None:
+            raise InputError(f"{self.path} has no identified object that could be written; correct it first with `with_object`.")
+        return write_description(path, self.identified, "urdf")
+
+    def simulate(self, first_pose: Float64Array, tool_path: PusherPath, times: Float64Array) -> Float64Array:
+        """As of `PushSimulator`; a pusher that is a polygon is refused.
+
+        Raises InputError for that, and where the simulation becomes unstable.
+        """
+        if tool_path.polygon is not None:
+            raise InputError("A scene of Bullet has a round pusher, and that of these pushes is a polygon; use a scene of MuJoCo.")
+        path = np.asarray(compose(self.table_in_world, np.column_stack([tool_path.position, np.zeros(len(tool_path.time))])))[:, :2]
+        start = np.asarray(compose(compose(self.table_in_world, first_pose), inverse(self.object_in_body)))
+        ticks = np.arange(tool_path.time[0], max(tool_path.time[-1], times[-1]) + _STEP, _STEP)
+        ways = np.column_stack([np.interp(ticks, tool_path.time, path[:, axis]) for axis in (0, 1)])
+        speeds = np.diff(ways, axis=0, append=ways[-1:]) / _STEP
+        poses = np.empty((len(ticks), 3))
+        with self._world(tool_path.radius) as (client, tool, place, pose):
+            place(start)
+            for _ in range(int(_SETTLE / _STEP)):
+                client.stepSimulation()
+            place(start)
+            for k, (here, speed) in enumerate(zip(ways, speeds, strict=True)):
+                for axis in (0, 1):
+                    client.resetJointState(tool, axis, here[axis], speed[axis])
+                client.stepSimulation()
+                poses[k] = pose()
+        if not np.all(np.isfinite(poses)):
+            raise InputError(f"{self.path} became unstable within a push; look at its masses and inertias.")
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        # A step leaves the bodies at its end.
+        at_times = np.column_stack([np.interp(times, ticks + _STEP, poses[:, column]) for column in range(3)])
+        return np.asarray(compose(inverse(self.table_in_world), compose(at_times, self.object_in_body)))
+
+    @contextmanager
+    def _world(self, radius: float) -> Iterator[tuple[Any, int, Place, Pose]]:
+        """Bullet with the plane, the object and the tool, far away; the functions place the object at rest, and tell its pose."""
+        import pybullet as bullet
+        from pybullet_utils.bullet_client import BulletClient
+
+        client = BulletClient(connection_mode=bullet.DIRECT)
+        try:
+            client.setGravity(*self.gravity)
+            client.setTimeStep(_STEP)
+            client.setPhysicsEngineParameter(enableConeFriction=int(self.precise))
+            plane = client.createMultiBody(0, client.createCollisionShape(bullet.GEOM_PLANE))
+            client.changeDynamics(plane, -1, lateralFriction=self.table_friction)
+            body, place, pose = self._loaded(client)
+            _free_joints(client, body)
+            top = max(client.getAABB(body, link)[1][2] for link in range(-1, client.getNumJoints(body)))
+            thinner = _SWELLING if self.identified is not None else 0.0
+            yield client, _add_tool(client, max(radius - thinner, 1e-4), 0.5 * top, self.pusher_friction), place, pose
+        finally:
+            client.disconnect()
+
+    def _loaded(self, client: Any) -> tuple[int, Place, Pose]:
+        import pybullet as bullet
+
+        flags = bullet.URDF_USE_INERTIA_FROM_FILE
+        if self.identified is None:
+            body = _load(client, self.path, flags)
+        else:
+            with tempfile.TemporaryDirectory() as folder:
+                file = Path(folder) / "identified.urdf"
+                self.write(file)
+                body = _load(client, file, flags)
+        in_plane = [bullet.JOINT_PRISMATIC, bullet.JOINT_PRISMATIC, bullet.JOINT_REVOLUTE]
+        kinds = [client.getJointInfo(body, joint)[2] for joint in range(min(3, client.getNumJoints(body)))]
+        return _object_in_plane(client, body) if kinds == in_plane else _free_object(client, body)
+
+
+def _load(client: Any, path: Path, flags: int) -> int:
+    """A body. Raises InputError where Bullet cannot read it."""
+    import pybullet as bullet
+
+    try:
+        return int(client.loadURDF(str(path), flags=flags))
+    except bullet.error as error:
+        raise InputError(f"Bullet cannot read {path}: {error}. Give a URDF of the object, with mesh paths relative to it.") from None
+
+
+def _free_joints(client: Any, body: int) -> None:
+    """Bullet brakes joints by motors, and motions by damping."""
+    import pybullet as bullet
+
+    joints = range(client.getNumJoints(body))
+    if joints:
+        client.setJointMotorControlArray(body, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(joints))
+    for link in (-1, *joints):
+        client.changeDynamics(body, link, linearDamping=0, angularDamping=0, jointDamping=0)
+
+
+def _free_object(client: Any, body: int) -> tuple[int, Place, Pose]:
+    """Functions of a body that moves freely in space, at the height at which it stands on the plane."""
+    lowest = min(client.getAABB(body, link)[0][2] for link in range(-1, client.getNumJoints(body)))
+    (x, y, z), turn = client.getBasePositionAndOrientation(body)
+    # Bullet speaks of the centre of mass of the base; the file, of its frame.
+    centre, axes = client.getDynamicsInfo(body, -1)[3:5]
+    link_in_centre = client.invertTransform(centre, axes)
+    height = client.multiplyTransforms((x, y, z), turn, *link_in_centre)[0][2] - lowest
+
+    def place(pose: Float64Array) -> None:
+        link = (pose[0], pose[1], height), quaternion_of_yaw(pose[2]).tolist()
+        client.resetBasePositionAndOrientation(body, *client.multiplyTransforms(*link, centre, axes))
+        client.resetBaseVelocity(body, [0, 0, 0], [0, 0, 0])
+
+    def pose() -> Float64Array:
+        position, turn = client.multiplyTransforms(*client.getBasePositionAndOrientation(body), *link_in_centre)
+        return np.array([position[0], position[1], yaw_of_quaternion(np.array(turn))])
+
+    return body, place, pose
+
+
+def _object_in_plane(client: Any, body: int) -> tuple[int, Place, Pose]:
+    """Functions of an exported object with sliding cells, which hangs on joints along x, y and about z."""
+
+    def place(pose: Float64Array) -> None:
+        for joint in range(client.getNumJoints(body)):
+            client.resetJointState(body, joint, float(pose[joint]) if joint < 3 else 0.0, 0.0)
+
+    return body, place, lambda: np.array([state[0] for state in client.getJointStates(body, range(3))])
+
+
+def _add_tool(client: Any, radius: float, height: float, friction: float) -> int:
+    """A ball, which upright walls touch at one point, on two sliding joints; far away."""
+    import pybullet as bullet
+
+    ball = client.createCollisionShape(bullet.GEOM_SPHERE, radius=radius)
+    tool = client.createMultiBody(
+        0, linkMasses=[1, _HEAVY], linkCollisionShapeIndices=[-1, ball], linkVisualShapeIndices=[-1, -1],
+        linkPositions=[[0, 0, height], [0, 0, 0]], linkOrientations=[[0, 0, 0, 1]] * 2, linkInertialFramePositions=[[0, 0, 0]] * 2,
+        linkInertialFrameOrientations=[[0, 0, 0, 1]] * 2, linkParentIndices=[0, 1], linkJointTypes=[bullet.JOINT_PRISMATIC] * 2,
+        linkJointAxis=[[1, 0, 0], [0, 1, 0]],
+    )  # fmt: skip
+    _free_joints(client, tool)
+    client.changeDynamics(tool, 1, lateralFriction=friction, restitution=0)
+    plane = 0
+    client.setCollisionFilterPair(plane, tool, -1, 1, 0)
+    for axis in (0, 1):
+        client.resetJointState(tool, axis, 10.0)
+    return int(tool)

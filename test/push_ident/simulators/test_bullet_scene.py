@@ -1,0 +1,89 @@
+"""An object of Bullet that is wrong in known ways, and the corrected one in that engine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.diagnosis import TRUTH, simulated_pushes
+from helpers.objects import random_push
+from push_ident.errors import InputError
+from push_ident.geometry.cells import cell_error
+from push_ident.geometry.se2 import compose, inverse
+from push_ident.identification.export.description import describe
+from push_ident.identification.export.files import write_description
+from push_ident.physics.effect_values import effect_values
+from push_ident.physics.scenario import PushScenario
+from push_ident.physics.simulation import SimulationSettings, simulate
+from push_ident.simulators.bullet_scene import BulletScene
+from push_ident.types import Float64Array, PusherPath
+
+FINE = SimulationSettings(step=1 / 1920, resolve_events=True)
+BODY = """<robot name="block"><link name="base">
+<inertial><origin xyz="0.02 0.01 0.015"/><mass value="0.5"/><inertia ixx="1e-4" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><origin xyz="0 0 0.015"/><geometry><box size="0.16 0.06 0.03"/></geometry></collision>
+<contact><lateral_friction value="0.4"/></contact></link></robot>"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """The outline of `TRUTH` as one even body."""
+    file = tmp_path / "thing.urdf"
+    even = replace(TRUTH, mass=np.full(len(TRUTH.mass), 0.01), friction=np.full(len(TRUTH.mass), 0.6))
+    write_description(file, describe(even, object_id="thing", source="somebody", sliding=False), "urdf")
+    return file
+
+
+def off(scene: BulletScene, pushes: int = 4) -> float:
+    """Mean distance of its ends from those of the true simulation [m]."""
+    errors = []
+    for record in simulated_pushes(pushes, 5):
+        first, times = record.poses.pose[0], record.poses.time[-1:]
+        own = simulate(TRUTH, PushScenario(record.pusher, first, times), settings=FINE).pose[-1]
+        errors.append(cell_error(TRUTH.shape.cells, own, scene.simulate(first, record.pusher, times)[-1]))
+    return float(np.mean(errors))
+
+
+def test_object_and_contact_take_most_of_the_gap_and_the_rest_is_bullets_friction(path: Path, tmp_path: Path) -> None:
+    scene = BulletScene(path)
+    corrected = scene.with_object(TRUTH).with_precise_contact()
+    assert off(corrected) < 0.2 * off(scene) and off(corrected) < 4e-3
+    written = corrected.write(tmp_path / "fixed.urdf")
+    assert [file.name for file in written] == ["fixed.urdf.obj", "fixed.urdf"] and "enableConeFriction=1" in corrected.contact_settings
+    # The file is the object.
+    assert off(replace(BulletScene(tmp_path / "fixed.urdf"), precise=True), 2) == pytest.approx(off(corrected, 2), abs=1.5e-3)
+
+
+def test_a_body_of_any_centre_of_mass_is_placed_and_seen_by_its_frame(tmp_path: Path) -> None:
+    file = tmp_path / "block.urdf"
+    file.write_text(BODY, encoding="utf-8")
+    away = PusherPath(np.array([0.0, 0.2]), np.array([[0.5, 0.5], [0.6, 0.5]]), 0.01)
+    pose, table, frame = np.array([0.1, -0.05, 0.8]), np.array([0.2, -0.1, 0.7]), np.array([0.01, -0.02, 0.4])
+    for scene in (BulletScene(file), BulletScene(file, table_in_world=table, object_in_body=frame)):
+        np.testing.assert_allclose(scene.simulate(pose, away, np.array([0.1, 0.2])), [pose, pose], atol=1e-4)
+    push = random_push(TRUTH.shape, np.zeros(3), np.random.default_rng(0))
+    ends: list[Float64Array] = []
+    # Bullet's pyramid of friction lies along the axes of the world.
+    for scene in (BulletScene(file), BulletScene(file, table_in_world=np.array([0.2, -0.1, 0.0]))):
+        ends.append(scene.simulate(np.zeros(3), push, push.time[-1:])[-1])
+    np.testing.assert_allclose(*ends, atol=2e-3)
+    framed = BulletScene(file, object_in_body=frame).simulate(frame, push, push.time[-1:])[-1]
+    np.testing.assert_allclose(compose(framed, inverse(frame)), ends[0], atol=2e-3)
+
+
+def test_a_tilt_is_in_the_gravity_of_the_world(path: Path) -> None:
+    scene = BulletScene(path, table_in_world=np.array([0.0, 0.0, np.pi / 2])).with_object(TRUTH, effect_values({"table_tilt": [0.05, 0.0]}))
+    np.testing.assert_allclose(scene.gravity, [0.0, 0.05 * 9.81, -9.81], atol=1e-9)
+
+
+def test_what_bullet_cannot_be_is_said(path: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="Bullet cannot read"):
+        BulletScene(tmp_path / "missing.urdf")
+    with pytest.raises(InputError, match="no identified object"):
+        BulletScene(path).write(tmp_path / "out.urdf")
+    square = PusherPath(np.array([0.0, 1.0]), np.zeros((2, 2)), 0.0, polygon=0.01 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
+    with pytest.raises(InputError, match="polygon"):
+        BulletScene(path).simulate(np.zeros(3), square, np.array([0.5]))
