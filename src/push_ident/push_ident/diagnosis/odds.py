@@ -278,7 +278,9 @@ def _not_added(selection: Selection, weight: float, policy: SelectionPolicy, rej
     if step is None:
         return []
     names = list(selection.selected)
-    evidence = {score.name: score.expected_log_bayes_factor for score in step.scores}
+    # Where refits do not keep what scores promise, those of others are worth no more.
+    kept = max((max(candidate.log_bayes_factor, 0.0) for candidate in step.candidates), default=math.inf)
+    evidence = {score.name: min(score.expected_log_bayes_factor, kept) for score in step.scores}
     evidence |= {candidate.name: candidate.log_bayes_factor for candidate in step.candidates}
     # The pushes that do not support an effect support none of its rivals more.
     limit = min(rejected.values(), default=math.inf)

@@ -90,15 +90,21 @@ def _make_step(selection: Selection, policy: SelectionPolicy, report: Progress) 
     information = effect_information(fit)
     by_chance = gains_by_chance(fit, policy)
     near_fit = score_effects(information, policy)
+    scores = near_fit
     if fit.has_discrepancy_above(policy.usual_discrepancy):
         under_usual = score_effects(effect_information(under_usual_discrepancy(fit)), policy)
-        near_fit = _or_under_usual(near_fit, under_usual, policy)
-    all_scores = [score.beyond(by_chance.get(score.name, 0.0)) for score in near_fit]
-    scores = sorted(all_scores, key=lambda score: -score.expected_log_bayes_factor)
+        scores = _or_under_usual(near_fit, under_usual, policy)
+    near_fit, scores = (
+        sorted((s.beyond(by_chance.get(s.name, 0.0)) for s in group), key=lambda s: -s.expected_log_bayes_factor)
+        for group in (near_fit, scores)
+    )
     needed = required_log_bayes_factor(selection, policy)
     # Refits also free a fit that stopped before its optimum, where scores mean little.
     least = needed if fit.status is SolveStatus.CONVERGED else -np.inf
-    chosen = choose_refits(scores, policy, required=least, is_first=fit is selection.base)
+    is_first = fit is selection.base
+    # Pushes that a usual discrepancy does not explain at all promise there what no refit keeps.
+    tried = {s.name for group in (near_fit, scores) for s in choose_refits(group, policy, required=least, is_first=is_first)}
+    chosen = [score for score in scores if score.name in tried]
     if chosen:
         report(f"refitting with {', '.join(score.name for score in chosen)}")
     # All refits of a first effect are completed, since the ranking shows them; later ones end where they cannot matter any more.
