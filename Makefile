@@ -51,7 +51,7 @@ fuzz: setup  ## any message for every conversion and node, any bag, any depth fr
 	FUZZ_MINUTES=$(MINUTES) $(VENV)/pytest -vv -m fuzz $(call with_marker,fuzz)
 
 blind: setup  ## the diagnosis on sealed cases of two other engines (twenty minutes; the published seeds), then the page
-	$(call experiment,blind --seed 50000 --models 12 --variants 14-pushes$(comma)camera)
+	$(call experiment,blind --seed 52000 --models 12 --variants 14-pushes$(comma)camera)
 	$(VENV)/push-ident experiment report
 
 DATA ?= ../shared/data
@@ -60,7 +60,7 @@ recordings: setup  ## recordings of others, set by set, DATA=FOLDER of them (goe
 	$(VENV)/push-ident experiment report
 
 injected: setup  ## known causes put into recordings of others, DATA=FOLDER of them (goes on where it stopped), then the page
-	$(call experiment,injected --seed 400 --models 3 --variants single$(comma)single-against-half$(comma)pair-against-half$(comma)against-half --recordings "$(DATA)")
+	$(call experiment,injected --seed 420 --models 3 --variants single$(comma)single-against-half$(comma)pair-against-half$(comma)against-half --recordings "$(DATA)")
 	$(VENV)/push-ident experiment report
 
 STREAMS ?= 10000
