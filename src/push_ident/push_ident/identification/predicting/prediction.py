@@ -109,7 +109,8 @@ def _settings_of(
     settings = SimulationSettings()
     travel = float(np.linalg.norm(end_pose(settings)[:2] - start[:2]))
     covariance = first_covariance + noise.floor + np.diag(travel * noise.model_discrepancy if np.isfinite(travel) else np.zeros(3)) ** 2
-    return choose_steps(end_pose, settings, covariance, scenario.duration).settings
+    # Draws of the model move in other ways than its mean: none longer than the default.
+    return choose_steps(end_pose, settings, covariance, scenario.duration, least=0).settings
 
 
 def _covariance_of_draws(poses: Float64Array) -> Float64Array:
