@@ -10,6 +10,7 @@ import pytest
 
 from helpers.diagnosis import TRUTH, simulated_pushes
 from helpers.objects import random_push
+from push_ident.cli.scene import scene_of
 from push_ident.errors import InputError
 from push_ident.geometry.cells import cell_error
 from push_ident.geometry.se2 import compose, inverse
@@ -87,3 +88,11 @@ def test_what_bullet_cannot_be_is_said(path: Path, tmp_path: Path) -> None:
     square = PusherPath(np.array([0.0, 1.0]), np.zeros((2, 2)), 0.0, polygon=0.01 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
     with pytest.raises(InputError, match="polygon"):
         BulletScene(path).simulate(np.zeros(3), square, np.array([0.5]))
+
+
+def test_options_name_a_scene_by_its_suffix(path: Path, tmp_path: Path) -> None:
+    scene = scene_of(path, "", "", "0.1,0,0", "", "0.5,0.8")
+    assert isinstance(scene, BulletScene) and (scene.table_friction, scene.pusher_friction) == (0.5, 0.8)
+    for file, friction, expected in (("thing.sdf", "", "nor inertia of SDF"), ("thing.urdf", "0.5", "--engine-friction")):
+        with pytest.raises(InputError, match=expected):
+            scene_of(tmp_path / file, "", "", "", "", friction)

@@ -39,9 +39,7 @@ _SceneArgument = Annotated[
 
 
 def fix_command(
-    scene: Annotated[
-        Path, typer.Argument(metavar="SCENE", help="MJCF file of MuJoCo, or URDF of the object for Bullet.", show_default=False)
-    ],
+    scene: _SceneArgument,
     bags: BagsArgument,
     object_body: ObjectBodyOption = "",
     pusher_body: PusherBodyOption = "",

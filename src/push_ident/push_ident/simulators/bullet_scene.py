@@ -6,6 +6,8 @@ direction of a friction force is up to 30 degrees wrong, whatever the parameters
 
 from __future__ import annotations
 
+import os
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -137,9 +139,8 @@ class BulletScene:
     def _world(self, radius: float) -> Iterator[tuple[Any, int, Place, Pose]]:
         """Bullet with the plane, the object and the tool, far away; the functions place the object at rest, and tell its pose."""
         import pybullet as bullet
-        from pybullet_utils.bullet_client import BulletClient
 
-        client = BulletClient(connection_mode=bullet.DIRECT)
+        client = _connected()
         try:
             client.setGravity(*self.gravity)
             client.setTimeStep(_STEP)
@@ -168,6 +169,22 @@ class BulletScene:
         in_plane = [bullet.JOINT_PRISMATIC, bullet.JOINT_PRISMATIC, bullet.JOINT_REVOLUTE]
         kinds = [client.getJointInfo(body, joint)[2] for joint in range(min(3, client.getNumJoints(body)))]
         return _object_in_plane(client, body) if kinds == in_plane else _free_object(client, body)
+
+
+def _connected() -> Any:
+    """A client of Bullet of its own, which says hello on no standard output: results may be written there."""
+    import pybullet as bullet
+    from pybullet_utils.bullet_client import BulletClient
+
+    sys.stdout.flush()
+    output = os.dup(1)
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        try:
+            return BulletClient(connection_mode=bullet.DIRECT)
+        finally:
+            os.dup2(output, 1)
+            os.close(output)
 
 
 def _load(client: Any, path: Path, flags: int) -> int:
