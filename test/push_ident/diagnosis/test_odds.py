@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -45,6 +46,15 @@ def test_without_evidence_probabilities_are_the_prior() -> None:
     assert found.something_else == pytest.approx(POLICY.prior_something_else)
     assert sum(found.effects.values()) == pytest.approx(POLICY.prior_effects)
     assert not is_outside(found, POLICY)
+
+
+def test_a_score_counts_for_no_more_than_what_refits_kept_of_theirs() -> None:
+    """Stribeck friction promised 88 nat on real pushes, where the refit that was promised most brought -4."""
+    base = stub_fit()
+    promised = EffectScore("stribeck_friction", 88.0, np.zeros(1), np.eye(1), np.inf)
+    refitted = step_of(base, speed_dependent_friction=-4.0)
+    step = replace(refitted, scores=(promised,))
+    assert probabilities(Selection(base, base, (step,)), something_else(0.0, 20.0)).effects["stribeck_friction"] < 0.1
 
 
 def test_effect_is_detected_where_silence_would_cost_as_much_as_a_false_alarm() -> None:

@@ -61,6 +61,13 @@ def test_a_push_is_freed_from_a_contact_that_explains_it_badly() -> None:
     assert fit.problem.cost(freed(fit.problem, stuck)) < fit.end.cost + 1.0
 
 
+def test_the_first_pose_is_that_before_the_pusher_moves_whenever_its_rest_was_seen() -> None:
+    """At the mean time of that rest, a simulation that begins in contact has moved the object: its first pose would be free."""
+    (record,) = simulated_pushes(1, 3)
+    assert np.mean(record.poses.time[rest_frames(record)[0]]) > record.pusher.time[0]
+    assert observe_push(record).time[0] == record.pusher.time[0]
+
+
 def test_an_object_that_moves_before_the_reported_contact_is_not_at_rest() -> None:
     (record,) = simulated_pushes(1, 3, noise=np.array([5e-5, 5e-5, 5e-4]))
     late = replace(record, pusher=replace(record.pusher, radius=record.pusher.radius - 0.008))
