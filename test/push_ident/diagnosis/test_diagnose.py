@@ -112,6 +112,9 @@ def test_too_few_pushes_are_not_trusted(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.xfail(
+    strict=True, reason="the mechanism is right, but described by place in the table, and its size is less than 3 deviations"
+)
 def test_mechanism_whose_law_the_catalogue_does_not_hold_is_named_by_a_free_law(tmp_path: Path) -> None:
     """The table tilts after the fifth of ten pushes: a force on the object, by no law of the catalogue."""
     found = diagnose([*simulated_pushes(10, 3)[:5], *simulated_pushes(10, 3, {"table_tilt": [0.03, 0.0]})[5:]])
@@ -120,13 +123,14 @@ def test_mechanism_whose_law_the_catalogue_does_not_hold_is_named_by_a_free_law(
     content = to_json(found)
     (effect,), (cause,) = content["effects"], content["causes"]
     assert effect["name"] == effect["mechanism"] == cause["mechanism"] == "force_on_object" and effect["law"] == cause["law"] == "free"
-    assert content["mechanisms"]["force_on_object"] > 0.8 and content["something_else"]["where"]
-    assert effect["parameters"]["largest"] != 0.0 and effect["std"]["largest"] > 0.0
+    assert content["mechanisms"]["force_on_object"] > 0.8 and content["something_else"]["where"] == "from push 5 on"
+    assert effect["parameters"]["largest"] > 3.0 * effect["std"]["largest"] > 0.0
     assert cause["closes_m"] == pytest.approx(content["gap"]["before_m"] - content["gap"]["after_m"]) and cause["interval"][0] > 0.0
     assert "mm with force on object" in page_of(found, tmp_path)
 
 
 @pytest.mark.long
+@pytest.mark.xfail(strict=True, reason="the verdict is unknown, but a force on the object by place shares the probability")
 def test_cause_outside_the_catalogue_is_unknown_and_described(tmp_path: Path) -> None:
     """The table tilts in each push in another way: no mechanism of the catalogue does that."""
     tilts = [[0.03 * np.cos(2.4 * push), 0.03 * np.sin(2.4 * push)] for push in range(10)]
@@ -135,7 +139,7 @@ def test_cause_outside_the_catalogue_is_unknown_and_described(tmp_path: Path) ->
     assert found.something_else is not None and not found.effects
     content = to_json(found)
     assert content["verdict"] == "unknown" and content["unknown"]["evidence"] > 2.0 and content["causes"] == []
-    assert content["probabilities"]["something_else"] + content["mechanisms"]["force_on_object"] > 0.8
+    assert content["probabilities"]["something_else"] > 0.8 and content["something_else"]["where"] == "in each push in another way"
     assert "mm with something else" in page_of(found, tmp_path)
 
 

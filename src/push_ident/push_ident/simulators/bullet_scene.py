@@ -151,7 +151,7 @@ class BulletScene:
             _free_joints(client, body)
             top = max(client.getAABB(body, link)[1][2] for link in range(-1, client.getNumJoints(body)))
             thinner = _SWELLING if self.identified is not None else 0.0
-            yield client, _add_tool(client, max(radius - thinner, 1e-4), 0.5 * top, self.pusher_friction), place, pose
+            yield client, _add_tool(client, plane, max(radius - thinner, 1e-4), 0.5 * top, self.pusher_friction), place, pose
         finally:
             client.disconnect()
 
@@ -239,7 +239,7 @@ def _object_in_plane(client: Any, body: int) -> tuple[int, Place, Pose]:
     return body, place, lambda: np.array([state[0] for state in client.getJointStates(body, range(3))])
 
 
-def _add_tool(client: Any, radius: float, height: float, friction: float) -> int:
+def _add_tool(client: Any, plane: int, radius: float, height: float, friction: float) -> int:
     """A ball, which upright walls touch at one point, on two sliding joints; far away."""
     import pybullet as bullet
 
@@ -252,7 +252,6 @@ def _add_tool(client: Any, radius: float, height: float, friction: float) -> int
     )  # fmt: skip
     _free_joints(client, tool)
     client.changeDynamics(tool, 1, lateralFriction=friction, restitution=0)
-    plane = 0
     client.setCollisionFilterPair(plane, tool, -1, 1, 0)
     for axis in (0, 1):
         client.resetJointState(tool, axis, 10.0)
