@@ -112,9 +112,7 @@ def test_too_few_pushes_are_not_trusted(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.xfail(
-    strict=True, reason="the mechanism is right, but described by place in the table, and its size is less than 3 deviations"
-)
+@pytest.mark.xfail(strict=True, reason="the mechanism is right, but described by place in the table, and its size is below 3 deviations")
 def test_mechanism_whose_law_the_catalogue_does_not_hold_is_named_by_a_free_law(tmp_path: Path) -> None:
     """The table tilts after the fifth of ten pushes: a force on the object, by no law of the catalogue."""
     found = diagnose([*simulated_pushes(10, 3)[:5], *simulated_pushes(10, 3, {"table_tilt": [0.03, 0.0]})[5:]])
