@@ -107,6 +107,7 @@ WRITERS = {
     "push_ident/bags/compression.py": "unpacks a compressed storage file into a folder with a random name",
     "push_ident/nodes/base/run.py": "/proc: how urgent the process is",
     "push_ident/physics/kernel.py": "the stamp of numba's cache, beside the sources",
+    "push_ident/simulators/bullet_scene.py": "/dev/null, for what Bullet prints",
     "push_ident_sim/cell/world.py": "a description for Bullet, in a folder of its own with a random name",
     "push_ident_sim/studies/bench/engine.py": "/proc",
 }
