@@ -42,7 +42,7 @@ def test_residual_ratio_is_that_of_variances_overall_and_of_single_pushes_whose_
     noise = np.random.default_rng(2).normal(size=(14, 30, 3))
     noise[3] *= 2.0
     residuals = frame_residuals(noise)
-    ratio, p_value = residuals.residual_ratio
+    ratio, p_value = residuals.residual_ratio()
     assert ratio == pytest.approx(1.0 + 3.0 / 14.0, abs=0.05) and p_value < 0.003
     pushes = group_residuals(residuals, ResidualPolicy())["push"]
     assert [group.name for group in pushes] == [str(push) for push in range(14)]

@@ -47,8 +47,9 @@ def ridders(f: Callable[[float], Float64Array], h: float, *, one_sided: bool) ->
 
 def some_values(names: tuple[str, ...], seed: int) -> EffectValues:
     """Values of about the typical size, off their null values and within their ranges; a latency shorter than these short pushes."""
-    rng, values = np.random.default_rng(seed), []
+    values = []
     for name in names:
+        rng = np.random.default_rng([seed, *name.encode()])
         for p in EFFECTS[name].parameters:
             size = 0.2 * p.typical if name == "pose_latency" else p.typical
             sign = 1.0 if p.low == 0.0 else rng.choice([-1.0, 1.0])

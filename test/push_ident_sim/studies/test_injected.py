@@ -1,5 +1,7 @@
 """Causes that are put into recordings are those of the catalogue, and how their names are counted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from push_ident_sim.studies.injected import STUDY, draw_causes
 
 @pytest.mark.parametrize("model", range(3))
 def test_the_model_with_a_cause_sees_the_recording_as_it_was(model: int) -> None:
-    (record,) = random_records(hammer(1), 1, 1)
+    record = replace(random_records(hammer(1), 1, 1)[0], order=9)
     drawn = [draw_causes(Case("recording", seed, "single")) for seed in range(40 * model, 40 * model + 40)]
     for name, (size, angle) in {name: of_case for causes in drawn for name, of_case in causes.items()}.items():
         values = values_of(name, size, angle, [record])
@@ -22,7 +24,7 @@ def test_the_model_with_a_cause_sees_the_recording_as_it_was(model: int) -> None
         acting = EffectValues((name,), np.array(values))
         step = float(np.median(np.diff(record.pusher.time)))
         reported = np.column_stack([changed.pusher.position, np.zeros(len(changed.pusher.time))])
-        driven = driven_path(acting, step, reported)[0][:, :2]
+        driven = driven_path(acting, step, reported, record.order)[0][:, :2]
         # The lag is exact for a path that is linear between samples: its command is a derivative by differences.
         assert np.abs(driven - record.pusher.position).max() < (2e-3 if name == "pusher_lag" else 1e-9), name
         assert measurement_times(acting, changed.poses.time)[0] == pytest.approx(record.poses.time, abs=1e-9)

@@ -61,7 +61,7 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
         something_else=something_else,
         pattern=words,
         base_residuals=validation.base_residuals,
-        residual_ratio=validation.residuals.residual_ratio[0],
+        residual_ratio=validation.residuals.residual_ratio()[0],
         excess_autocorrelation=validation.residuals.excess_autocorrelation()[0],
     )
 

@@ -64,12 +64,14 @@ class FrameResiduals:
     null_draws: Float64Array
     """Standardized residuals drawn under the model, shape (n_draws, n, 3)."""
 
-    @property
-    def residual_ratio(self) -> tuple[float, float]:
-        """Mean squared standardized residual over its expectation under the model, and the p-value of as much or more."""
+    def residual_ratio(self, relative_std: float = 0.0) -> tuple[float, float]:
+        """Mean squared standardized residual over its expectation under the model, and the p-value of as much or more.
+
+        `relative_std`: standard error of the expectation [1], which all draws have in common.
+        """
         expected = np.mean(self.null_draws**2, axis=(1, 2))
-        observed = float(np.mean(self.standardized**2))
-        return observed / float(np.mean(expected)), _p_value(expected, observed)
+        observed, mean = float(np.mean(self.standardized**2)), float(np.mean(expected))
+        return observed / mean, _p_value(expected, observed, relative_std * mean)
 
     def excess_autocorrelation(self, correlation_std: float = 0.0) -> tuple[float, float]:
         """Part of the residual ratio that continues from one frame of a motion to the next, beyond its expectation, and the p-value.
@@ -88,7 +90,7 @@ class FrameResiduals:
 
         expected, observed = autocorrelation(self.null_draws), float(autocorrelation(self.standardized))
         p_value = _p_value(expected, observed, correlation_std)
-        return self.residual_ratio[0] * (observed - float(np.mean(expected))), p_value
+        return self.residual_ratio()[0] * (observed - float(np.mean(expected))), p_value
 
 
 def _p_value(drawn: Float64Array, observed: float, shared_std: float = 0.0) -> float:

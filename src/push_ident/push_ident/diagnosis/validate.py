@@ -16,6 +16,7 @@ from push_ident.diagnosis.residuals import FrameResiduals, standardized_residual
 from push_ident.diagnosis.selection import Selection
 from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.something_else.evidence import Pattern, SomethingElse, error_with_patterns, find_something_else
+from push_ident.diagnosis.something_else.family import VariesWith
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
 from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.discrepancy import departing_pushes
@@ -83,15 +84,19 @@ def _departing(problem: FitProblem, policy: ValidationPolicy) -> dict[int, float
     return departing_pushes(np.array(problem.precisions[: problem.n_pushes]), policy.max_p_value)
 
 
-def failed_tests(base: FrameResiduals, residuals: FrameResiduals, policy: UnknownPolicy, *, correlation_std: float) -> tuple[float, ...]:
+def failed_tests(
+    base: FrameResiduals, residuals: FrameResiduals, policy: UnknownPolicy, *, correlation_std: float, correlation: float = 0.0
+) -> tuple[float, ...]:
     """P-values of those tests in which residuals beside all named effects are larger than noise, or continue from frame to frame as noise
     does not. What the base model leaves in excess widens the limits.
 
-    `correlation_std`: standard error of the correlation of the pose errors [1]; infinite where correlated residuals may be noise.
+    `correlation` of the errors of neighbouring poses, and its standard error [1]; infinite where correlated residuals may be noise. Errors
+    whose mean is as uncertain as that of independent ones have a variance proportional to (1 - correlation) / (1 + correlation).
     """
-    excess = max(base.residual_ratio[0] - 1.0, 0.0)
+    excess = max(base.residual_ratio()[0] - 1.0, 0.0)
     failed = []
-    ratio, p_value = residuals.residual_ratio
+    of_variance = 2.0 * correlation_std / (1.0 - correlation**2) if np.isfinite(correlation_std) else 0.0
+    ratio, p_value = residuals.residual_ratio(of_variance)
     if ratio > max(policy.max_residual_ratio, 1.0 + policy.residual_ratio_share * excess) and p_value < policy.max_p_value:
         failed.append(p_value)
     autocorrelation, p_value = residuals.excess_autocorrelation(correlation_std)
@@ -150,7 +155,10 @@ def _weigh_outside(
     policy, (base_residuals, in_place), (residuals, in_addition) = state.settings.policy, base, remaining
     # Errors of perceived poses depend on the pose, so that they continue from frame to frame.
     correlation_std = state.rest_correlation_std if state.rest_noise_known and not state.from_camera else np.inf
-    failed = () if state.reference else failed_tests(base_residuals, residuals, policy.unknown, correlation_std=correlation_std)
+    failed: tuple[float, ...] = ()
+    if not state.reference:
+        noise = state.settings.noise
+        failed = failed_tests(base_residuals, residuals, policy.unknown, correlation_std=correlation_std, correlation=noise.correlation)
     named = sum(candidate.log_bayes_factor for _, candidate in selection.added.values())
     evidence = OutsideEvidence.of(in_place, in_addition, failed, policy.selection, named=named)
     explanations = explanations_of(selection, evidence, policy.selection, rejected=rejected, closes_error=closes_error)
@@ -171,10 +179,12 @@ def _mechanism_instead(selection: Selection, probabilities: Probabilities, *, na
 
 def _with_patterns(gap: Gap, selection: Selection, something_else: SomethingElse | None, cause: str) -> tuple[Gap, Pattern | None]:
     """The gap with the patterns of a cause, where held-out pushes end nearer to their prediction with it; and the best of them where it is
-    the free law of a mechanism that certainly closes a part."""
+    the free law of a mechanism that certainly closes a part, or that no push shows of another one."""
     if something_else is None:
         return gap, None
     patterns = something_else.of(None if cause == SOMETHING_ELSE else Mechanism(cause))
+    if patterns[0].family.varies_with is VariesWith.FREQUENCY:
+        return replace(gap, names=(cause,)), patterns[0]
     change = error_with_patterns(selection.base, patterns, gap.folds)
     if not float(np.mean(change)) < 0.0:
         return gap, None

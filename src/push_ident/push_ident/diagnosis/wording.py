@@ -24,7 +24,8 @@ _MECHANISM_IN_WORDS = {
     Mechanism.FRICTION_BY_ORDER: "that friction changed in the course of the pushes",
     Mechanism.FORCE_ON_OBJECT: "a force on the object",
     Mechanism.OUTLINE: "that the surface which the pusher touches is not where the outline says",
-    Mechanism.TOOL_MOVED: "that the tool was displaced in the course of the pushes",
+    Mechanism.TOOL_MOVED: "that the tool, or the camera, was displaced in the course of the pushes",
+    Mechanism.TOOL_WOBBLES: "that the tool leaves its reported path within each push",
 }
 """To continue "leaves out"."""
 _SHOWN_IN = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°"), "s": (1e3, "ms")}
@@ -100,7 +101,7 @@ def sentence_of_unknown(
         return f"{text} {_rest(account)}" if share else f"{text} {_parts_of(account)}."
     _, by, name = max((max(group.rms), by, group.name) for by, groups in where.items() for group in groups)
     name = f"{int(name) + 1}" if by == "push" else name  # people count from 1
-    ratio = residuals.residual_ratio[0]
+    ratio = residuals.residual_ratio()[0]
     return (
         f"{begin}: residuals are {np.sqrt(ratio):.1f} times as large as those of a correct model, and largest for {by.replace('_', ' ')} "
         f"{name}. {_parts_of(account)}."

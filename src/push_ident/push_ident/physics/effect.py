@@ -164,14 +164,16 @@ class Mechanism(Enum):
     """Constant, by the place, or tied to a point."""
     OUTLINE = "outline"
     TOOL_MOVED = "tool_moved"
-    """From one push on."""
+    """From one push on, or more and more."""
+    TOOL_WOBBLES = "tool_wobbles"
+    """Within each push."""
 
     @property
     def subsystem(self) -> Subsystem:
         """Where its cause is."""
         parts = {
             Mechanism.FRICTION_BY_HEADING_IN_OBJECT: Subsystem.OBJECT, Mechanism.OUTLINE: Subsystem.CONTACT,
-            Mechanism.TOOL_MOVED: Subsystem.ARM,
+            Mechanism.TOOL_MOVED: Subsystem.ARM, Mechanism.TOOL_WOBBLES: Subsystem.ARM,
         }  # fmt: skip
         return parts.get(self, Subsystem.TABLE)
 
@@ -239,9 +241,10 @@ class OnContact:
 class OnPusherPath:
     """Acts on the path of the pusher."""
 
-    move: Callable[[ComplexArray, Any, ComplexArray], ComplexArray]
-    """move(values, dt, path): the driven path for the reported one; poses (x, y, yaw) at the steps' ends, shape (n_steps + 1, 3), table
-    frame. `dt` is the length of the steps [s]: a number, or of shape (n_steps,) where they are not equal."""
+    move: Callable[[ComplexArray, Any, ComplexArray, float], ComplexArray]
+    """move(values, dt, path, order): the driven path for the reported one; poses (x, y, yaw) at the steps' ends, shape (n_steps + 1, 3),
+    table frame. `dt` is the length of the steps [s]: a number, or of shape (n_steps,) where they are not equal. `order`: number of pushes
+    made before."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -201,20 +201,24 @@ def _through(steps: list[tuple[slice, _Step]], effects: EffectValues, x: Float64
     return np.ascontiguousarray(result().real), by_value
 
 
-def driven_path(effects: EffectValues, dt: float | Float64Array, path: Float64Array) -> tuple[Float64Array, Float64Array]:
+def driven_path(
+    effects: EffectValues, dt: float | Float64Array, path: Float64Array, order: float = 0.0
+) -> tuple[Float64Array, Float64Array]:
     """The path that the pusher drove where `path` was reported, poses at the steps' ends, shape (n_steps + 1, 3), table frame.
 
-    `dt`: length of the steps [s], a number or shape (n_steps,).
+    `dt`: length of the steps [s], a number or shape (n_steps,); `order`: number of pushes made before.
 
     Returns:
         The path, and its derivative by the values, shape (n_values, n_steps + 1, 3).
     """
     moves = _steps(effects, OnPusherPath, "move")
-    return _through([(position, partial(_move, move, dt)) for position, move in moves], effects, path)
+    return _through([(position, partial(_move, move, dt, order)) for position, move in moves], effects, path)
 
 
-def _move(move: Callable[..., ComplexArray], dt: float | Float64Array, values: ComplexArray, path: ComplexArray) -> ComplexArray:
-    return move(values, dt, path)
+def _move(
+    move: Callable[..., ComplexArray], dt: float | Float64Array, order: float, values: ComplexArray, path: ComplexArray
+) -> ComplexArray:
+    return move(values, dt, path, order)
 
 
 def changed_friction(effects: EffectValues, coefficient: float) -> tuple[float, Float64Array]:

@@ -414,7 +414,7 @@ def _run(
     arms = owned((shape.cells.centres - owned(body.centre)).T)
     active = None
     if len(effects) > 0:
-        path, d_path = driven_path(effects, clock.dt, path)
+        path, d_path = driven_path(effects, clock.dt, path, scenario.order)
         active = active_effects(effects, d_path, arms, shape.cells, scenario.order)
     times = timeline.times.with_effects(scenario.time, effects)
     push = _push(shape, body, mu, scenario, path, arms)

@@ -146,7 +146,12 @@ class CellWorld:
         elif np.isfinite(self._last_touch) and self.time - self._last_touch > 0.5:
             self._last_touch = -np.inf
             self._n_pushes += 1
-            self._body.set_pushes_done(self._n_pushes)
+            self._tell_pushes_done()
+
+    def _tell_pushes_done(self) -> None:
+        self._body.set_pushes_done(self._n_pushes)
+        if self._tool is not None:
+            self._tool.set_pushes_done(self._n_pushes)
 
     def close(self) -> None:
         """Free the engine."""
@@ -245,7 +250,7 @@ class CellWorld:
         self._client.removeBody(self._body.body)
         self.object, self._body, self._start_pose = sim_object, body, pose
         self._body.start_push()
-        self._body.set_pushes_done(self._n_pushes)
+        self._tell_pushes_done()
 
     def reset_object(self) -> None:
         """Put the object back to its start pose, at rest; raises InputError where the pusher occupies the place."""
@@ -274,6 +279,10 @@ class _DrivenTool:
         self._kinematics = ArmKinematics(robot.description, neutral=robot.neutral)
         self._bend = self._bend_rate = np.zeros(len(robot.joint_names))
         """True minus reported joint positions [rad], and its rate of change [rad/s]."""
+
+    def set_pushes_done(self, n_pushes: int) -> None:
+        """Number of pushes made; some effects grow with it."""
+        self._errors.pushes_done = n_pushes
 
     def driven(self, position: Float64Array, velocity: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Targets [rad], [rad/s] of the motors where the arm commands those given; called once per time step."""

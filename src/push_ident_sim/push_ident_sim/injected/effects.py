@@ -206,6 +206,7 @@ _ENTRIES = (
     _catalogued("pusher_lag", "pusher", _TOOL_PATH, _Size(0.02, 0.0, 0.5)),
     _catalogued("pusher_speed_scale", "pusher", f"{_TOOL_PATH}; it starts where the tool came down", _Size(0.02, -0.2, 0.2)),
     _catalogued("tool_offset", "pusher", _TOOL_PATH, _Size(2e-3, -0.01, 0.01), _Size(2e-3, -0.01, 0.01)),
+    _catalogued("tool_drift", "pusher", _TOOL_PATH, _Size(3e-4, -2e-3, 2e-3), _Size(3e-4, -2e-3, 2e-3)),
     _catalogued(
         "camera_rotation", "camera", "the camera turns about the origin of the table; its reported pose does not", _Size(0.01, -0.2, 0.2)
     ),
@@ -276,6 +277,7 @@ _ENTRIES = (
         ),
         "The tool moves in a circle about its reported place.",
         _TOOL_PATH,
+        Mechanism.TOOL_WOBBLES.value,
     ),
 )
 

@@ -60,13 +60,14 @@ def pusher_friction(effects: InjectedEffects, coefficient: float) -> float:
     return coefficient
 
 
-def driven_position(effects: InjectedEffects, time_step: float, reported: Float64Array) -> Float64Array:
-    """Where the tool is at the end of a path (x, y) [m], shape (2,), that the arm `reported` [m], shape (n, 2), every `time_step` [s]."""
+def driven_position(effects: InjectedEffects, time_step: float, reported: Float64Array, order: int) -> Float64Array:
+    """Where the tool is at the end of a path (x, y) [m], shape (2,), that the arm `reported` [m], shape (n, 2), every `time_step` [s],
+    after `order` pushes."""
     path = np.zeros((len(reported), 3), dtype=np.complex128)
     path[:, :2] = reported
     for effect, values in _injected(effects, OnPusherPath):
         assert isinstance(effect.acts, OnPusherPath)
-        path = effect.acts.move(values.astype(np.complex128), time_step, path)
+        path = effect.acts.move(values.astype(np.complex128), time_step, path, float(order))
     return np.asarray(path[-1, :2].real)
 
 

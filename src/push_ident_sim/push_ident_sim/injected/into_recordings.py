@@ -47,6 +47,10 @@ def _ahead(path: PusherPath, values: Values) -> Float64Array:
     return path.position + values[0] * np.gradient(path.position, path.time, axis=0)
 
 
+def _drifted(record: PushRecord, values: Values) -> PushRecord:
+    return replace(record, pusher=replace(record.pusher, position=record.pusher.position - record.order * np.array(values)))
+
+
 def _thinner(record: PushRecord, values: Values) -> PushRecord:
     """A surface that lies inside of what is reported (values < 0): the pusher is reported thicker by as much."""
     return replace(record, pusher=replace(record.pusher, radius=record.pusher.radius - values[0]))
@@ -58,6 +62,7 @@ CHANGES: Final[Mapping[str, Callable[[PushRecord, Values], PushRecord]]] = {
     "camera_scale": _poses("camera_scale"),
     "pose_latency": _late,
     "tool_offset": _path(_offset),
+    "tool_drift": _drifted,
     "pusher_speed_scale": _path(_scaled),
     "pusher_lag": _path(_ahead),
     "outline_error": _thinner,

@@ -62,7 +62,7 @@ def tether_anchor(effects: InjectedEffects, first_centre: Float64Array) -> Float
     return np.array(pull) / stiffness
 
 
-_ACTING = ("pusher_lag", "pusher_speed_scale", "tool_offset", "pusher_wobble")
+_ACTING = ("pusher_lag", "pusher_speed_scale", "tool_offset", "tool_drift", "pusher_wobble")
 
 
 class ToolErrors:
@@ -71,7 +71,8 @@ class ToolErrors:
     def __init__(self, effects: InjectedEffects, time_step: float) -> None:
         """`time_step` [s] between two calls of `true_position`."""
         (lag,), (self._scale,) = effects["pusher_lag"], effects["pusher_speed_scale"]
-        self._offset = np.array(effects["tool_offset"])
+        self._offset, self._drift = np.array(effects["tool_offset"]), np.array(effects["tool_drift"])
+        self.pushes_done = 0
         self._radius, frequency = effects["pusher_wobble"]
         self._turn = 2.0 * np.pi * frequency * time_step
         self._lag_share = 1.0 - np.exp(-time_step / lag) if lag > 0 else 1.0
@@ -96,8 +97,10 @@ class ToolErrors:
         self._n_steps += 1
         if self._by_equation:
             self._reported_path.append(np.array(reported))
-            reported = driven_position(self._effects, self._time_step, np.array(self._reported_path))
+            reported = driven_position(self._effects, self._time_step, np.array(self._reported_path), self.pushes_done)
         ahead = reported + self._scale * (reported - self._start)
         self._lagged = self._lagged + self._lag_share * (ahead - self._lagged)
         angle = self._turn * self._n_steps
-        return np.asarray(self._lagged + self._offset + self._radius * np.array([np.cos(angle), np.sin(angle)]))
+        return np.asarray(
+            self._lagged + self._offset + self.pushes_done * self._drift + self._radius * np.array([np.cos(angle), np.sin(angle)])
+        )

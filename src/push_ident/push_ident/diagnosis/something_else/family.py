@@ -45,6 +45,8 @@ class VariesWith(Enum):
     SIDE = "side of the object"
     TIME = "time"
     """Within each push on its own."""
+    FREQUENCY = "frequency"
+    """An oscillation of one frequency, in each push with a phase and a size of its own."""
 
 
 _MECHANISMS: Final = {
@@ -53,6 +55,7 @@ _MECHANISMS: Final = {
     (Acts.FORCE, VariesWith.FROM_PUSH): Mechanism.FORCE_ON_OBJECT,
     (Acts.PUSHER, VariesWith.FROM_PUSH): Mechanism.TOOL_MOVED,
     (Acts.PUSHER, VariesWith.SIDE): Mechanism.OUTLINE,
+    (Acts.PUSHER, VariesWith.FREQUENCY): Mechanism.TOOL_WOBBLES,
 }
 """Of which families are free laws, by what acts and what it follows."""
 _MECHANISMS_OF_FRICTION: Final = {
@@ -139,6 +142,13 @@ def parts(keys: Sequence[float], n_each: int) -> tuple[Member, ...]:
     """A part of the columns for each key."""
     identity = np.eye(len(keys) * n_each)
     return tuple(Member(key, identity[:, k * n_each : (k + 1) * n_each]) for k, key in enumerate(keys))
+
+
+def parts_of_pushes(keys: Sequence[float], n_each: int, n_pushes: int) -> tuple[Member, ...]:
+    """The same part of the columns of every push for each key."""
+    of_push = np.eye(len(keys) * n_each)
+    weights = [np.kron(np.eye(n_pushes), of_push[:, k * n_each : (k + 1) * n_each]) for k in range(len(keys))]
+    return tuple(Member(key, each.astype(np.float64)) for key, each in zip(keys, weights, strict=True))
 
 
 def from_push(n_pushes: int, n_each: int) -> tuple[Member, ...]:

@@ -27,6 +27,7 @@ from push_ident.diagnosis.something_else.family import (
     all_of,
     from_push,
     parts,
+    parts_of_pushes,
     separate,
     shared,
     singles,
@@ -61,6 +62,9 @@ class PatternSettings:
     """Between which a function of the speed is interpolated by their logarithm [m/s]."""
     n_sides: int = 12
     """Directions from the centre of mass to the contact, object axes."""
+    frequencies: tuple[float, ...] = tuple(0.75 * k + 1.0 for k in range(13))
+    """Of an oscillation [Hz]. A push of 0.7 s, which is short, resolves their distance; below, it is a motion once to and fro, and
+    above, few cameras see it."""
     knot_interval: float = 0.08
     """Between the knots of a function of the time within a push [s]: it follows changes up to about 4 Hz."""
     max_knots: int = 24
@@ -230,7 +234,7 @@ def _blocks_of(path: _Path, positions: Float64Array, with_forces: bool) -> dict[
         "heading_in_object": _Block.forces(_times(motion, waves(heading - path.response.pose[:, 2]))),
         "side": _Block.pusher_path(_sides(path)),
         "time": _Block.forces(_times(table, bells)),
-        "time_pusher": _Block.pusher_path(_times(pusher_path, bells)),
+        "frequency": _Block.pusher_path(_times(pusher_path, _oscillations(path))),
     }
     if with_forces:
         friction = _friction_of(path, lambda steps, x, y: np.ones((*x.shape, 1)), 1)
@@ -259,6 +263,12 @@ def _bells(path: _Path) -> Float64Array:
     knots = _knot_times(path)
     width = max(PATTERNS.knot_interval, float(knots[-1] - knots[0]) / max(1, len(knots) - 1))
     return np.asarray(np.exp(-0.5 * ((path.response.time[:, None] - knots) / width) ** 2))
+
+
+def _oscillations(path: _Path) -> Float64Array:
+    """Of each frequency, from the contact on, shape (n_steps, 2 n)."""
+    since = np.maximum(np.nan_to_num(path.since, neginf=0.0), 0.0)
+    return np.column_stack([wave(2.0 * np.pi * f * since) for f in PATTERNS.frequencies for wave in (np.cos, np.sin)])
 
 
 def _friction_by_position(path: _Path, positions: Float64Array) -> Float64Array:
@@ -337,7 +347,7 @@ def _families(responses: Sequence[dict[str, Rows]], positions: Float64Array, kno
     (by_motion, of_3), (by_table, _), (by_tool, of_2) = (
         separate(responses, name) for name in ("order_motion", "order_table", "order_pusher")
     )
-    (time, of_time), (time_tool, of_time_tool) = (separate(responses, name) for name in ("time", "time_pusher"))
+    (time, of_time), (frequency, of_frequency) = (separate(responses, name) for name in ("time", "frequency"))
     since, travel, speed = (shared(responses, name) for name in ("since", "travel", "speed"))
     n_acting = since.shape[1] // len(PATTERNS.decay_times)
     speeds = np.repeat(PATTERNS.speeds, speed.shape[1] // len(PATTERNS.speeds))[:, None]
@@ -356,7 +366,14 @@ def _families(responses: Sequence[dict[str, Rows]], positions: Float64Array, kno
         Family(Acts.FORCE_ON_MOTION, VariesWith.HEADING_IN_OBJECT, heading_in_object, all_of(), PATTERNS.force_stds),
         Family(Acts.PUSHER, VariesWith.SIDE, side, all_of(), PATTERNS.length_stds, sides),
         Family(Acts.FORCE, VariesWith.TIME, time, all_of(), PATTERNS.force_stds, np.repeat(times, 3, axis=0), of_time),
-        Family(Acts.PUSHER, VariesWith.TIME, time_tool, all_of(), PATTERNS.length_stds, np.repeat(times, 2, axis=0), of_time_tool),
+        Family(
+            Acts.PUSHER,
+            VariesWith.FREQUENCY,
+            frequency,
+            parts_of_pushes(PATTERNS.frequencies, 4, n),
+            PATTERNS.length_stds,
+            columns_of_push=of_frequency,
+        ),
     ]
     if "order_friction" in responses[0]:
         by_push, columns = separate(responses, "order_friction")

@@ -20,7 +20,7 @@ _LOOK_FOR: Final = {
     (Acts.FORCE, VariesWith.POSITION): "slopes and dents of the table, magnets, air streams, cables",
     (Acts.PUSHER, VariesWith.FROM_PUSH): "a tool that came loose or was bent before that push, or an arm that lost its reference",
     (Acts.PUSHER, VariesWith.SIDE): "a bump, a seam, a label or a soft part of that side, or a wrong outline there",
-    (Acts.PUSHER, VariesWith.TIME): "a vibrating or wobbling tool, play in the arm, or poses that jump",
+    (Acts.PUSHER, VariesWith.FREQUENCY): "a vibrating or wobbling tool, play in the arm, or poses that swing",
 }
 """By what acts and what it follows."""
 _LOOK_FOR_BY_COORDINATE: Final = {
@@ -86,6 +86,8 @@ def _where(pattern: Pattern, sources: Sequence[str]) -> str:
     if varies is VariesWith.FROM_PUSH:
         assert key is not None, "this has a push"
         return f"from {sources[int(key)]} on"
+    if varies is VariesWith.FREQUENCY and key is not None:
+        return f"about {key:.1f} times a second in all pushes, in each with a phase of its own, so that it predicts no other one better"
     if varies is VariesWith.SINCE_CONTACT and key is not None:
         return f"in the first {decayed * key:.1f} s after contact"
     if varies is VariesWith.TRAVEL and key is not None:

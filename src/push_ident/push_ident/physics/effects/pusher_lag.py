@@ -22,7 +22,7 @@ def _follow(path: ComplexArray, behind: ComplexArray, decay: ComplexArray, drive
             driven[n + 1, axis] = path[n + 1, axis] + lag
 
 
-def _move(values: ComplexArray, dt: Any, path: ComplexArray) -> ComplexArray:
+def _move(values: ComplexArray, dt: Any, path: ComplexArray, order: float) -> ComplexArray:
     tau, steps = values[0], np.ones(len(path) - 1, dtype=np.complex128)
     driven = np.empty_like(path)
     _follow(path, tau / dt * steps, np.exp(-dt / tau) * steps if tau.real > 0 else 0.0 * steps, driven)

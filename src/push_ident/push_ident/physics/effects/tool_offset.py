@@ -7,7 +7,7 @@ from typing import Any
 from push_ident.physics.effect import ComplexArray, Effect, EffectParameter, Law, OnPusherPath, Rival
 
 
-def _move(values: ComplexArray, dt: Any, path: ComplexArray) -> ComplexArray:
+def _move(values: ComplexArray, dt: Any, path: ComplexArray, order: float) -> ComplexArray:
     driven = path.copy()
     driven[:, :2] += values
     return driven

@@ -143,7 +143,7 @@ class PushWorld:
 
         `tool`: axis of the pusher as its arm reports it [m], shape (2,).
         """
-        start = self._begin(tool)
+        start = self._begin(tool, pushes_done)
         # Bullet keeps a contact of the push before where both bodies were put elsewhere, as long as they parted along its normal: it then
         # counts as a deep one, and throws the object away. Distant bodies have no contact.
         self._place_pusher(start + _FAR_AWAY)
@@ -207,11 +207,12 @@ class PushWorld:
         self._client.stepSimulation()
         self._force = self._object.force_of(self._pusher, self._pusher_link)[:2]
 
-    def _begin(self, reported: Float64Array) -> Float64Array:
-        """True position of the tool when a path begins at `reported`."""
+    def _begin(self, reported: Float64Array, pushes_done: int) -> Float64Array:
+        """True position of the tool when a path begins at `reported`, after some pushes."""
         self._force = np.zeros(2)
         if self._tool is None:
             return reported
+        self._tool.pushes_done = pushes_done
         self._tool.start(reported)
         return self._tool.true_position(reported)
 

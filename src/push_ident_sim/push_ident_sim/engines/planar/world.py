@@ -74,7 +74,7 @@ class PlanarWorld:
         first_velocity = speed + np.array([-speed[2] * arm[1], speed[2] * arm[0], 0.0])
         if self._first_centre is None:
             self._first_centre = (float(first[0]), float(first[1]))
-        clock, true_path = self._true_path(path)
+        clock, true_path = self._true_path(path, pushes_done)
         laws = laws_of(
             self._effects,
             self._outside,
@@ -121,13 +121,14 @@ class PlanarWorld:
             forces.append(force)
         return np.concatenate(poses), np.concatenate(positions), np.concatenate(forces), stands
 
-    def _true_path(self, path: PusherPath) -> tuple[Float64Array, Float64Array]:
+    def _true_path(self, path: PusherPath, pushes_done: int) -> tuple[Float64Array, Float64Array]:
         """True path of the tool: times from 0 [s], shape (n,), and positions [m], shape (n, 2)."""
         since = path.time - path.time[0]
         if not ToolErrors.needed(self._effects):
             return since, np.array(path.position)
         step, rest = 1e-3, 0.4  # time step of the tool, and time for which it is followed after the path [s]
         tool = ToolErrors(self._effects, step)
+        tool.pushes_done = pushes_done
         tool.start(path.position[0])
         # It may lag or circle.
         clock = np.arange(0.0, since[-1] + rest, step)
