@@ -38,13 +38,22 @@ def simulated_pushes(n: int, seed: int, effects: dict[str, list[float]] | None =
     rng = np.random.default_rng([seed, 7])
     records = []
     for order, record in enumerate(random_records(TRUTH, n, seed)):
-        time = record.poses.time
-        scenario = PushScenario(record.pusher, record.poses.pose[0], time, order)
+        scenario = PushScenario(record.pusher, record.poses.pose[0], record.poses.time, order)
         pose = simulate(TRUTH, scenario, settings=_FINE, effects=effects).pose
-        observed = pose + rng.normal(size=pose.shape) * noise
-        track = PoseTrack(time, observed, np.broadcast_to(np.diag(noise**2), (len(time), 3, 3)))
-        records.append(replace(record, poses=track, order=order, source=f"push {order}"))
+        records.append(replace(record, poses=_seen(record, pose, rng, noise), order=order, source=f"push {order}"))
     return records
+
+
+def pushed_again(record: PushRecord) -> PushRecord:
+    """`TRUTH` pushed along the path of a record, from its first pose, as the same camera sees it."""
+    scenario = PushScenario(record.pusher, record.poses.pose[0], record.poses.time)
+    pose = simulate(TRUTH, scenario, settings=_FINE).pose
+    return replace(record, poses=_seen(record, pose, np.random.default_rng(record.order), NOISE))
+
+
+def _seen(record: PushRecord, pose: Float64Array, rng: np.random.Generator, noise: Float64Array) -> PoseTrack:
+    time, observed = record.poses.time, pose + rng.normal(size=pose.shape) * noise
+    return PoseTrack(time, observed, np.broadcast_to(np.diag(noise**2), (len(time), 3, 3)))
 
 
 def with_correlated_noise(records: list[PushRecord], rho: float, seed: int) -> list[PushRecord]:

@@ -251,6 +251,8 @@ def test_residuals_that_are_larger_or_smoother_than_noise_show_something_unknown
     policy = UnknownPolicy()
     assert not failed_tests(right, right, policy, correlation_std=0.01)
     assert all(failed_tests(right, wrong, policy, correlation_std=0.01) for wrong in (smooth, large))
+    # The size of correlated errors is known no better than their correlation.
+    assert not failed_tests(right, large, policy, correlation_std=0.1, correlation=0.5)
     # Correlated noise that few frames at rest cannot exclude, or errors of a camera, which depend on the pose, are as smooth.
     assert not any(failed_tests(right, smooth, policy, correlation_std=std) for std in (0.2, np.inf))
     # Beside a strong effect its law may leave as much.

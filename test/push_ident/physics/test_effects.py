@@ -172,6 +172,14 @@ def test_a_lag_is_the_speed_times_its_time_constant_and_fades_and_a_scale_grows_
     assert driven[:, :2] - path[:, :2] == pytest.approx(0.1 * (path[:, :2] - path[0, :2]), abs=1e-12)
 
 
+def test_a_drift_displaces_the_tool_by_as_much_with_every_push() -> None:
+    path = np.cumsum(np.random.default_rng(0).uniform(0, 1e-3, (50, 3)), axis=0)
+    for order in (0.0, 1.0, 7.0):
+        driven, by_value = driven_path(effect_values({"tool_drift": [1e-4, -2e-4]}), 1 / 240, path, order)
+        assert driven - path == pytest.approx(np.tile(order * np.array([1e-4, -2e-4, 0.0]), (50, 1)), abs=1e-15)
+        assert by_value[:, :, :2] == pytest.approx(order * np.eye(2)[:, None] * np.ones((1, 50, 1)), abs=1e-12)
+
+
 def test_latency_shows_the_pose_of_an_earlier_time() -> None:
     time = np.linspace(0.3, 1.4, 23)
     assert poses(plate(), {"pose_latency": [0.021]}, time=time) == pytest.approx(poses(plate(), time=time - 0.021), abs=1e-12)

@@ -61,6 +61,7 @@ def pushed(
     speed: float = 0.1,
     distance: float = 0.08,
     sim_object: SimObject | None = None,
+    pushes_done: int = 0,
 ) -> tuple[TrueMotion, np.ndarray]:
     """A push of the block's left face, and the mean load of each cell in its last half."""
     sim_object = sim_object or block()
@@ -69,7 +70,7 @@ def pushed(
     end = start + distance * np.array([np.cos(heading), np.sin(heading)])
     path = PusherPath(np.array([0.0, distance / speed]), np.array([start, end]), RADIUS)
     with closing(PushWorld(sim_object, RADIUS, effects=InjectedEffects.of(effects))) as world:
-        motion = world.push(np.zeros(3), path, watch=lambda: loads.append(world.cell_loads()))
+        motion = world.push(np.zeros(3), path, pushes_done=pushes_done, watch=lambda: loads.append(world.cell_loads()))
     n = int(distance / speed / STEP)
     return motion, np.mean(loads[n // 2 : n - 1], axis=0)
 
@@ -168,6 +169,8 @@ def test_reported_tool_pose_has_the_injected_error() -> None:
     np.testing.assert_allclose(aside({"pusher_lag": 0.05}), [[-speed * 0.05, 0.0]] * 80, atol=speed * STEP)
     np.testing.assert_allclose(aside({"tool_offset": (0.001, -0.002)}), [[0.001, -0.002]] * 80, atol=1e-6)
     np.testing.assert_allclose(np.hypot(*aside({"pusher_wobble": (0.001, 5.0)}).T), 0.001, atol=1e-5)
+    motion, _ = pushed({"tool_drift": (2e-4, -1e-4)}, pushes_done=7)
+    np.testing.assert_allclose((motion.pusher - motion.reported)[far], [[14e-4, -7e-4]] * 80, atol=1e-6)
     motion, _ = pushed({"pusher_speed_scale": 0.05}, speed=speed)
     np.testing.assert_allclose(motion.pusher[far, 0] - motion.pusher[0, 0], 1.05 * speed * motion.time[far], atol=speed * STEP)
 
