@@ -24,6 +24,7 @@ LazyGroup.lazy_subcommands = {
         ("fix", "fix:fix_command", "Correct a scene of MuJoCo by recorded pushes"),
         ("selftest", "selftest:selftest_command", "Show what recorded pushes can tell, and what not"),
         ("fleet", "fleet:fleet_command", "Identify many bags in parallel"),
+        ("plan-pushes", "plan_pushes:plan_pushes_command", "Plan the first pushes of an object from its outline"),
         ("export", "export:export_command", "Write a model for a simulator"),
         ("replay", "live:replay_command", "Play a bag through the live nodes and show the maps"),
         ("import", "importing:import_app", "Convert own tables and bags, or published recordings"),
