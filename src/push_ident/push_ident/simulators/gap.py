@@ -20,6 +20,7 @@ from typing import Final
 
 import numpy as np
 
+from push_ident.diagnosis.threads import map_in_threads
 from push_ident.errors import InputError
 from push_ident.geometry.cells import cell_error
 from push_ident.identification.fitting.fit import FitOptions
@@ -125,13 +126,18 @@ def simulator_gap(
     stages = (*((_WITH_OBJECT, _PRECISE) if corrected else ()), *(f"with {name}" for name in effects), _MODEL)
     errors = np.full((1 + len(stages), len(records)), np.nan)
     errors[0] = _errors(simulator, records)
+
+    def identified(fold: int, n_effects: int) -> Identification:
+        train = [record for k, record in enumerate(records) if k % _FOLDS != fold]
+        report(f"identifying {' and '.join(('the object', *effects[:n_effects]))} from {len(train)} pushes")
+        return _identified(train, prior, effects[:n_effects], options)
+
+    tasks = [(fold, n_effects) for fold in range(_FOLDS) for n_effects in range(len(effects) + 1)]
+    results = dict(zip(tasks, map_in_threads(lambda task: identified(*task), tasks), strict=True))
+    # Nobody said that the simulator may run twice at once.
     for fold in range(_FOLDS):
         held_out = list(range(fold, len(records), _FOLDS))
-        tests, train = [records[k] for k in held_out], [record for k, record in enumerate(records) if k not in held_out]
-        fits = []
-        for n in range(len(effects) + 1):
-            report(f"identifying {' and '.join(('the object', *effects[:n]))} from {len(train)} pushes")
-            fits.append(_identified(train, prior, effects[:n], options))
+        tests, fits = [records[k] for k in held_out], [results[fold, n] for n in range(len(effects) + 1)]
         for row, scene in enumerate(_corrected_one_after_the_other(simulator, fits), start=1):
             report(f"repeating the other {len(tests)} pushes in {simulator.name} {stages[row - 1]}")
             errors[row, held_out] = _errors(scene, tests)
