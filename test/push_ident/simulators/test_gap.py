@@ -20,6 +20,7 @@ from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.simulators.gap import CONTACT, ENGINE, MODEL, OBJECT, simulator_gap
 from push_ident.simulators.measured import Measured, inexpressible
 from push_ident.simulators.mujoco_scene import MujocoScene
+from push_ident.simulators.page import write_gap_page
 from push_ident.simulators.protocol import FunctionSimulator
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 
@@ -67,6 +68,10 @@ def test_a_wrong_scene_is_divided_and_corrected_in_its_own_engine(path: Path, tm
     assert fixed.mean() < 0.25 * gap.errors[0].mean()
     # The engine does with the identified object what the model does.
     assert abs(gap.sizes[gap.parts.index(ENGINE)]) < 5e-4
+    assert gap.observed.shape == gap.ends.shape == (2, 8, 3)
+    write_gap_page(tmp_path / "gap.html", gap, TRUTH.shape.outline, ["written scene.xml"])
+    page = (tmp_path / "gap.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 9 and all(part in page for part in gap.parts) and "<li>written scene.xml</li>" in page
     assert gap.lines()[0].startswith("scene.xml misses the ends of 8 pushes by") and gap.as_json()["simulator"] == "scene.xml"
 
 

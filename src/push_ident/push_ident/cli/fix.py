@@ -15,6 +15,7 @@ from push_ident.cli.scene import EngineFrictionOption, ObjectBodyOption, ObjectI
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.settings import DiagnosisSettings
 from push_ident.errors import InputError
+from push_ident.extras import need
 from push_ident.identification.identify import identify
 from push_ident.identification.results.result import Identification
 from push_ident.identification.unknowns.prior import Prior
@@ -23,6 +24,7 @@ from push_ident.simulators.bullet_scene import BulletScene
 from push_ident.simulators.gap import SimulatorGap, check_number_of_pushes, corrected_by, simulator_gap
 from push_ident.simulators.measured import Measured, of_the_data
 from push_ident.simulators.mujoco_scene import MujocoScene
+from push_ident.simulators.page import write_gap_page
 from push_ident.simulators.protocol import CorrectableSimulator
 
 _NOMINAL = Prior()
@@ -32,6 +34,9 @@ _OutOption = Annotated[
 _WithOption = Annotated[
     list[str] | None,
     typer.Option("--with", metavar="EFFECT", help="Add this cause instead of those of a diagnosis; may be repeated.", show_default=False),
+]
+_PageOption = Annotated[
+    Path | None, typer.Option("--page", metavar="FILE", help="Write a page (HTML).", callback=writable_file, show_default=False)
 ]
 _SceneArgument = Annotated[
     Path, typer.Argument(metavar="SCENE", help="MJCF file of MuJoCo, or URDF of the object for Bullet.", show_default=False)
@@ -48,6 +53,7 @@ def fix_command(
     engine_friction: EngineFrictionOption = "",
     with_: _WithOption = None,
     out: _OutOption = None,
+    page: _PageOption = None,
     json: JsonOption = None,
     object_id: ObjectOption = "",
     map_: MapOption = None,
@@ -58,6 +64,8 @@ def fix_command(
     The object gets a foot with mass and friction under each cell, its outline the friction of the pusher; a tilt of the table becomes
     gravity, contacts become precise. Causes of tool, clocks and camera are corrections of the data: they stand in the JSON result.
     """
+    if page is not None:
+        need("report")
     simulator = scene_of(scene, object_body, pusher_body, table_in_scene, object_in_body, engine_friction)
     path = out or scene.with_name(f"{scene.stem}_fixed{scene.suffix}")
     if path.exists() and path.samefile(scene):
@@ -79,8 +87,12 @@ def fix_command(
         written = corrected.write(path)
     for note in loaded.notes:
         warn(f"note: {note}")
-    _show(gap, fit)
-    say(f"written {' and '.join(map(str, written))}; in it: {corrected.contact_settings}")
+    words = _words(gap, fit, f"written {' and '.join(map(str, written))}; in it: {corrected.contact_settings}")
+    for text in (*gap.lines(), *words):
+        say(text)
+    if page is not None:
+        write_gap_page(page, gap, loaded.records[0].shape.outline, words)
+        say(f"written: {page}")
     write_json(
         json, {**gap.as_json(), "effects": dict(zip(fit.posterior.effects.labels, map(float, fit.posterior.effects.values), strict=True))}
     )
@@ -93,10 +105,10 @@ def _corrected(simulator: MujocoScene | BulletScene, fit: Identification) -> Cor
     return corrected.simulator
 
 
-def _show(gap: SimulatorGap, fit: Identification) -> None:
+def _words(gap: SimulatorGap, fit: Identification, written: str) -> list[str]:
+    """What came of it, for people."""
     before, after = (float(np.mean(gap.errors[row])) for row in (0, -2))
-    for line in gap.lines():
-        say(line)
-    say(f"On pushes that no fit has seen, the error of this scene falls from {1e3 * before:.1f} to {1e3 * after:.1f} mm.")
-    if outside := of_the_data(fit.posterior.effects):
-        say(f"{', '.join(outside)}: corrected in the data, not in the scene; the values stand in --json.")
+    outside = of_the_data(fit.posterior.effects)
+    in_data = f"{', '.join(outside)}: corrected in the data, not in the scene; the values stand in --json."
+    shrinks = f"On pushes that no fit has seen, the error of this scene falls from {1e3 * before:.1f} to {1e3 * after:.1f} mm."
+    return [shrinks, *([in_data] if outside else []), written]

@@ -3,7 +3,7 @@
 Each push is repeated in the simulator and compared with its recorded end. What the simulator gets wrong is divided by correcting one thing
 after the other, always by fits that have not seen the push:
 
-    gap = (as it is - with the identified object)            its mass and friction
+    gap = (as it is - with right object)                     its mass and friction
         + (that - with precise contact)                      its contact parameters and time step
         + (that - with an effect), for each effect           what the scene or the data lack
         + (that - the model of this package, same object)    what its engine does otherwise
@@ -39,7 +39,7 @@ CONTACT: Final = "contact parameters and time step"
 ENGINE: Final = "what the engine does otherwise"
 UNDIVIDED: Final = "mass and friction of the object, contact, and what the engine does otherwise"
 MODEL: Final = "noise, and what the model lacks"
-_WITH_OBJECT: Final = "with the identified object"
+_WITH_OBJECT: Final = "with right object"
 _PRECISE: Final = "with precise contact"
 _MODEL: Final = "the model"
 _FOLDS: Final = 4
@@ -58,6 +58,10 @@ class SimulatorGap:
     """Cell error at the end of each push [m], shape (n_stages, n_pushes)."""
     parts: tuple[str, ...]
     """Names of the differences from one stage to the next; the last is what remains."""
+    observed: Float64Array
+    """Recorded poses of the object before and after each push (x, y, yaw), table frame, shape (2, n_pushes, 3)."""
+    ends: Float64Array
+    """Where each push ends in the simulator as it is, and with all that it can have corrected, shape (2, n_pushes, 3)."""
     left_out: tuple[str, ...] = ()
     """Effects among them that neither the scene nor corrected data can have: their part is that of a refitted object."""
 
@@ -124,8 +128,8 @@ def simulator_gap(
     report(f"repeating {len(records)} pushes in {simulator.name}")
     corrected = isinstance(simulator, CorrectableSimulator)
     stages = (*((_WITH_OBJECT, _PRECISE) if corrected else ()), *(f"with {name}" for name in effects), _MODEL)
-    errors = np.full((1 + len(stages), len(records)), np.nan)
-    errors[0] = _errors(simulator, records)
+    errors, ends = np.full((1 + len(stages), len(records)), np.nan), np.full((2, len(records), 3), np.nan)
+    errors[0], ends[0] = _errors(simulator, records)
 
     def identified(fold: int, n_effects: int) -> Identification:
         train = [record for k, record in enumerate(records) if k % _FOLDS != fold]
@@ -140,11 +144,12 @@ def simulator_gap(
         tests, fits = [records[k] for k in held_out], [results[fold, n] for n in range(len(effects) + 1)]
         for row, scene in enumerate(_corrected_one_after_the_other(simulator, fits), start=1):
             report(f"repeating the other {len(tests)} pushes in {simulator.name} {stages[row - 1]}")
-            errors[row, held_out] = _errors(scene, tests)
+            errors[row, held_out], ends[1, held_out] = _errors(scene, tests)
         errors[-1, held_out] = held_out_errors(fits[-1].model, tests, effects=fits[-1].posterior.effects)
     parts = (*((OBJECT, CONTACT) if corrected else ()), *effects, ENGINE if corrected else UNDIVIDED, MODEL)
     left_out = inexpressible(effect_values(tuple(effects)))
-    return SimulatorGap(simulator.name, ("as it is", *stages), errors, parts, left_out)
+    observed = np.stack([observe_push(record).pose[[0, -1]] for record in records], axis=1)
+    return SimulatorGap(simulator.name, ("as it is", *stages), errors, parts, observed, ends, left_out)
 
 
 def _identified(records: Sequence[PushRecord], prior: Prior | None, effects: Sequence[str], options: FitOptions | None) -> Identification:
@@ -170,11 +175,11 @@ def corrected_by(simulator: PushSimulator, fit: Identification) -> PushSimulator
     return Measured(simulator, effects)
 
 
-def _errors(simulator: PushSimulator, records: Sequence[PushRecord]) -> Float64Array:
-    """Cell error at the end of each push [m], shape (n_records,)."""
-    errors = []
+def _errors(simulator: PushSimulator, records: Sequence[PushRecord]) -> tuple[Float64Array, Float64Array]:
+    """Cell error at the end of each push [m], shape (n_records,), and the end, shape (n_records, 3)."""
+    errors, ends = [], []
     for record in records:
         observed = observe_push(record)
-        end = simulator.simulate(observed.pose[0], record.pusher, observed.time[-1:])[-1]
-        errors.append(cell_error(record.shape.cells, end, observed.pose[-1]))
-    return np.array(errors)
+        ends.append(simulator.simulate(observed.pose[0], record.pusher, observed.time[-1:])[-1])
+        errors.append(cell_error(record.shape.cells, ends[-1], observed.pose[-1]))
+    return np.array(errors), np.array(ends)
