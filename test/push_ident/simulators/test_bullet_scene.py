@@ -50,7 +50,7 @@ def off(scene: BulletScene, pushes: int = 4) -> float:
 
 def test_object_and_contact_take_most_of_the_gap_and_the_rest_is_bullets_friction(path: Path, tmp_path: Path) -> None:
     scene = BulletScene(path)
-    corrected = scene.with_object(TRUTH).with_precise_contact()
+    corrected = scene.with_object(TRUTH).with_precise_contact(TRUTH.pusher_friction)
     assert off(corrected) < 0.2 * off(scene) and off(corrected) < 4e-3
     written = corrected.write(tmp_path / "fixed.urdf")
     assert [file.name for file in written] == ["fixed.urdf.obj", "fixed.urdf"] and "enableConeFriction=1" in corrected.contact_settings

@@ -78,7 +78,7 @@ def test_a_wrong_scene_is_divided_and_corrected_in_its_own_engine(path: Path, tm
 def test_a_corrected_scene_is_a_file_that_moves_the_object_alike(path: Path, tmp_path: Path) -> None:
     """The true object in it ends where the true simulation ends, also in another frame of the world and of the body."""
     table, frame = np.array([0.2, -0.1, 0.7]), np.array([0.01, -0.02, 0.4])
-    corrected = MujocoScene(path, "thing", "finger").with_object(TRUTH).with_precise_contact()
+    corrected = MujocoScene(path, "thing", "finger").with_object(TRUTH).with_precise_contact(TRUTH.pusher_friction)
     file = tmp_path / "fixed.xml"
     assert corrected.write(file) == [file] and 'cone="elliptic" impratio="10"' in corrected.contact_settings
     again = MujocoScene(file, "thing", "finger")

@@ -81,14 +81,17 @@ class BulletScene:
 
     def with_object(self, model: ObjectModel, effects: EffectValues | None = None) -> BulletScene:
         """The same scene with an object that stands on a foot under each cell with its mass and friction, and has the outline of the
-        recorded poses' frame with the friction of the pusher of `model`; plane and pusher then have a friction of 1."""
+        recorded poses' frame with the friction against the pusher of the file; plane and pusher then have a friction of 1."""
         sliding = len(model.mass) <= _MOST_JOINTS
         description = describe(model, object_id=self.path.stem, source="the identification", effects=effects, sliding=sliding)
+        description = replace(description, pusher_friction=self._friction_against_pusher())
         return replace(self, identified=description, table_friction=1.0, pusher_friction=1.0, object_in_body=np.zeros(3))
 
-    def with_precise_contact(self) -> BulletScene:
-        """The same scene with a friction cone in place of Bullet's pyramid."""
-        return replace(self, precise=True)
+    def with_precise_contact(self, pusher_friction: float) -> BulletScene:
+        """The same scene with a friction cone in place of Bullet's pyramid and, where the object was identified, a friction coefficient of
+        the pusher."""
+        identified = None if self.identified is None else replace(self.identified, pusher_friction=pusher_friction)
+        return replace(self, precise=True, identified=identified)
 
     @property
     def contact_settings(self) -> str:
@@ -135,6 +138,16 @@ class BulletScene:
         at_times = np.column_stack([np.interp(times, ticks + _STEP, poses[:, column]) for column in range(3)])
         return np.asarray(compose(inverse(self.table_in_world), compose(at_times, self.object_in_body)))
 
+    def _friction_against_pusher(self) -> float:
+        """Of the object of the file, or of the identified one."""
+        client = _connected()
+        try:
+            body = self._loaded(client)[0]
+            outline = 2 if _is_in_plane(client, body) else -1  # the link after the joints along x and y and about z
+            return float(client.getDynamicsInfo(body, outline)[1]) * self.pusher_friction
+        finally:
+            client.disconnect()
+
     @contextmanager
     def _world(self, radius: float) -> Iterator[tuple[Any, int, Place, Pose]]:
         """Bullet with the plane, the object and the tool, far away; the functions place the object at rest, and tell its pose."""
@@ -166,9 +179,15 @@ class BulletScene:
                 file = Path(folder) / "identified.urdf"
                 self.write(file)
                 body = _load(client, file, flags)
-        in_plane = [bullet.JOINT_PRISMATIC, bullet.JOINT_PRISMATIC, bullet.JOINT_REVOLUTE]
-        kinds = [client.getJointInfo(body, joint)[2] for joint in range(min(3, client.getNumJoints(body)))]
-        return _object_in_plane(client, body) if kinds == in_plane else _free_object(client, body)
+        return _object_in_plane(client, body) if _is_in_plane(client, body) else _free_object(client, body)
+
+
+def _is_in_plane(client: Any, body: int) -> bool:
+    """Whether a body hangs on joints along x and y and about z, as an exported object with sliding cells."""
+    import pybullet as bullet
+
+    in_plane = [bullet.JOINT_PRISMATIC, bullet.JOINT_PRISMATIC, bullet.JOINT_REVOLUTE]
+    return [client.getJointInfo(body, joint)[2] for joint in range(min(3, client.getNumJoints(body)))] == in_plane
 
 
 def _connected() -> Any:

@@ -4,7 +4,7 @@ Each push is repeated in the simulator and compared with its recorded end. What 
 after the other, always by fits that have not seen the push:
 
     gap = (as it is - with right object)                     its mass and friction
-        + (that - with precise contact)                      its contact parameters and time step
+        + (that - with precise contact)                      its pusher friction, contact parameters and time step
         + (that - with an effect), for each effect           what the scene or the data lack
         + (that - the model of this package, same object)    what its engine does otherwise
         + the error of that model                            noise, maps, other causes: the account of a diagnosis
@@ -29,13 +29,13 @@ from push_ident.identification.observing.observation import observe_push
 from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.identification.results.result import Identification
 from push_ident.identification.unknowns.prior import Prior
-from push_ident.physics.effect_values import effect_values
+from push_ident.physics.effect_values import changed_friction, effect_values
 from push_ident.simulators.measured import Measured, inexpressible
 from push_ident.simulators.protocol import CorrectableSimulator, PushSimulator
 from push_ident.types import Float64Array, PushRecord
 
 OBJECT: Final = "mass and friction of the object"
-CONTACT: Final = "contact parameters and time step"
+CONTACT: Final = "pusher friction, contact and time step"
 ENGINE: Final = "what the engine does otherwise"
 UNDIVIDED: Final = "mass and friction of the object, contact, and what the engine does otherwise"
 MODEL: Final = "noise, and what the model lacks"
@@ -171,7 +171,8 @@ def corrected_by(simulator: PushSimulator, fit: Identification) -> PushSimulator
     """The simulator with the object of a fit, precise contact, and those of its effects that scene or data can have."""
     effects = fit.posterior.effects
     if isinstance(simulator, CorrectableSimulator):
-        return Measured(simulator.with_object(fit.model, effects).with_precise_contact(), effects)
+        friction = changed_friction(effects, fit.model.pusher_friction)[0]
+        return Measured(simulator.with_object(fit.model, effects).with_precise_contact(friction), effects)
     return Measured(simulator, effects)
 
 

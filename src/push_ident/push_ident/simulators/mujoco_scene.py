@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -93,7 +94,7 @@ class MujocoScene:
 
     def with_object(self, model: ObjectModel, effects: EffectValues | None = None) -> MujocoScene:
         """The same scene in which the object stands on a foot under each cell with its mass and friction, and keeps its own shape for the
-        tool, with the friction of the pusher of `model`; a tilt of the table is in the gravity.
+        tool; a tilt of the table is in the gravity.
 
         The body then moves in the plane. Its geoms carry nothing any more: what they weighed is in the cells.
         """
@@ -108,9 +109,10 @@ class MujocoScene:
 
         return replace(self, edits=(*self.edits, edit))
 
-    def with_precise_contact(self) -> MujocoScene:
-        """The same scene with elliptic friction cones, stiff contact that does not creep, and short steps."""
-        return replace(self, edits=(*self.edits, _make_precise))
+    def with_precise_contact(self, pusher_friction: float) -> MujocoScene:
+        """The same scene with elliptic friction cones, stiff contact that does not creep, short steps, and a friction coefficient of the
+        pusher, where the object stands on feet of its own."""
+        return replace(self, edits=(*self.edits, partial(_make_precise, pusher_friction)))
 
     def simulate(self, first_pose: Float64Array, tool_path: PusherPath, times: Float64Array) -> Float64Array:
         """As of `PushSimulator`. Raises InputError where the simulation becomes unstable."""
@@ -253,7 +255,7 @@ def _pose(data: Any, body: int) -> Float64Array:
     return np.array([*data.xpos[body, :2], np.arctan2(turn[3], turn[0])])
 
 
-def _make_precise(spec: Any) -> None:
+def _make_precise(pusher_friction: float, spec: Any) -> None:
     import mujoco
 
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -261,6 +263,8 @@ def _make_precise(spec: Any) -> None:
     spec.option.timestep = min(spec.option.timestep, _STEP)
     for geom in spec.geoms:
         geom.solref = list(_STIFF)
+        if geom.contype == _TOOL:
+            geom.friction, geom.priority = [pusher_friction, geom.friction[1], geom.friction[2]], 1
 
 
 def _add_feet(spec: Any, scene: MujocoScene, description: ObjectDescription) -> None:
@@ -272,6 +276,7 @@ def _add_feet(spec: Any, scene: MujocoScene, description: ObjectDescription) -> 
     if not np.allclose(axes[2], [0, 0, 1], atol=_TILT):
         raise InputError(f"The z axis of `{name}` does not point up in the scene; give the object a body frame whose z axis does.")
     height = float(body.pos[2])
+    _remove_feet(spec, scene)
     for joint in list(body.joints):
         spec.delete(joint)
     slide, hinge, sphere = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtGeom.mjGEOM_SPHERE
@@ -287,8 +292,6 @@ def _add_feet(spec: Any, scene: MujocoScene, description: ObjectDescription) -> 
             geom.contype |= _TABLE
     for geom in (*_geoms_below(body), *_geoms_below(spec.body(scene.tool_body))):
         geom.contype, geom.conaffinity, geom.condim, geom.mass = _TOOL, _TOOL, 3, 0.0
-        geom.friction = [description.pusher_friction, geom.friction[1], geom.friction[2]]
-        geom.priority = 1
     centres = transform_points(scene.object_in_body, description.centres)
     rows = zip(description.cell_names, centres, description.mass, description.inertia, description.friction, strict=True)
     for label, (x, y), mass, inertia, friction in rows:
@@ -297,6 +300,26 @@ def _add_feet(spec: Any, scene: MujocoScene, description: ObjectDescription) -> 
         cell.explicitinertial, cell.mass, cell.inertia, cell.ipos = True, mass, list(inertia), [0, 0, description.cell_height]
         foot = cell.add_geom(name=label, type=sphere, size=[description.foot_radius, 0, 0], pos=[0, 0, description.foot_radius])
         foot.contype, foot.conaffinity, foot.priority, foot.friction = 0, _TABLE, 1, [friction, 0.0, 0.0]
+
+
+def _remove_feet(spec: Any, scene: MujocoScene) -> None:
+    """Take away the feet of an earlier correction; what else hangs on the object has to be fixed to it, and weighs nothing any more.
+
+    Raises InputError for an object with other joints in it: it is not rigid.
+    """
+    import mujoco
+
+    for child in _bodies_below(spec.body(scene.object_body)):
+        if [joint.type for joint in child.joints] == [mujoco.mjtJoint.mjJNT_SLIDE] and len(child.geoms) == 1 and not child.bodies:
+            spec.delete(child)
+        elif child.joints:
+            raise InputError(f"`{child.name}` of {scene.path} moves against `{scene.object_body}`; the object has to be rigid.")
+        else:
+            child.explicitinertial, child.mass, child.inertia = False, 0.0, [0.0] * 3
+
+
+def _bodies_below(body: Any) -> list[Any]:
+    return [below for child in body.bodies for below in (child, *_bodies_below(child))]
 
 
 def _geoms_below(body: Any) -> list[Any]:

@@ -40,11 +40,12 @@ class CorrectableSimulator(PushSimulator, Protocol):
     """One whose scene can be corrected by what was identified."""
 
     def with_object(self, model: ObjectModel, effects: EffectValues | None = None) -> CorrectableSimulator:
-        """The same scene with the identified mass and support friction of each cell, the friction of the pusher, and the effects on
-        friction and gravity that it can express."""
+        """The same scene with the identified mass and support friction of each cell, and the effects on friction and gravity that it can
+        express; the pusher keeps its friction."""
 
-    def with_precise_contact(self) -> CorrectableSimulator:
-        """The same scene with the time step and the contact parameters at which its engine is near rigid contact with Coulomb friction."""
+    def with_precise_contact(self, pusher_friction: float) -> CorrectableSimulator:
+        """The same scene with a friction coefficient of the pusher, and the time step and the contact parameters at which its engine is
+        near rigid contact with Coulomb friction."""
 
     @property
     def contact_settings(self) -> str:
