@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
-from push_ident_sim.studies import convergence, coverage, demo, edge, goals, injected, maps, paths, pusht, real_protocol, recorded, sensors
+from push_ident_sim.studies import (
+    convergence,
+    coverage,
+    demo,
+    edge,
+    goals,
+    injected,
+    maps,
+    paths,
+    pusht,
+    real_protocol,
+    recorded,
+    scenes,
+    sensors,
+)
 from push_ident_sim.studies.bench import batches, engine, frames, identification
 from push_ident_sim.studies.blind import study as blind
 from push_ident_sim.studies.common.study import Benchmark, Experiment
 
 EXPERIMENTS: dict[str, Experiment] = {
     module.STUDY.name: module.STUDY
-    for module in (convergence, maps, coverage, real_protocol, blind, recorded, injected, demo, goals, edge, paths, pusht, sensors)
+    for module in (convergence, maps, coverage, real_protocol, blind, recorded, injected, scenes, demo, goals, edge, paths, pusht, sensors)
 }
 BENCHMARKS: dict[str, Benchmark] = {module.STUDY.name: module.STUDY for module in (engine, batches, identification, frames)}
