@@ -15,6 +15,7 @@ from push_ident.extras import need
 from push_ident.files import write_whole
 from push_ident.geometry.se2 import compose, inverse, quaternion_of_yaw, rotation, transform_points, yaw_of_quaternion
 from push_ident.identification.export.description import ObjectDescription, describe
+from push_ident.identification.export.mjcf import IMPRATIO, SOLREF, TIME_STEP
 from push_ident.physics.effect import ExportAs
 from push_ident.physics.effect_values import EffectValues
 from push_ident.types import Float64Array, ObjectModel, PusherPath
@@ -27,14 +28,6 @@ _TABLE: Final = 1 << 29
 """Bit of the contact type of the table, once the object stands on feet of its own."""
 _TOOL: Final = 1 << 30
 """Bit of tool and outline."""
-_STEP: Final = 5e-4
-"""Time step of precise contact [s]."""
-_STIFF: Final = (2e-3, 1.0)
-"""`solref` of precise contact: time constant [s], which has to be 2 steps at least, and damping ratio. Of 8 pushes, 7 then end within
-0.11 mm of the model with short steps, and one that slips round a corner 0.9 mm from it."""
-_NO_CREEP: Final = 10.0
-"""`impratio` of precise contact [1]: with 1, a contact that sticks creeps."""
-
 _FRAME: Final = 1e-6
 """Mass and inertia of a body that only carries cells, relative to theirs [1]."""
 _TILT: Final = 1e-3
@@ -259,10 +252,10 @@ def _make_precise(pusher_friction: float, spec: Any) -> None:
     import mujoco
 
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = max(spec.option.impratio, _NO_CREEP)
-    spec.option.timestep = min(spec.option.timestep, _STEP)
+    spec.option.impratio = max(spec.option.impratio, IMPRATIO)
+    spec.option.timestep = min(spec.option.timestep, TIME_STEP)
     for geom in spec.geoms:
-        geom.solref = list(_STIFF)
+        geom.solref = list(SOLREF)
         if geom.contype == _TOOL:
             geom.friction, geom.priority = [pusher_friction, geom.friction[1], geom.friction[2]], 1
 

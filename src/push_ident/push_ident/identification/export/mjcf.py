@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import Final
 from xml.etree.ElementTree import Element, SubElement
 
 from push_ident.identification.export.description import ObjectDescription, add_comment, effect_notes, numbers
@@ -10,15 +11,20 @@ from push_ident.physics.support import GRAVITY
 
 _NOTE = (
     "The friction of cells and outline (priority 1) overrides that of the table and the pusher.",
-    'A model to which this one is attached needs the option cone="elliptic" as well.',
+    "A model to which this one is attached needs the options as well; with longer steps and softer contact it is faster, and less exact.",
     "The table can have MuJoCo's default contype and conaffinity; with 2 for both a pusher touches only the outline.",
 )
 _CARRIED = {
     ExportAs.PUSHER_FRICTION: "the friction of the outline",
     ExportAs.GRAVITY: "the option gravity, which a model to which this one is attached needs as well",
 }
-_SOLREF = (0.004, 1.0)
-"""Time constant [s] and damping ratio of a contact. With MuJoCo's default of 20 ms the outline yields to the pusher."""
+TIME_STEP: Final = 5e-4
+"""[s]"""
+SOLREF: Final = (2e-3, 1.0)
+"""Time constant [s], which has to be 2 steps at least, and damping ratio of a contact. With MuJoCo's default of 20 ms the outline yields to
+the pusher."""
+IMPRATIO: Final = 10.0
+"""Of friction to normal force [1]: with MuJoCo's default of 1, a contact that sticks creeps."""
 
 
 def mjcf(description: ObjectDescription) -> Element:
@@ -26,7 +32,7 @@ def mjcf(description: ObjectDescription) -> Element:
     root = Element("mujoco", model=description.name)
     add_comment(root, description.provenance, *_NOTE, *effect_notes(description, _CARRIED))
     # With the default pyramid, friction is stronger along some directions of the table than along others.
-    option = SubElement(root, "option", cone="elliptic")
+    option = SubElement(root, "option", cone="elliptic", impratio=numbers(IMPRATIO), timestep=numbers(TIME_STEP))
     if slope := description.exported(ExportAs.GRAVITY):
         slope_x, slope_y = slope
         option.set("gravity", numbers(GRAVITY * slope_x, GRAVITY * slope_y, -GRAVITY))
@@ -60,7 +66,7 @@ def mjcf(description: ObjectDescription) -> Element:
 
 
 def _add_defaults(default: Element, description: ObjectDescription) -> None:
-    contact = {"condim": "3", "priority": "1", "solref": numbers(*_SOLREF)}
+    contact = {"condim": "3", "priority": "1", "solref": numbers(*SOLREF)}
     cell = SubElement(default, "default", {"class": f"{description.name}_cell"})
     # Cells collide only with geoms whose contype has bit 1: not with a pusher on bit 2, and not with each other.
     attributes = {
