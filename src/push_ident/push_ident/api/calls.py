@@ -305,7 +305,8 @@ def diagnose(
     if simulator is None:
         return diagnosis
     scene = simulator if isinstance(simulator, PushSimulator) else FunctionSimulator(simulator)
-    return with_simulator(diagnosis, list(pushes), scene, settings.prior)
+    nuisances = pushes.nuisances if isinstance(pushes, LoadedPushes) else ()
+    return with_simulator(diagnosis, list(pushes), scene, settings.prior, nuisances=nuisances)
 
 
 @in_one_thread

@@ -117,7 +117,7 @@ def diagnose_command(
             check_number_of_pushes(records)
         diagnosis = diagnose(records, settings, against=reference, on_progress=report)
         if scene:
-            diagnosis = with_simulator(diagnosis, records, scene, prior, report)
+            diagnosis = with_simulator(diagnosis, records, scene, prior, nuisances=loaded.nuisances, on_progress=report)
     _show(diagnosis, loaded.notes)
     content = to_json(diagnosis)
     for file in (json, None if out is None else out / "diagnosis.json"):

@@ -78,9 +78,9 @@ def fix_command(
         if effects is None:
             diagnosis = diagnose(loaded.records, DiagnosisSettings(prior=prior), on_progress=report)
             effects = [effect.name for effect in diagnosis.effects]
-        gap = simulator_gap(loaded.records, simulator, prior, effects=effects, on_progress=report)
+        gap = simulator_gap(loaded.records, simulator, prior, effects=effects, nuisances=loaded.nuisances, on_progress=report)
         report("identifying from all pushes")
-        fit = identify(loaded.records, prior, effects=effects)
+        fit = identify(loaded.records, prior, effects=tuple(dict.fromkeys((*loaded.nuisances, *effects))))
         if fit.status.is_failure:
             raise InputError(f"The pushes identify no object, so that the scene cannot be corrected: {fit.status.value}.")
         corrected = _corrected(simulator, fit)

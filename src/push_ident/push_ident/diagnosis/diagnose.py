@@ -30,14 +30,17 @@ def with_simulator(
     records: Sequence[PushRecord],
     simulator: PushSimulator,
     prior: Prior | None = None,
+    *,
+    nuisances: Sequence[str] = (),
     on_progress: Progress | None = None,
 ) -> Diagnosis:
     """A diagnosis of pushes with the gap of somebody else's simulator on them, divided by the causes that were found.
 
-    Raises InputError as `simulator_gap` does.
+    `nuisances`: names of effects that all fits have. Raises InputError as `simulator_gap` does.
     """
     names = [effect.name for effect in diagnosis.effects]
-    return replace(diagnosis, simulator=simulator_gap(records, simulator, prior, effects=names, on_progress=on_progress))
+    gap = simulator_gap(records, simulator, prior, effects=names, nuisances=nuisances, on_progress=on_progress)
+    return replace(diagnosis, simulator=gap)
 
 
 def diagnose(

@@ -127,6 +127,7 @@ def simulator_gap(
     prior: Prior | None = None,
     *,
     effects: Sequence[str] = (),
+    nuisances: Sequence[str] = (),
     options: FitOptions | None = None,
     on_progress: Callable[[str], None] | None = None,
 ) -> SimulatorGap:
@@ -137,6 +138,7 @@ def simulator_gap(
         simulator: whose gap it is. One that is no `CorrectableSimulator` has the parts of object, contact and engine as one.
         prior: of the object.
         effects: names of causes, of a diagnosis, that are added one after the other.
+        nuisances: names of effects that all fits have, as of `LoadedPushes.nuisances`; they are corrected with the object.
         options: of the fits.
         on_progress: called with what is under way.
 
@@ -144,7 +146,7 @@ def simulator_gap(
         InputError: fewer than 4 pushes, fits that explain nothing, or a simulator that fails.
     """
     check_number_of_pushes(records)
-    report = on_progress or (lambda text: None)
+    report, effects = on_progress or (lambda text: None), [name for name in effects if name not in nuisances]
     report(f"repeating {len(records)} pushes in {simulator.name}")
     corrected = isinstance(simulator, CorrectableSimulator)
     stages = (*((_WITH_OBJECT, _PRECISE) if corrected else ()), *(f"with {name}" for name in effects), _MODEL)
@@ -154,7 +156,7 @@ def simulator_gap(
     def identified(fold: int, n_effects: int) -> Identification:
         train = [record for k, record in enumerate(records) if k % _FOLDS != fold]
         report(f"identifying {' and '.join(('the object', *effects[:n_effects]))} from {len(train)} pushes")
-        return _identified(train, prior, effects[:n_effects], options)
+        return _identified(train, prior, (*nuisances, *effects[:n_effects]), options)
 
     tasks = [(fold, n_effects) for fold in range(_FOLDS) for n_effects in range(len(effects) + 1)]
     results = dict(zip(tasks, map_in_threads(lambda task: identified(*task), tasks), strict=True))
@@ -182,7 +184,7 @@ def _identified(records: Sequence[PushRecord], prior: Prior | None, effects: Seq
 def _corrected_one_after_the_other(simulator: PushSimulator, fits: Sequence[Identification]) -> Iterator[PushSimulator]:
     """The simulator with the object of the first fit, with precise contact, and with the object and the effects of each further fit."""
     if isinstance(simulator, CorrectableSimulator):
-        yield simulator.with_object(fits[0].model)
+        yield Measured(simulator.with_object(fits[0].model, fits[0].posterior.effects), fits[0].posterior.effects)
     for fit in fits if isinstance(simulator, CorrectableSimulator) else fits[1:]:
         yield corrected_by(simulator, fit)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from push_ident.physics.effect import ExportAs, OnPoses, OnPusherPath, OnTimes
+from push_ident.physics.effect import Effect, ExportAs, OnPoses, OnPusherPath, OnTimes
 from push_ident.physics.effect_values import EffectValues, driven_path, measurement_times, reported_poses, true_pose
 from push_ident.simulators.protocol import PushSimulator
 from push_ident.types import Float64Array, PusherPath
@@ -20,16 +20,28 @@ _IN_SCENE: Final = (ExportAs.GRAVITY, ExportAs.PUSHER_FRICTION)
 
 def inexpressible(effects: EffectValues) -> tuple[str, ...]:
     """Names of the effects that neither a scene nor corrected data can have."""
-    return tuple(one.name for one in effects.effects if not isinstance(one.acts, _OUTSIDE) and one.export not in _IN_SCENE)
+    return tuple(one.name for one in effects.effects if not (_is_of_data(one) or one.export in _IN_SCENE))
 
 
 def of_the_data(effects: EffectValues) -> tuple[str, ...]:
     """Names of the effects of tool, clocks and camera: corrections of the data, not of a scene."""
-    return tuple(one.name for one in effects.effects if isinstance(one.acts, _OUTSIDE))
+    return tuple(one.name for one in effects.effects if _is_of_data(one))
+
+
+def _is_of_data(effect: Effect) -> bool:
+    return isinstance(effect.acts, _OUTSIDE) or effect.moves_outline
+
+
+def outline_offset(effects: EffectValues) -> float:
+    """By how much the surface that the pusher touches lies outside the outline [m]."""
+    return float(sum(float(np.sum(effects.values[effects.slice_of(one.name)])) for one in effects.effects if one.moves_outline))
 
 
 def corrected_path(effects: EffectValues, path: PusherPath) -> PusherPath:
     """The path that the tool drove where `path` was reported."""
+    if offset := outline_offset(effects):
+        # A pusher that is thicker touches as a surface that lies further out.
+        path = replace(path, radius=max(path.radius + offset, 0.0))
     if not any(isinstance(one.acts, OnPusherPath) for one in effects.effects):
         return path
     time = np.linspace(path.time[0], path.time[-1], max(2, int(np.ceil((path.time[-1] - path.time[0]) / _STEP)) + 1))

@@ -18,6 +18,7 @@ from push_ident.identification.export.description import ObjectDescription, desc
 from push_ident.identification.export.mjcf import IMPRATIO, SOLREF, TIME_STEP
 from push_ident.physics.effect import ExportAs
 from push_ident.physics.effect_values import EffectValues
+from push_ident.simulators.measured import outline_offset
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 
 _HEAVY: Final = 1e3
@@ -30,6 +31,10 @@ _TOOL: Final = 1 << 30
 """Bit of tool and outline."""
 _FRAME: Final = 1e-6
 """Mass and inertia of a body that only carries cells, relative to theirs [1]."""
+_PARTED: Final = 50
+"""Steps without inertia in which a tool that is recorded inside the object pushes it out, in place of throwing it away."""
+_LEAST: Final = 1e-12
+"""Mass and inertia of a cell [kg, kg m^2]: MuJoCo refuses bodies that weigh nothing, as parts of cells cut at the outline may."""
 _TILT: Final = 1e-3
 """Of an axis that counts as upright [1]."""
 
@@ -87,7 +92,7 @@ class MujocoScene:
 
     def with_object(self, model: ObjectModel, effects: EffectValues | None = None) -> MujocoScene:
         """The same scene in which the object stands on a foot under each cell with its mass and friction, and keeps its own shape for the
-        tool; a tilt of the table is in the gravity.
+        tool; a tilt of the table is in the gravity, and a round tool as much thicker as the surface lies further out.
 
         The body then moves in the plane. Its geoms carry nothing any more: what they weighed is in the cells.
         """
@@ -95,6 +100,7 @@ class MujocoScene:
 
         def edit(spec: Any) -> None:
             _add_feet(spec, self, description)
+            _widen(spec.body(self.tool_body), 0.0 if effects is None else outline_offset(effects))
             if slope := description.exported(ExportAs.GRAVITY):
                 down = rotation(self.table_in_world[2]) @ np.array(slope)
                 strength = float(np.linalg.norm(spec.option.gravity))
@@ -123,6 +129,9 @@ class MujocoScene:
         for _ in range(int(_SETTLE / model.opt.timestep)):
             mujoco.mj_step(model, data)
         placed(data, start)
+        for _ in range(_PARTED):
+            mujoco.mj_step(model, data)
+            data.qvel[:] = 0.0
         step = model.opt.timestep
         ticks = np.arange(tool_path.time[0], max(tool_path.time[-1], times[-1]) + step, step)
         ways = np.column_stack([np.interp(ticks, tool_path.time, path[:, axis]) for axis in (0, 1)])
@@ -290,9 +299,19 @@ def _add_feet(spec: Any, scene: MujocoScene, description: ObjectDescription) -> 
     for label, (x, y), mass, inertia, friction in rows:
         cell = body.add_body(name=label, pos=[x, y, -height])
         cell.add_joint(name=f"{label}_z", type=slide, axis=[0, 0, 1])
-        cell.explicitinertial, cell.mass, cell.inertia, cell.ipos = True, mass, list(inertia), [0, 0, description.cell_height]
+        cell.explicitinertial, cell.mass, cell.ipos = True, max(mass, _LEAST), [0, 0, description.cell_height]
+        cell.inertia = [max(value, _LEAST) for value in inertia]
         foot = cell.add_geom(name=label, type=sphere, size=[description.foot_radius, 0, 0], pos=[0, 0, description.foot_radius])
         foot.contype, foot.conaffinity, foot.priority, foot.friction = 0, _TABLE, 1, [friction, 0.0, 0.0]
+
+
+def _widen(tool: Any, by: float) -> None:
+    """Make the round geoms of the tool thicker [m]."""
+    import mujoco
+
+    kinds = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
+    for geom in (one for one in _geoms_below(tool) if one.type in kinds):
+        geom.size = [max(geom.size[0] + by, 1e-4), *geom.size[1:]]
 
 
 def _remove_feet(spec: Any, scene: MujocoScene) -> None:
