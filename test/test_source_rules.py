@@ -23,6 +23,7 @@ EFFECT_NAMES_OUTSIDE: dict[str, str] = {
     "push_ident/nodes/push_executor/parameters.py": "push_height is a parameter of the arm's motion: the height of the tool over the table",
     "push_ident/physics/active_effects.py": "restitution is also a quantity of the contact",
     "push_ident/physics/effect.py": "restitution is also a quantity of the contact",
+    "push_ident_sim/studies/recorded_scenes.py": "what is not known exactly of recordings of others",
     "push_ident_sim/studies/scenes.py": "what only the world of a case has, with its size",
     "push_ident_sim/studies/blind/cases.py": "what each engine of the check can inject, and what a camera can film",
     "push_ident_sim/studies/blind/summary.py": "the effects whose figures are shown one by one",

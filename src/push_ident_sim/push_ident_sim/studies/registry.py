@@ -14,6 +14,7 @@ from push_ident_sim.studies import (
     pusht,
     real_protocol,
     recorded,
+    recorded_scenes,
     scenes,
     sensors,
 )
@@ -23,6 +24,22 @@ from push_ident_sim.studies.common.study import Benchmark, Experiment
 
 EXPERIMENTS: dict[str, Experiment] = {
     module.STUDY.name: module.STUDY
-    for module in (convergence, maps, coverage, real_protocol, blind, recorded, injected, scenes, demo, goals, edge, paths, pusht, sensors)
+    for module in (
+        convergence,
+        maps,
+        coverage,
+        real_protocol,
+        blind,
+        recorded,
+        injected,
+        scenes,
+        recorded_scenes,
+        demo,
+        goals,
+        edge,
+        paths,
+        pusht,
+        sensors,
+    )
 }
 BENCHMARKS: dict[str, Benchmark] = {module.STUDY.name: module.STUDY for module in (engine, batches, identification, frames)}

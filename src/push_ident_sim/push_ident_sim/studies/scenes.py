@@ -22,7 +22,7 @@ from push_ident.physics.support import GRAVITY
 from push_ident.simulators.bullet_scene import BulletScene
 from push_ident.simulators.gap import CONTACT, ENGINE, OBJECT, SimulatorGap, simulator_gap
 from push_ident.simulators.mujoco_scene import MujocoScene
-from push_ident.types import ObjectModel, PushRecord
+from push_ident.types import Float64Array, ObjectModel, PushRecord
 from push_ident_sim.engines.planar import PlanarWorld
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import OBJECT_NAMES, make_object
@@ -100,22 +100,28 @@ def _object_of_scene(right: ObjectModel, fault: Fault) -> ObjectModel:
     return replace(right, mass=mass, friction=friction, pusher_friction=pusher_friction)
 
 
-def _mujoco(folder: Path, model: ObjectModel, radius: float, *, soft: bool) -> MujocoScene:
+def plain_scene(folder: Path, outline: Float64Array, radius: float, friction: float) -> MujocoScene:
+    """A scene as one would write it: an even body of an outline [m], shape (n_vertices, 2), on a table, MuJoCo's default contacts, and one
+    friction coefficient; the tool is a capsule of a radius [m]."""
     meshes, geoms = [], []
-    for k, piece in enumerate(convex_pieces(model.shape.outline)):
+    for k, piece in enumerate(convex_pieces(outline)):
         vertices = " ".join(f"{x:.6f} {y:.6f} {z}" for z in (0.0, 0.03) for x, y in piece)
         meshes.append(f'<mesh name="piece{k}" vertex="{vertices}"/>')
-        geoms.append(f'<geom type="mesh" mesh="piece{k}" density="500" friction="{model.pusher_friction} 0 0"/>')
-    file = folder / "scene.xml"
+        geoms.append(f'<geom type="mesh" mesh="piece{k}" density="500" friction="{friction} 0 0"/>')
     xml = (
-        f'<mujoco><asset>{"".join(meshes)}</asset><worldbody><geom name="table" type="plane" size="2 2 0.1"/>'
+        f'<mujoco><asset>{"".join(meshes)}</asset><worldbody><geom name="table" type="plane" size="2 2 0.1" friction="{friction} 0 0"/>'
         f'<body name="thing" pos="0 0 0.0001"><freejoint/>{"".join(geoms)}</body><body name="finger" mocap="true" pos="1 1 0.02">'
-        f'<geom type="capsule" size="{radius} 0.015" friction="{model.pusher_friction} 0 0"/></body></worldbody></mujoco>'
+        f'<geom type="capsule" size="{radius} 0.015" friction="{friction} 0 0"/></body></worldbody></mujoco>'
     )
-    write_whole(file, xml, "the scene")
-    scene = MujocoScene(file, "thing", "finger").with_object(model)
-    (scene if soft else scene.with_precise_contact(model.pusher_friction)).write(file)
-    return MujocoScene(file, "thing", "finger")
+    write_whole(folder / "scene.xml", xml, "the scene")
+    return MujocoScene(folder / "scene.xml", "thing", "finger")
+
+
+def _mujoco(folder: Path, model: ObjectModel, radius: float, *, soft: bool) -> MujocoScene:
+    plain = plain_scene(folder, model.shape.outline, radius, model.pusher_friction)
+    scene = plain.with_object(model)
+    (scene if soft else scene.with_precise_contact(model.pusher_friction)).write(plain.path)
+    return plain
 
 
 def _bullet(folder: Path, model: ObjectModel, radius: float, *, soft: bool) -> BulletScene:
