@@ -18,7 +18,7 @@ from push_ident_sim.studies import (
     scenes,
     sensors,
 )
-from push_ident_sim.studies.bench import batches, engine, frames, identification
+from push_ident_sim.studies.bench import batches, engine, frames, identification, rivals
 from push_ident_sim.studies.blind import study as blind
 from push_ident_sim.studies.common.study import Benchmark, Experiment
 
@@ -42,4 +42,4 @@ EXPERIMENTS: dict[str, Experiment] = {
         sensors,
     )
 }
-BENCHMARKS: dict[str, Benchmark] = {module.STUDY.name: module.STUDY for module in (engine, batches, identification, frames)}
+BENCHMARKS: dict[str, Benchmark] = {module.STUDY.name: module.STUDY for module in (engine, batches, identification, frames, rivals)}
