@@ -17,11 +17,11 @@ from push_ident.geometry.se2 import compose, inverse
 from push_ident.physics.effect_values import effect_values, true_pose
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
-from push_ident.simulators.gap import CONTACT, ENGINE, MODEL, OBJECT, simulator_gap
+from push_ident.simulators.gap import ENGINE, MODEL, simulator_gap
 from push_ident.simulators.measured import Measured, inexpressible
 from push_ident.simulators.mujoco_scene import MujocoScene
 from push_ident.simulators.page import write_gap_page
-from push_ident.simulators.protocol import FunctionSimulator
+from push_ident.simulators.protocol import CONTACT, OBJECT, FunctionSimulator
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 
 FINE = SimulationSettings(step=1 / 1920, resolve_events=True)
@@ -68,6 +68,7 @@ def test_a_wrong_scene_is_divided_and_corrected_in_its_own_engine(path: Path, tm
     assert fixed.mean() < 0.25 * gap.errors[0].mean()
     # The engine does with the identified object what the model does.
     assert abs(gap.sizes[gap.parts.index(ENGINE)]) < 5e-4
+    assert gap.causes[0] == OBJECT and any("mass and friction of its geoms" in line for line in gap.lines())
     assert gap.observed.shape == gap.ends.shape == (2, 8, 3)
     write_gap_page(tmp_path / "gap.html", gap, TRUTH.shape.outline, ["written scene.xml"])
     page = (tmp_path / "gap.html").read_text(encoding="utf-8")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from push_ident.identification.export.files import write_description
 from push_ident.physics.effect import ExportAs
 from push_ident.physics.effect_values import EffectValues
 from push_ident.physics.support import GRAVITY
+from push_ident.simulators.protocol import CONTACT, OBJECT
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 
 _HEAVY: Final = 1e3
@@ -92,6 +93,16 @@ class BulletScene:
         the pusher."""
         identified = None if self.identified is None else replace(self.identified, pusher_friction=pusher_friction)
         return replace(self, precise=True, identified=identified)
+
+    @property
+    def words(self) -> Mapping[str, str]:
+        """As of `CorrectableSimulator`."""
+        return {
+            OBJECT: "inertial and lateral_friction of its links",
+            CONTACT: "lateralFriction of the pusher, enableConeFriction",
+            ExportAs.GRAVITY.value: "setGravity",
+            ExportAs.PUSHER_FRICTION.value: "lateralFriction of the pusher",
+        }
 
     @property
     def contact_settings(self) -> str:

@@ -14,8 +14,8 @@ The parts are differences of mean cell errors on the same pushes [m]; a part is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -30,12 +30,11 @@ from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.identification.results.result import Identification
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.effect_values import changed_friction, effect_values
-from push_ident.simulators.measured import Measured, inexpressible
-from push_ident.simulators.protocol import CorrectableSimulator, PushSimulator
+from push_ident.physics.effects import EFFECTS
+from push_ident.simulators.measured import Measured, inexpressible, of_the_data
+from push_ident.simulators.protocol import CONTACT, OBJECT, CorrectableSimulator, PushSimulator
 from push_ident.types import Float64Array, PushRecord
 
-OBJECT: Final = "mass and friction of the object"
-CONTACT: Final = "pusher friction, contact and time step"
 ENGINE: Final = "what the engine does otherwise"
 UNDIVIDED: Final = "mass and friction of the object, contact, and what the engine does otherwise"
 MODEL: Final = "noise, and what the model lacks"
@@ -66,6 +65,8 @@ class SimulatorGap:
     """Recorded poses of the object before and after each push (x, y, yaw), table frame, shape (2, n_pushes, 3)."""
     ends: Float64Array
     """Where each push ends in the simulator as it is, and with all that it can have corrected, shape (2, n_pushes, 3)."""
+    words: Mapping[str, str] = field(default_factory=dict)
+    """What the users of the simulator call what was corrected, by the name of the part."""
     left_out: tuple[str, ...] = ()
     """Effects among them that neither the scene nor corrected data can have: their part is that of a refitted object."""
 
@@ -102,7 +103,8 @@ class SimulatorGap:
         total = f"{self.name} misses the ends of {self.errors.shape[1]} pushes by {1e3 * float(self.errors[0].mean()):.1f} mm in the mean:"
         rows = zip(self.parts, self.sizes, self.stds, strict=True)
         lines = [total, *(f"  {name:<{width}}  {1e3 * size:6.1f} ± {1e3 * std:.1f} mm" for name, size, std in rows)]
-        lines.append(f"causes, the largest first: {', '.join(self.causes)}" if self.causes else "no cause is certain")
+        causes = [f"{name} ({self.words[name]})" if name in self.words else name for name in self.causes]
+        lines.append(f"causes, the largest first: {'; '.join(causes)}" if causes else "no cause is certain")
         return [*lines, *(f"  {name} is in no scene: its part is that of the object fitted beside it" for name in self.left_out)]
 
     def as_json(self) -> dict[str, object]:
@@ -171,7 +173,21 @@ def simulator_gap(
     parts = (*((OBJECT, CONTACT) if corrected else ()), *effects, ENGINE if corrected else UNDIVIDED, MODEL)
     left_out = inexpressible(effect_values(tuple(effects)))
     observed = np.stack([observe_push(record).pose[[0, -1]] for record in records], axis=1)
-    return SimulatorGap(simulator.name, ("as it is", *stages), errors, parts, observed, ends, left_out)
+    return SimulatorGap(simulator.name, ("as it is", *stages), errors, parts, observed, ends, _words(simulator, parts), left_out)
+
+
+def _words(simulator: PushSimulator, parts: Sequence[str]) -> dict[str, str]:
+    """What the users of a simulator call the parts of its gap."""
+    known = simulator.words if isinstance(simulator, CorrectableSimulator) else {}
+    words = {name: known[name] for name in parts if name in known}
+    effects = effect_values(tuple(name for name in parts if name in EFFECTS))
+    of_data = of_the_data(effects)
+    for effect in effects.effects:
+        if effect.export is not None and effect.export.value in known:
+            words[effect.name] = known[effect.export.value]
+        elif effect.name in of_data:
+            words[effect.name] = "in the data: path of the tool, stamps, poses or radius of the pusher"
+    return words
 
 
 def _identified(records: Sequence[PushRecord], prior: Prior | None, effects: Sequence[str], options: FitOptions | None) -> Identification:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from push_ident.identification.export.mjcf import IMPRATIO, SOLREF, TIME_STEP
 from push_ident.physics.effect import ExportAs
 from push_ident.physics.effect_values import EffectValues
 from push_ident.simulators.measured import outline_offset
+from push_ident.simulators.protocol import CONTACT, OBJECT
 from push_ident.types import Float64Array, ObjectModel, PusherPath
 
 _HEAVY: Final = 1e3
@@ -79,6 +80,16 @@ class MujocoScene:
         write_whole(path, str(spec.to_xml()), "the scene")
         replace(self, path=path, edits=())
         return [path]
+
+    @property
+    def words(self) -> Mapping[str, str]:
+        """As of `CorrectableSimulator`."""
+        return {
+            OBJECT: "mass and friction of its geoms",
+            CONTACT: "geom friction of the tool, option cone, impratio and timestep, solref",
+            ExportAs.GRAVITY.value: "option gravity",
+            ExportAs.PUSHER_FRICTION.value: "geom friction of the tool",
+        }
 
     @property
     def contact_settings(self) -> str:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -35,6 +35,10 @@ class PushSimulator(Protocol):
         """
 
 
+OBJECT: Final = "mass and friction of the object"
+CONTACT: Final = "pusher friction, contact and time step"
+
+
 @runtime_checkable
 class CorrectableSimulator(PushSimulator, Protocol):
     """One whose scene can be corrected by what was identified."""
@@ -46,6 +50,10 @@ class CorrectableSimulator(PushSimulator, Protocol):
     def with_precise_contact(self, pusher_friction: float) -> CorrectableSimulator:
         """The same scene with a friction coefficient of the pusher, and the time step and the contact parameters at which its engine is
         near rigid contact with Coulomb friction."""
+
+    @property
+    def words(self) -> Mapping[str, str]:
+        """What its users call what is corrected: of `OBJECT`, `CONTACT`, and the value of each `ExportAs` that it can have."""
 
     @property
     def contact_settings(self) -> str:

@@ -20,8 +20,9 @@ from push_ident.files import finite, write_whole
 from push_ident.geometry.convex import convex_pieces
 from push_ident.physics.support import GRAVITY
 from push_ident.simulators.bullet_scene import BulletScene
-from push_ident.simulators.gap import CONTACT, ENGINE, OBJECT, SimulatorGap, simulator_gap
+from push_ident.simulators.gap import ENGINE, SimulatorGap, simulator_gap
 from push_ident.simulators.mujoco_scene import MujocoScene
+from push_ident.simulators.protocol import CONTACT, OBJECT
 from push_ident.types import Float64Array, ObjectModel, PushRecord
 from push_ident_sim.engines.planar import PlanarWorld
 from push_ident_sim.injected import InjectedEffects
