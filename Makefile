@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo docs bench experiments blind recordings states faults fuzz test test-long test-release lint format dist dist-check changelog release clean
+.PHONY: help setup demo docs bench experiments blind recordings scenes states faults fuzz test test-long test-release lint format dist dist-check changelog release clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */  make \1\t/' | expand -t 16
@@ -51,7 +51,7 @@ fuzz: setup  ## any message for every conversion and node, any bag, any depth fr
 	FUZZ_MINUTES=$(MINUTES) $(VENV)/pytest -vv -m fuzz $(call with_marker,fuzz)
 
 blind: setup  ## the diagnosis on sealed cases of two other engines (twenty minutes; the published seeds), then the page
-	$(call experiment,blind --seed 52000 --models 12 --variants 14-pushes$(comma)camera)
+	$(call experiment,blind --seed 54000 --models 12 --variants 14-pushes$(comma)camera)
 	$(VENV)/push-ident experiment report
 
 DATA ?= ../shared/data
@@ -60,7 +60,12 @@ recordings: setup  ## recordings of others, set by set, DATA=FOLDER of them (goe
 	$(VENV)/push-ident experiment report
 
 injected: setup  ## known causes put into recordings of others, DATA=FOLDER of them (goes on where it stopped), then the page
-	$(call experiment,injected --seed 420 --models 3 --variants single$(comma)single-against-half$(comma)pair-against-half$(comma)against-half --recordings "$(DATA)")
+	$(call experiment,injected --seed 430 --models 8 --variants single$(comma)single-against-half$(comma)pair-against-half$(comma)against-half --recordings "$(DATA)")
+	$(VENV)/push-ident experiment report
+
+scenes: setup  ## scenes of MuJoCo and Bullet made wrong in a known way, and recordings in DATA=FOLDER against a plain scene, then the pages
+	$(call experiment,scenes --seed 1000 --models 6)
+	$(call experiment,recorded-scenes --models 1 --recordings "$(DATA)")
 	$(VENV)/push-ident experiment report
 
 STREAMS ?= 10000
