@@ -18,7 +18,7 @@ from push_ident.physics.effect_values import effect_values, true_pose
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.simulators.gap import ENGINE, MODEL, simulator_gap
-from push_ident.simulators.measured import Measured, inexpressible
+from push_ident.simulators.measured import Measured, corrected_path, inexpressible
 from push_ident.simulators.mujoco_scene import MujocoScene
 from push_ident.simulators.page import write_gap_page
 from push_ident.simulators.protocol import CONTACT, OBJECT, FunctionSimulator
@@ -99,12 +99,16 @@ def test_errors_of_tool_clock_and_camera_act_outside_any_engine() -> None:
     """The own model without effects, measured with them, is the own model with them."""
     effects = effect_values(
         {"tool_offset": [0.004, -0.002], "pusher_lag": [0.05], "pose_latency": [0.03], "camera_rotation": [0.02], "camera_scale": [0.01]}
+        | {"tool_drift": [0.002, -0.001]}
     )
     assert inexpressible(effects) == () and inexpressible(effect_values({"wear": [0.1]})) == ("wear",)
+    path = simulated_pushes(1, 4)[0].pusher
+    assert corrected_path(effect_values({"outline_error": [0.002]}), path).radius == pytest.approx(path.radius + 0.002)
     for record in simulated_pushes(3, 4):
         first, times = record.poses.pose[0], record.poses.time[5::10]
-        outside = Measured(our_own(TRUTH), effects).simulate(first, record.pusher, times)
-        inside = simulate(TRUTH, PushScenario(record.pusher, true_pose(effects, first), times), effects=effects).pose
+        outside = Measured(our_own(TRUTH), effects, record.order).simulate(first, record.pusher, times)
+        scenario = PushScenario(record.pusher, true_pose(effects, first), times, record.order)
+        inside = simulate(TRUTH, scenario, effects=effects).pose
         assert max(cell_error(TRUTH.shape.cells, a, b) for a, b in zip(outside, inside, strict=True)) < 3e-4
 
 

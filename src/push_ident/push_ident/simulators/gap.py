@@ -15,7 +15,7 @@ The parts are differences of mean cell errors on the same pushes [m]; a part is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -219,6 +219,7 @@ def _errors(simulator: PushSimulator, records: Sequence[PushRecord]) -> tuple[Fl
     errors, ends = [], []
     for record in records:
         observed = observe_push(record)
+        simulator = replace(simulator, order=record.order) if isinstance(simulator, Measured) else simulator
         ends.append(simulator.simulate(observed.pose[0], record.pusher, observed.time[-1:])[-1])
         errors.append(cell_error(record.shape.cells, ends[-1], observed.pose[-1]))
     return np.array(errors), np.array(ends)

@@ -37,8 +37,8 @@ def outline_offset(effects: EffectValues) -> float:
     return float(sum(float(np.sum(effects.values[effects.slice_of(one.name)])) for one in effects.effects if one.moves_outline))
 
 
-def corrected_path(effects: EffectValues, path: PusherPath) -> PusherPath:
-    """The path that the tool drove where `path` was reported."""
+def corrected_path(effects: EffectValues, path: PusherPath, order: float = 0.0) -> PusherPath:
+    """The path that the tool drove where `path` was reported, after `order` pushes."""
     if offset := outline_offset(effects):
         # A pusher that is thicker touches as a surface that lies further out.
         path = replace(path, radius=max(path.radius + offset, 0.0))
@@ -47,7 +47,7 @@ def corrected_path(effects: EffectValues, path: PusherPath) -> PusherPath:
     time = np.linspace(path.time[0], path.time[-1], max(2, int(np.ceil((path.time[-1] - path.time[0]) / _STEP)) + 1))
     position = [np.interp(time, path.time, path.position[:, axis]) for axis in (0, 1)]
     yaw = np.zeros(len(time)) if path.yaw is None else np.interp(time, path.time, path.yaw)
-    driven = driven_path(effects, np.diff(time), np.column_stack([*position, yaw]))[0]
+    driven = driven_path(effects, np.diff(time), np.column_stack([*position, yaw]), order)[0]
     return PusherPath(time, driven[:, :2], path.radius, path.polygon, None if path.yaw is None else driven[:, 2])
 
 
@@ -58,6 +58,8 @@ class Measured:
     simulator: PushSimulator
     effects: EffectValues
     """Those of path, clocks and camera act; others are the business of the simulator."""
+    order: float = 0.0
+    """Number of pushes made before."""
 
     @property
     def name(self) -> str:
@@ -67,5 +69,5 @@ class Measured:
     def simulate(self, first_pose: Float64Array, tool_path: PusherPath, times: Float64Array) -> Float64Array:
         """As of `PushSimulator`, with poses as they are reported."""
         measured = measurement_times(self.effects, times)[0]
-        poses = self.simulator.simulate(true_pose(self.effects, first_pose), corrected_path(self.effects, tool_path), measured)
+        poses = self.simulator.simulate(true_pose(self.effects, first_pose), corrected_path(self.effects, tool_path, self.order), measured)
         return reported_poses(self.effects, poses)[0]
