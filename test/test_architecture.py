@@ -19,6 +19,7 @@ ORDER = [
     "limits",
     "files",
     "checked_json",
+    "threads",
     "pages",
     "geometry",
     "checking",
@@ -38,7 +39,8 @@ ORDER = [
     "nodes",
     "cli",
 ]
-"""A stage imports what stands before it; `types`, `errors` and `limits` know each other; `files` and `checked_json` serve all."""
+"""A stage imports what stands before it; `types`, `errors` and `limits` know each other; `files`, `checked_json` and `threads` serve
+all."""
 ROOMS = {
     "perception": [
         "kernels refusals settings",

@@ -35,7 +35,7 @@ _OutlineOption = Annotated[
 ]
 _LookOption = Annotated[
     Path | None,
-    typer.Option("--look", metavar="FILE", help="What `push-ident look --json FILE` wrote, with --object ID.", show_default=False),
+    typer.Option("--look", metavar="FILE", help="What `push-ident look --json FILE` wrote.", show_default=False),
 ]
 _ObjectOption = Annotated[
     str, typer.Option("--object", metavar="ID", help="Of the objects of --look. Default: the only one.", show_default=False)
@@ -109,8 +109,8 @@ def _row(sequence: PushSequence, number: int) -> dict[str, Any]:
 
 
 def _command(row: dict[str, Any], name: str) -> str:
-    at, way = f"{row['x_m']:.3f},{row['y_m']:.3f}", f"--direction={row['direction_rad']:.3f} --distance {row['distance_m']:.3f}"
-    return f"push-ident push --in-object --object {name or 'ID'} --at={at} {way} --speed {row['speed_m_s']:.3f}"
+    x, y, direction, distance, speed = (f"{row[key]:.3f}" for key in _COLUMNS)
+    return f"push-ident push --in-object --object {name or 'ID'} --at={x},{y} --direction={direction} --distance {distance} --speed {speed}"
 
 
 def _show(sequence: PushSequence, rows: list[dict[str, Any]]) -> None:

@@ -28,7 +28,6 @@ import numpy as np
 from push_ident.diagnosis.held_out import Gap
 from push_ident.diagnosis.policy import AccountPolicy
 from push_ident.diagnosis.shares import removed_by_cause
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_errors
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.fitting.problem import TAILS, FitProblem
@@ -40,6 +39,7 @@ from push_ident.physics.accuracy import choose_steps
 from push_ident.physics.effect_values import true_pose
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, Timeline
+from push_ident.threads import map_in_threads
 from push_ident.types import Float64Array, PushRecord
 
 _UNEXPLAINED: Final = "unexplained"

@@ -10,7 +10,6 @@ import numpy as np
 
 from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.contacts import freed, in_contact
 from push_ident.identification.fitting.discrepancy import usual_size, with_size
 from push_ident.identification.fitting.fit import AMPLITUDES, Fit, fit_amplitudes
@@ -20,6 +19,7 @@ from push_ident.identification.unknowns.prior import GIVEN_STD
 from push_ident.identification.unknowns.spec import UnknownsSpec
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.effects import EFFECTS, FORCE_CAUSES
+from push_ident.threads import map_in_threads
 from push_ident.types import Float64Array, PushRecord
 
 BASE_WITH_FORCES: Final = tuple(name for name in FORCE_CAUSES if EFFECTS[name].delays_forces)

@@ -12,12 +12,12 @@ from push_ident.diagnosis.earlier import EarlierFits
 from push_ident.diagnosis.fits import without_pushes
 from push_ident.diagnosis.policy import ValidationPolicy
 from push_ident.diagnosis.settings import Progress
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_errors
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.predicting.prediction import PredictionErrors, prediction_errors
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.scenario import PushScenario
+from push_ident.threads import map_in_threads
 from push_ident.types import Float64Array
 
 

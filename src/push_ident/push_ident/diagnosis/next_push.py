@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from push_ident.diagnosis.policy import NextPushPolicy
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.errors import InputError, PlanningError
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.predicting.next_push import (
@@ -19,6 +18,7 @@ from push_ident.identification.predicting.next_push import (
     reference_pushes,
 )  # fmt: skip
 from push_ident.pushing.push import PUSH_ACCELERATION, PushSettings
+from push_ident.threads import map_in_threads
 from push_ident.types import Float64Array, ObjectShape, PoseTrack
 
 

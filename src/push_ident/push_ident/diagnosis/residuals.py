@@ -19,12 +19,12 @@ import numpy as np
 from scipy.special import ndtr
 
 from push_ident.diagnosis.policy import ResidualPolicy
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.se2 import wrap_angle
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.observing.observation import Observation
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import Motion
+from push_ident.threads import map_in_threads
 from push_ident.types import Float64Array
 
 PHASES = ("contact", "steady", "stop", "rest")

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.diagnosis.policy import SelectionPolicy
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.discrepancy import WIDTH, FrameErrors, LinearPushes
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.physics.effect_values import effect_values
 from push_ident.physics.effects import CAUSES, EFFECTS, FORCE_CAUSES
+from push_ident.threads import map_in_threads
 from push_ident.types import Float64Array
 
 _ROUNDS: Final = 3

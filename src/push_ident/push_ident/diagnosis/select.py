@@ -14,10 +14,10 @@ from push_ident.diagnosis.scores import EffectScore, effect_information, score_e
 from push_ident.diagnosis.selection import Candidate, RivalFit, Selection, Step
 from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.state import DiagnosisState
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Law
 from push_ident.physics.effects import EFFECTS
+from push_ident.threads import map_in_threads
 from push_ident.types import SolveStatus
 
 

@@ -18,12 +18,12 @@ from push_ident.diagnosis.settings import Progress
 from push_ident.diagnosis.something_else.evidence import Pattern, SomethingElse, error_with_patterns, find_something_else
 from push_ident.diagnosis.something_else.family import VariesWith
 from push_ident.diagnosis.state import DiagnosisState, UnsupportedEffect, Validation
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.discrepancy import departing_pushes
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.physics.effect import Mechanism
 from push_ident.physics.effects import EFFECTS
+from push_ident.threads import map_in_threads
 
 _Structure = tuple[FrameResiduals, SomethingElse | None]
 """Residuals of a fit, and structure in them."""

@@ -14,7 +14,6 @@ from push_ident.diagnosis.policy import SelectionPolicy
 from push_ident.diagnosis.result import Diagnosis
 from push_ident.diagnosis.scores import EffectInformation, EffectScore, effect_information, score_effects
 from push_ident.diagnosis.settings import DiagnosisSettings
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.diagnosis.verdict import Verdict
 from push_ident.identification.fitting.fit import Fit
 from push_ident.identification.observing.observation import NoiseModel
@@ -22,6 +21,7 @@ from push_ident.physics.effect import Law
 from push_ident.physics.effect_values import effect_values
 from push_ident.physics.effects import EFFECTS
 from push_ident.recovery.twins import twins_of
+from push_ident.threads import map_in_threads
 from push_ident.types import PushRecord
 
 _LARGEST: Final = 20.0

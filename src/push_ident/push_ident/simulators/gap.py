@@ -20,7 +20,6 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.errors import InputError
 from push_ident.geometry.cells import cell_error
 from push_ident.identification.fitting.fit import FitOptions
@@ -33,6 +32,7 @@ from push_ident.physics.effect_values import changed_friction, effect_values
 from push_ident.physics.effects import EFFECTS
 from push_ident.simulators.measured import Measured, inexpressible, of_the_data
 from push_ident.simulators.protocol import CONTACT, OBJECT, CorrectableSimulator, PushSimulator
+from push_ident.threads import map_in_threads
 from push_ident.types import Float64Array, PushRecord
 
 ENGINE: Final = "what the engine does otherwise"

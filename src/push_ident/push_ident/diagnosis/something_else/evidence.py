@@ -32,11 +32,11 @@ from push_ident.diagnosis.residuals import draw_noise
 from push_ident.diagnosis.something_else.family import Family, Member
 from push_ident.diagnosis.something_else.patterns import pattern_families
 from push_ident.diagnosis.something_else.precision import AmplitudePrecision
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.geometry.cells import cell_displacement
 from push_ident.identification.fitting.discrepancy import groups_of, log_bayes_factor_of_larger, log_prior_of_size
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import Mechanism
+from push_ident.threads import map_in_threads
 from push_ident.types import BoolArray, Float64Array
 
 

@@ -32,10 +32,10 @@ from push_ident.diagnosis.something_else.family import (
     shared,
     singles,
 )  # fmt: skip
-from push_ident.diagnosis.threads import map_in_threads
 from push_ident.identification.fitting.fit import Fit
 from push_ident.physics.effect import STILL
 from push_ident.physics.simulation import Motion, StepResponse
+from push_ident.threads import map_in_threads
 from push_ident.types import Float64Array
 
 

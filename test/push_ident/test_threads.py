@@ -9,7 +9,7 @@ from threading import Lock, get_ident
 
 import pytest
 
-from push_ident.diagnosis.threads import map_in_threads
+from push_ident.threads import map_in_threads
 
 
 def test_results_keep_their_order_whoever_is_first() -> None:
