@@ -58,7 +58,7 @@ def draw(scene: Path, gap: SimulatorGap, outline: Float64Array) -> Figure:
     """The four panels."""
     figure = Figure(figsize=(12.0, 3.4), layout="constrained")
     first, second, third, fourth = figure.subplots(1, 4, width_ratios=(1.0, 1.0, 1.5, 1.0))
-    push, before, after = int(np.argmax(gap.errors[0])), *(1e3 * gap.errors[row].mean() for row in (0, -2))
+    push, before, after = int(np.argmax(gap.errors[0])), 1e3 * gap.errors[0].mean(), 1e3 * gap.corrected.mean()
     first.imshow(photograph(scene))
     first.set_axis_off()
     first.set_title(f"1  {gap.name}", fontsize=10)

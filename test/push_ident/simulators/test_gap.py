@@ -119,6 +119,15 @@ def test_a_cause_that_is_added_takes_its_part_of_the_gap() -> None:
     assert gap.sizes[0] > 0.5 * gap.errors[0].mean() and gap.errors[1].mean() < 2e-3
 
 
+def test_a_cause_that_no_scene_can_have_takes_what_the_model_gains_by_it() -> None:
+    records = simulated_pushes(4, 6, {"table_anisotropy": [0.3, 0.0]})
+    gap = simulator_gap(records, our_own(TRUTH), effects=("table_anisotropy",))
+    assert gap.parts[1:] == ("table_anisotropy", MODEL) and gap.stages[1:] == ("the model", "the model with table_anisotropy")
+    assert gap.left_out == ("table_anisotropy",) and gap.sizes[1] > 0.3 * gap.errors[0].mean()
+    np.testing.assert_array_equal(gap.corrected, gap.errors[0])
+    assert any("table_anisotropy is in no scene" in line for line in gap.lines())
+
+
 def test_what_no_simulation_can_be_is_said(path: Path, tmp_path: Path) -> None:
     records = simulated_pushes(4, 1)
     with pytest.raises(InputError, match="no body `cup`; it has"):

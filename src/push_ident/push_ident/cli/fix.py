@@ -107,7 +107,7 @@ def _corrected(simulator: MujocoScene | BulletScene, fit: Identification) -> Cor
 
 def _words(gap: SimulatorGap, fit: Identification, written: str) -> list[str]:
     """What came of it, for people."""
-    before, after = (float(np.mean(gap.errors[row])) for row in (0, -2))
+    before, after = (float(np.mean(errors)) for errors in (gap.errors[0], gap.corrected))
     outside = of_the_data(fit.posterior.effects)
     in_data = f"{', '.join(outside)}: corrected in the data, not in the scene; the values stand in --json."
     shrinks = f"On pushes that no fit has seen, the error of this scene falls from {1e3 * before:.1f} to {1e3 * after:.1f} mm."

@@ -7,6 +7,7 @@ after the other, always by fits that have not seen the push:
         + (that - with precise contact)                      its pusher friction, contact parameters and time step
         + (that - with an effect), for each effect           what the scene or the data lack
         + (that - the model of this package, same object)    what its engine does otherwise
+        + (that - with an effect), for each effect           what no scene or data can have, by the model
         + the error of that model                            noise, maps, other causes: the account of a diagnosis
 
 The parts are differences of mean cell errors on the same pushes [m]; a part is negative where a correction makes the simulator worse.
@@ -68,7 +69,7 @@ class SimulatorGap:
     words: Mapping[str, str] = field(default_factory=dict)
     """What the users of the simulator call what was corrected, by the name of the part."""
     left_out: tuple[str, ...] = ()
-    """Effects among them that neither the scene nor corrected data can have: their part is that of a refitted object."""
+    """Effects among them that neither the scene nor corrected data can have: their part is what the model gains by them."""
 
     @property
     def sizes(self) -> Float64Array:
@@ -81,6 +82,11 @@ class SimulatorGap:
         """Standard error of each part from push to push [m], shape (n_parts,)."""
         rows = np.vstack([self.errors[:-1] - self.errors[1:], self.errors[-1:]])
         return np.asarray(rows.std(axis=1, ddof=1) / np.sqrt(rows.shape[1]))
+
+    @property
+    def corrected(self) -> Float64Array:
+        """Errors of the simulator with all that it can have corrected [m], shape (n_pushes,)."""
+        return np.asarray(self.errors[-2 - len(self.left_out)])
 
     @property
     def excess(self) -> tuple[float, float]:
@@ -105,7 +111,7 @@ class SimulatorGap:
         lines = [total, *(f"  {name:<{width}}  {1e3 * size:6.1f} ± {1e3 * std:.1f} mm" for name, size, std in rows)]
         causes = [f"{name} ({self.words[name]})" if name in self.words else name for name in self.causes]
         lines.append(f"causes, the largest first: {'; '.join(causes)}" if causes else "no cause is certain")
-        return [*lines, *(f"  {name} is in no scene: its part is that of the object fitted beside it" for name in self.left_out)]
+        return [*lines, *(f"  {name} is in no scene: its part is what the model gains by it" for name in self.left_out)]
 
     def as_json(self) -> dict[str, object]:
         """Plain numbers in SI units."""
@@ -148,10 +154,14 @@ def simulator_gap(
         InputError: fewer than 4 pushes, fits that explain nothing, or a simulator that fails.
     """
     check_number_of_pushes(records)
-    report, effects = on_progress or (lambda text: None), [name for name in effects if name not in nuisances]
+    report = on_progress or (lambda text: None)
+    left_out = inexpressible(effect_values(tuple(name for name in effects if name not in nuisances)))
+    in_scene = [name for name in effects if name not in (*nuisances, *left_out)]
+    effects = [*in_scene, *left_out]
     report(f"repeating {len(records)} pushes in {simulator.name}")
     corrected = isinstance(simulator, CorrectableSimulator)
-    stages = (*((_WITH_OBJECT, _PRECISE) if corrected else ()), *(f"with {name}" for name in effects), _MODEL)
+    stages = (*((_WITH_OBJECT, _PRECISE) if corrected else ()), *(f"with {name}" for name in in_scene))
+    stages = (*stages, _MODEL, *(f"{_MODEL} with {name}" for name in left_out))
     errors, ends = np.full((1 + len(stages), len(records)), np.nan), np.full((2, len(records), 3), np.nan)
     errors[0], ends[0] = _errors(simulator, records)
 
@@ -166,12 +176,12 @@ def simulator_gap(
     for fold in range(_FOLDS):
         held_out = list(range(fold, len(records), _FOLDS))
         tests, fits = [records[k] for k in held_out], [results[fold, n] for n in range(len(effects) + 1)]
-        for row, scene in enumerate(_corrected_one_after_the_other(simulator, fits), start=1):
+        for row, scene in enumerate(_corrected_one_after_the_other(simulator, fits[: len(in_scene) + 1]), start=1):
             report(f"repeating the other {len(tests)} pushes in {simulator.name} {stages[row - 1]}")
             errors[row, held_out], ends[1, held_out] = _errors(scene, tests)
-        errors[-1, held_out] = held_out_errors(fits[-1].model, tests, effects=fits[-1].posterior.effects)
-    parts = (*((OBJECT, CONTACT) if corrected else ()), *effects, ENGINE if corrected else UNDIVIDED, MODEL)
-    left_out = inexpressible(effect_values(tuple(effects)))
+        for row, fit in enumerate(fits[len(in_scene) :], start=len(stages) - len(left_out)):
+            errors[row, held_out] = held_out_errors(fit.model, tests, effects=fit.posterior.effects)
+    parts = (*((OBJECT, CONTACT) if corrected else ()), *in_scene, ENGINE if corrected else UNDIVIDED, *left_out, MODEL)
     observed = np.stack([observe_push(record).pose[[0, -1]] for record in records], axis=1)
     return SimulatorGap(simulator.name, ("as it is", *stages), errors, parts, observed, ends, _words(simulator, parts), left_out)
 

@@ -28,7 +28,7 @@ def write_gap_page(path: Path, gap: SimulatorGap, outline: Float64Array, words: 
 
     Raises InputError where it cannot be written.
     """
-    before, after = (1e3 * float(gap.errors[row].mean()) for row in (0, -2))
+    before, after = (1e3 * float(errors.mean()) for errors in (gap.errors[0], gap.corrected))
     context = {
         "title": f"{gap.name} against {gap.errors.shape[1]} recorded pushes: {before:.1f} mm, corrected {after:.1f} mm",
         "parts": [(name, f"{1e3 * size:.1f} ± {1e3 * std:.1f} mm") for name, size, std in zip(gap.parts, gap.sizes, gap.stds, strict=True)],
@@ -62,7 +62,7 @@ def _pushes(gap: SimulatorGap, outline: Float64Array) -> list[tuple[str, str]]:
             (gap.ends[1, push], "predicted", "corrected"),
         ]
         placed = [Placed(transform_points(pose, outline), style, text) for pose, style, text in ways]
-        caption = f"push {push + 1}: {1e3 * gap.errors[0, push]:.1f} mm, corrected {1e3 * gap.errors[-2, push]:.1f} mm"
+        caption = f"push {push + 1}: {1e3 * gap.errors[0, push]:.1f} mm, corrected {1e3 * gap.corrected[push]:.1f} mm"
         drawn.append((caption, placed, np.vstack([one.corners for one in placed])))
     half = 0.5 * np.max([np.ptp(corners, axis=0) for *_, corners in drawn], axis=0)
 

@@ -33,7 +33,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     with tempfile.TemporaryDirectory() as folder:
         scene = plain_scene(Path(folder), records[0].shape.outline, max(records[0].pusher.radius, _UNKNOWN_RADIUS), _FRICTION)
         gap = simulator_gap(records, scene, prior, effects=effects, nuisances=_NUISANCES)
-    before, corrected, model = (float(np.mean(gap.errors[row])) for row in (0, -2, -1))
+    before, corrected, model = (float(np.mean(errors)) for errors in (gap.errors[0], gap.corrected, gap.errors[-1]))
     way = float(np.mean(np.linalg.norm(gap.observed[1, :, :2] - gap.observed[0, :, :2], axis=1)))
     values = {"n": len(records), "way_m": way, "before_m": before, "corrected_m": corrected, "model_m": model, "effects": effects}
     return finite({**values, "causes": list(gap.causes)})

@@ -18,6 +18,7 @@ import numpy as np
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.files import finite, write_whole
 from push_ident.geometry.convex import convex_pieces
+from push_ident.physics.effects import EFFECTS
 from push_ident.physics.support import GRAVITY
 from push_ident.simulators.bullet_scene import BulletScene
 from push_ident.simulators.gap import ENGINE, SimulatorGap, simulator_gap
@@ -153,7 +154,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
 
 
 def _outcome(gap: SimulatorGap) -> Json:
-    before, fixed, model = (float(np.mean(gap.errors[row])) for row in (0, -2, -1))
+    before, fixed, model = (float(np.mean(errors)) for errors in (gap.errors[0], gap.corrected, gap.errors[-1]))
     return {
         "causes": [name for name in gap.causes if name != ENGINE],
         "before_m": before,
@@ -162,6 +163,11 @@ def _outcome(gap: SimulatorGap) -> Json:
         "parts": dict(zip(gap.parts, map(float, gap.sizes), strict=True)),
         "excess_m": gap.excess[0],
     }
+
+
+def _is_true(cause: str, truth: Sequence[str]) -> bool:
+    """Whether it is one of the true causes, or an exact twin of one."""
+    return cause in truth or (cause in EFFECTS and bool(set(EFFECTS[cause].exact_twins) & set(truth)))
 
 
 def _row(cases: Sequence[Json]) -> Json:
@@ -174,8 +180,8 @@ def _row(cases: Sequence[Json]) -> Json:
         "n": len(cases),
         "no_gap": share([not v["causes"] for v in right]),
         "unseen": sum(bool(v["truth"]) for v in cases) - len(wrong),
-        "first": share([bool(v["causes"]) and v["causes"][0] in v["truth"] for v in wrong]),
-        "wrong": share([v["causes"][0] not in v["truth"] for v in named]),
+        "first": share([bool(v["causes"]) and _is_true(v["causes"][0], v["truth"]) for v in wrong]),
+        "wrong": share([not _is_true(v["causes"][0], v["truth"]) for v in named]),
         "closed": float(np.median(closed)) if closed else None,
         "before_m": float(np.median([v["before_m"] for v in wrong])) if wrong else None,
         "fixed_m": float(np.median([v["fixed_m"] for v in wrong])) if wrong else None,
