@@ -120,7 +120,7 @@ def test_a_cause_that_is_added_takes_its_part_of_the_gap() -> None:
 
 
 def test_a_cause_that_no_scene_can_have_takes_what_the_model_gains_by_it() -> None:
-    records = simulated_pushes(4, 6, {"table_anisotropy": [0.3, 0.0]})
+    records = simulated_pushes(8, 6, {"table_anisotropy": [0.3, 0.0]})
     gap = simulator_gap(records, our_own(TRUTH), effects=("table_anisotropy",))
     assert gap.parts[1:] == ("table_anisotropy", MODEL) and gap.stages[1:] == ("the model", "the model with table_anisotropy")
     assert gap.left_out == ("table_anisotropy",) and gap.sizes[1] > 0.3 * gap.errors[0].mean()
