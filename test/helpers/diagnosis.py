@@ -44,11 +44,15 @@ def simulated_pushes(n: int, seed: int, effects: dict[str, list[float]] | None =
     return records
 
 
-def pushed_again(record: PushRecord) -> PushRecord:
-    """`TRUTH` pushed along the path of a record, from its first pose, as the same camera sees it."""
-    scenario = PushScenario(record.pusher, record.poses.pose[0], record.poses.time)
-    pose = simulate(TRUTH, scenario, settings=_FINE).pose
-    return replace(record, poses=_seen(record, pose, np.random.default_rng(record.order), NOISE))
+def wobbling(records: list[PushRecord], frequency: float, radius: float, seed: int) -> list[PushRecord]:
+    """`TRUTH` pushed along the same paths by a tool that circles about its reported place [Hz, m], with a phase of its own in each push."""
+    rng, pushes = np.random.default_rng(seed), []
+    for record in records:
+        path, angle = record.pusher, 2.0 * np.pi * (frequency * record.pusher.time + rng.random())
+        driven = replace(path, position=path.position + radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+        pose = simulate(TRUTH, PushScenario(driven, record.poses.pose[0], record.poses.time), settings=_FINE).pose
+        pushes.append(replace(record, poses=_seen(record, pose, rng, NOISE)))
+    return pushes
 
 
 def _seen(record: PushRecord, pose: Float64Array, rng: np.random.Generator, noise: Float64Array) -> PoseTrack:

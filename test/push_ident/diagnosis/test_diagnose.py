@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.diagnosis import NOISE, QUICK, TRUTH, simulated_pushes, traced_by_camera, with_correlated_noise
+from helpers.diagnosis import NOISE, QUICK, TRUTH, simulated_pushes, traced_by_camera, with_correlated_noise, wobbling
 from helpers.objects import with_forces, with_frames
 from push_ident.diagnosis.diagnose import diagnose
 from push_ident.diagnosis.diagnosis_json import to_json
@@ -24,6 +24,7 @@ from push_ident.diagnosis.verdict import Verdict
 from push_ident.errors import InputError
 from push_ident.geometry.cells import cell_error
 from push_ident.identification.observing.observation import noise_correlation, observe_push, rest_frames
+from push_ident.physics.effect import Mechanism
 from push_ident.physics.effects import CAUSES, FORCE_CAUSES
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
@@ -139,6 +140,13 @@ def test_cause_outside_the_catalogue_is_unknown_and_described(tmp_path: Path) ->
     assert content["verdict"] == "unknown" and content["unknown"]["evidence"] > 2.0 and content["causes"] == []
     assert content["probabilities"]["something_else"] > 0.8 and content["something_else"]["where"] == "in each push in another way"
     assert "mm with something else" in page_of(found, tmp_path)
+
+
+@pytest.mark.long
+def test_a_tool_that_wobbles_is_named_although_it_predicts_no_other_push() -> None:
+    diagnosis = diagnose(wobbling(simulated_pushes(10, 5), 3.4, 2e-3, 3), QUICK)
+    assert diagnosis.verdict is Verdict.NAMED and diagnosis.free_law is not None
+    assert diagnosis.free_law.mechanism is Mechanism.TOOL_WOBBLES and "times a second in all pushes" in diagnosis.sentence
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from helpers.diagnosis import TRUTH, pushed_again, simulated_pushes
+from helpers.diagnosis import TRUTH, simulated_pushes, wobbling
 from helpers.objects import with_forces
 from push_ident.diagnosis.fits import fit_base
 from push_ident.diagnosis.held_out import folds_of
@@ -70,15 +70,8 @@ def test_force_that_begins_with_a_push_is_found_with_that_push_and_predicts_the_
 
 
 def test_wobble_of_the_tool_is_found_by_its_frequency_whatever_its_phases(plain: list[PushRecord]) -> None:
-    rng, frequency, size = np.random.default_rng(3), 3.4, 1.5e-3
-    wobbling = []
-    for record in plain:
-        angle = 2.0 * np.pi * (frequency * record.pusher.time + rng.random())
-        reported = record.pusher.position
-        driven = reported + size * np.column_stack([np.cos(angle), np.sin(angle)])
-        pushed = pushed_again(replace(record, pusher=replace(record.pusher, position=driven)))
-        wobbling.append(replace(pushed, pusher=record.pusher))
-    _, found = found_in(wobbling)
+    frequency, size = 3.4, 1.5e-3
+    _, found = found_in(wobbling(plain, frequency, size, 3))
     assert found.best.family.mechanism is Mechanism.TOOL_WOBBLES and found.log_bayes_factor > 10.0 and found.least > 0.0
     assert found.best.member.key == pytest.approx(frequency, abs=0.5)
     assert np.max(np.abs(found.best.amplitude)) == pytest.approx(1e3 * size, rel=0.6)
