@@ -29,7 +29,7 @@ from push_ident.identification.observing.observation import observe_push
 from push_ident.identification.predicting.prediction import held_out_errors
 from push_ident.identification.results.result import Identification
 from push_ident.identification.unknowns.prior import Prior
-from push_ident.physics.effect_values import changed_friction, effect_values
+from push_ident.physics.effect_values import EffectValues, changed_friction, effect_values
 from push_ident.physics.effects import EFFECTS
 from push_ident.simulators.measured import Measured, inexpressible, of_the_data
 from push_ident.simulators.protocol import CONTACT, OBJECT, CorrectableSimulator, PushSimulator
@@ -69,7 +69,8 @@ class SimulatorGap:
     words: Mapping[str, str] = field(default_factory=dict)
     """What the users of the simulator call what was corrected, by the name of the part."""
     left_out: tuple[str, ...] = ()
-    """Effects among them that neither the scene nor corrected data can have: their part is what the model gains by them."""
+    """Effects among them that neither the scene nor corrected data can have: all fits have them, and their part is what the model gains by
+    them."""
 
     @property
     def sizes(self) -> Float64Array:
@@ -157,7 +158,6 @@ def simulator_gap(
     report = on_progress or (lambda text: None)
     left_out = inexpressible(effect_values(tuple(name for name in effects if name not in nuisances)))
     in_scene = [name for name in effects if name not in (*nuisances, *left_out)]
-    effects = [*in_scene, *left_out]
     report(f"repeating {len(records)} pushes in {simulator.name}")
     corrected = isinstance(simulator, CorrectableSimulator)
     stages = (*((_WITH_OBJECT, _PRECISE) if corrected else ()), *(f"with {name}" for name in in_scene))
@@ -167,23 +167,31 @@ def simulator_gap(
 
     def identified(fold: int, n_effects: int) -> Identification:
         train = [record for k, record in enumerate(records) if k % _FOLDS != fold]
-        report(f"identifying {' and '.join(('the object', *effects[:n_effects]))} from {len(train)} pushes")
-        return _identified(train, prior, (*nuisances, *effects[:n_effects]), options)
+        # What no scene can have would else be in the maps.
+        names = (*left_out, *in_scene[:n_effects])
+        report(f"identifying {' and '.join(('the object', *names))} from {len(train)} pushes")
+        return _identified(train, prior, (*nuisances, *names), options)
 
-    tasks = [(fold, n_effects) for fold in range(_FOLDS) for n_effects in range(len(effects) + 1)]
+    tasks = [(fold, n_effects) for fold in range(_FOLDS) for n_effects in range(len(in_scene) + 1)]
     results = dict(zip(tasks, map_in_threads(lambda task: identified(*task), tasks), strict=True))
     # Nobody said that the simulator may run twice at once.
     for fold in range(_FOLDS):
         held_out = list(range(fold, len(records), _FOLDS))
-        tests, fits = [records[k] for k in held_out], [results[fold, n] for n in range(len(effects) + 1)]
-        for row, scene in enumerate(_corrected_one_after_the_other(simulator, fits[: len(in_scene) + 1]), start=1):
+        tests, fits = [records[k] for k in held_out], [results[fold, n] for n in range(len(in_scene) + 1)]
+        for row, scene in enumerate(_corrected_one_after_the_other(simulator, fits), start=1):
             report(f"repeating the other {len(tests)} pushes in {simulator.name} {stages[row - 1]}")
             errors[row, held_out], ends[1, held_out] = _errors(scene, tests)
-        for row, fit in enumerate(fits[len(in_scene) :], start=len(stages) - len(left_out)):
-            errors[row, held_out] = held_out_errors(fit.model, tests, effects=fit.posterior.effects)
+        for n in range(len(left_out) + 1):
+            acting = _without(fits[-1].posterior.effects, left_out[n:])
+            errors[len(stages) - len(left_out) + n, held_out] = held_out_errors(fits[-1].model, tests, effects=acting)
     parts = (*((OBJECT, CONTACT) if corrected else ()), *in_scene, ENGINE if corrected else UNDIVIDED, *left_out, MODEL)
     observed = np.stack([observe_push(record).pose[[0, -1]] for record in records], axis=1)
     return SimulatorGap(simulator.name, ("as it is", *stages), errors, parts, observed, ends, _words(simulator, parts), left_out)
+
+
+def _without(effects: EffectValues, names: Sequence[str]) -> EffectValues:
+    """The effects but for those of some names."""
+    return effect_values({name: effects.values[effects.slice_of(name)] for name in effects.names if name not in names})
 
 
 def _words(simulator: PushSimulator, parts: Sequence[str]) -> dict[str, str]:
