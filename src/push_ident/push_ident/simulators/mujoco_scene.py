@@ -140,7 +140,8 @@ class MujocoScene:
         for _ in range(int(_SETTLE / model.opt.timestep)):
             mujoco.mj_step(model, data)
         placed(data, start)
-        for _ in range(_PARTED):
+        mujoco.mj_forward(model, data)
+        for _ in range(_PARTED if _overlaps(model, data, model.body(self.tool_body).id) else 0):
             mujoco.mj_step(model, data)
             data.qvel[:] = 0.0
         step = model.opt.timestep
@@ -187,6 +188,11 @@ def _compile(spec: Any, path: Path) -> Any:
         return spec.compile()
     except ValueError as error:
         raise InputError(f"MuJoCo cannot compile {path}: {error}") from None
+
+
+def _overlaps(model: Any, data: Any, tool: int) -> bool:
+    """Whether a body is inside of another one."""
+    return any(contact.dist < 0.0 and tool in model.geom_bodyid[contact.geom] for contact in data.contact)
 
 
 def _joint(body: str, axis: str) -> str:

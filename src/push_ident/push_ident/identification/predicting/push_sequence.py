@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
-from push_ident.geometry.se2 import compose, inverse, wrap_angle
+from push_ident.geometry.se2 import inverse, transform_points, wrap_angle
 from push_ident.identification.predicting.next_push import (
     N_CANDIDATES,
     PlannedPush,
@@ -34,9 +34,9 @@ from push_ident.types import Float64Array, ObjectShape
 
 _N_REFERENCES: Final = 20
 """Random pushes that stand for all that may be predicted."""
-_SPEEDS: Final = (0.04, 0.25)
-"""Range of speeds from which candidates are drawn [m/s], from the slowest that rarely sticks and slips to the fastest that a goal may
-request: some effects differ only in their dependence on speed."""
+_SLOWEST: Final = 0.04
+"""Of the candidates [m/s], as in a diagnosis; the fastest are those that a goal may request. Some effects differ only in their dependence
+on speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +55,9 @@ class PushSequence:
         """A push in the object frame, where it can be made wherever the object lies."""
         push = self.pushes[number]
         assert push.plan is not None, "candidates have a plan"
-        to_object = inverse(push.pose_object_in_table)
-
-        def moved(point: Float64Array) -> Float64Array:
-            return np.asarray(compose(to_object, np.append(point, 0.0)))[:2]
-
-        plan, heading = push.plan, float(wrap_angle(push.plan.direction - push.pose_object_in_table[2]))
-        return replace(plan, contact_point=moved(plan.contact_point), tool_at_contact=moved(plan.tool_at_contact), direction=heading)
+        plan, pose = push.plan, push.pose_object_in_table
+        contact, tool = transform_points(inverse(pose), np.array([plan.contact_point, plan.tool_at_contact]))
+        return replace(plan, contact_point=contact, tool_at_contact=tool, direction=float(wrap_angle(plan.direction - pose[2])))
 
 
 def unknown_effects() -> tuple[str, ...]:
@@ -86,7 +82,7 @@ def plan_pushes(
     Args:
         shape: its outline and cells.
         n: number of pushes, 1 or more.
-        settings: radius of the pusher, workspace, distances; the speeds are `_SPEEDS` at most. By default nothing is in the way.
+        settings: radius of the pusher, workspace, distances and highest speed. By default nothing is in the way.
         prior: of the object.
         first_pose: where it lies (x, y, yaw), table frame.
         seed: of the candidates.
@@ -101,7 +97,7 @@ def plan_pushes(
         raise InputError(f"n is {n}, expected 1 push or more.")
     report = on_progress or (lambda text: None)
     settings = settings or PushSettings(workspace=(-np.inf, np.inf, -np.inf, np.inf))
-    settings = replace(settings, speed_range=(_SPEEDS[0], min(_SPEEDS[1], settings.max_speed)))
+    settings = replace(settings, speed_range=(min(_SLOWEST, settings.max_speed), settings.max_speed))
     posterior = ModelPosterior.of_prior(UnknownsSpec.of(shape, prior or Prior(), effects=unknown_effects()))
     mechanics, rng = posterior.mechanics, np.random.default_rng(seed)
     reference = reference_pushes(shape, rng, _N_REFERENCES, settings)
