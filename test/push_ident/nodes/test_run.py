@@ -13,9 +13,10 @@ import pytest
 from helpers.executor_cell import Stalls
 
 SCRIPT = """
-import sys, time
+import time
 from push_ident.errors import InputError
 from push_ident.nodes.base.cell_node import CellNode, Component, Health
+from push_ident.nodes.base.lifetime import LIFETIME
 from push_ident.nodes.base.run import run_node
 
 class Tested(CellNode):
@@ -49,7 +50,7 @@ def factory():
         raise InputError("speed is 9, expected 0 to 1.")
     return Tested()
 
-sys.exit(run_node(factory, n_threads=N))
+LIFETIME.leave(run_node(factory, n_threads=N))
 """
 
 
@@ -75,7 +76,7 @@ def test_a_signal_closes_the_node_while_it_can_still_publish(number, n_threads):
     process = start("idle", n_threads)
     assert process.stdout is not None and "ticking" in process.stdout.readline()
     output = ended(process, number, within=2.0)
-    assert process.returncode == 0
+    assert process.returncode == 0, output
     assert output.strip() == "held while the context is True"
 
 
