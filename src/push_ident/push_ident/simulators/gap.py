@@ -1,7 +1,7 @@
 """The gap of somebody else's simulator, in parts that add up.
 
 Each push is repeated in the simulator and compared with its recorded end. What the simulator gets wrong is divided by correcting one thing
-after the other, always by fits that have not seen the push:
+after the other, always by a fit of the object and all effects that has not seen the push:
 
     gap = (as it is - with right object)                     its mass and friction
         + (that - with precise contact)                      its pusher friction, contact parameters and time step
@@ -165,25 +165,22 @@ def simulator_gap(
     errors, ends = np.full((1 + len(stages), len(records)), np.nan), np.full((2, len(records), 3), np.nan)
     errors[0], ends[0] = _errors(simulator, records)
 
-    def identified(fold: int, n_effects: int) -> Identification:
+    def identified(fold: int) -> Identification:
         train = [record for k, record in enumerate(records) if k % _FOLDS != fold]
-        # What no scene can have would else be in the maps.
-        names = (*left_out, *in_scene[:n_effects])
+        names = (*nuisances, *left_out, *in_scene)
         report(f"identifying {' and '.join(('the object', *names))} from {len(train)} pushes")
-        return _identified(train, prior, (*nuisances, *names), options)
+        return _identified(train, prior, names, options)
 
-    tasks = [(fold, n_effects) for fold in range(_FOLDS) for n_effects in range(len(in_scene) + 1)]
-    results = dict(zip(tasks, map_in_threads(lambda task: identified(*task), tasks), strict=True))
     # Nobody said that the simulator may run twice at once.
-    for fold in range(_FOLDS):
+    for fold, fit in enumerate(map_in_threads(identified, range(_FOLDS))):
         held_out = list(range(fold, len(records), _FOLDS))
-        tests, fits = [records[k] for k in held_out], [results[fold, n] for n in range(len(in_scene) + 1)]
-        for row, scene in enumerate(_corrected_one_after_the_other(simulator, fits), start=1):
+        tests = [records[k] for k in held_out]
+        for row, scene in enumerate(_corrected_one_after_the_other(simulator, fit, in_scene), start=1):
             report(f"repeating the other {len(tests)} pushes in {simulator.name} {stages[row - 1]}")
             errors[row, held_out], ends[1, held_out] = _errors(scene, tests)
         for n in range(len(left_out) + 1):
-            acting = _without(fits[-1].posterior.effects, left_out[n:])
-            errors[len(stages) - len(left_out) + n, held_out] = held_out_errors(fits[-1].model, tests, effects=acting)
+            acting = _without(fit.posterior.effects, left_out[n:])
+            errors[len(stages) - len(left_out) + n, held_out] = held_out_errors(fit.model, tests, effects=acting)
     parts = (*((OBJECT, CONTACT) if corrected else ()), *in_scene, ENGINE if corrected else UNDIVIDED, *left_out, MODEL)
     observed = np.stack([observe_push(record).pose[[0, -1]] for record in records], axis=1)
     return SimulatorGap(simulator.name, ("as it is", *stages), errors, parts, observed, ends, _words(simulator, parts), left_out)
@@ -215,17 +212,19 @@ def _identified(records: Sequence[PushRecord], prior: Prior | None, effects: Seq
     return result
 
 
-def _corrected_one_after_the_other(simulator: PushSimulator, fits: Sequence[Identification]) -> Iterator[PushSimulator]:
-    """The simulator with the object of the first fit, with precise contact, and with the object and the effects of each further fit."""
+def _corrected_one_after_the_other(simulator: PushSimulator, fit: Identification, effects: Sequence[str]) -> Iterator[PushSimulator]:
+    """The simulator with the object of a fit, with precise contact, and with one effect more each."""
     if isinstance(simulator, CorrectableSimulator):
-        yield Measured(simulator.with_object(fits[0].model, fits[0].posterior.effects), fits[0].posterior.effects)
-    for fit in fits if isinstance(simulator, CorrectableSimulator) else fits[1:]:
-        yield corrected_by(simulator, fit)
+        others = _without(fit.posterior.effects, effects)
+        yield Measured(simulator.with_object(fit.model, others), others)
+        yield corrected_by(simulator, fit, effects)
+    for n in range(1, len(effects) + 1):
+        yield corrected_by(simulator, fit, effects[n:])
 
 
-def corrected_by(simulator: PushSimulator, fit: Identification) -> PushSimulator:
-    """The simulator with the object of a fit, precise contact, and those of its effects that scene or data can have."""
-    effects = fit.posterior.effects
+def corrected_by(simulator: PushSimulator, fit: Identification, but: Sequence[str] = ()) -> PushSimulator:
+    """The simulator with the object of a fit, precise contact, and those of its effects that scene or data can have, `but` for some."""
+    effects = _without(fit.posterior.effects, but)
     if isinstance(simulator, CorrectableSimulator):
         friction = changed_friction(effects, fit.model.pusher_friction)[0]
         return Measured(simulator.with_object(fit.model, effects).with_precise_contact(friction), effects)
