@@ -136,10 +136,11 @@ class MujocoScene:
         path = np.asarray(compose(self.table_in_world, np.column_stack([tool_path.position, np.zeros(len(tool_path.time))])))[:, :2]
         start = compose(compose(self.table_in_world, first_pose), inverse(self.object_in_body))
         placed(data, start)
-        data.qpos[places] = path[0]
         for _ in range(int(_SETTLE / model.opt.timestep)):
+            data.qpos[places], data.qvel[speeds] = path[0], 0.0  # nothing but the path moves the tool: no gravity of a tilted table
             mujoco.mj_step(model, data)
         placed(data, start)
+        data.qpos[places], data.qvel[speeds] = path[0], 0.0
         _part(model, data, lambda away: placed(data, start + np.array([*away, 0.0])), body, model.body(self.tool_body).id)
         step = model.opt.timestep
         ticks = np.arange(tool_path.time[0], max(tool_path.time[-1], times[-1]) + step, step)
