@@ -95,6 +95,25 @@ def test_a_corrected_scene_is_a_file_that_moves_the_object_alike(path: Path, tmp
         assert cell_error(TRUTH.shape.cells, compose(moved, inverse(frame)), end) < 2e-4
 
 
+def test_the_tool_of_a_tilted_scene_stays_where_its_path_begins(path: Path) -> None:
+    """Also while the object comes to rest, where a free one would slide onto the object."""
+    for record in simulated_pushes(4, 5)[1:3]:
+        first, times = record.poses.pose[0], record.poses.time[-1:]
+        tilt = effect_values({"table_tilt": (first[:2] - record.pusher.position[0]) / (0.5 * 9.81 * 0.5**2)})
+        corrected = MujocoScene(path, "thing", "finger").with_object(TRUTH, tilt).with_precise_contact(TRUTH.pusher_friction)
+        own = simulate(TRUTH, PushScenario(record.pusher, first, times), effects=tilt, settings=FINE).pose[-1]
+        assert cell_error(TRUTH.shape.cells, own, corrected.simulate(first, record.pusher, times)[-1]) < 1e-3
+
+
+def test_an_object_that_is_recorded_around_the_tool_is_moved_out_of_it_and_not_thrown(path: Path) -> None:
+    corrected = MujocoScene(path, "thing", "finger").with_object(TRUTH).with_precise_contact(TRUTH.pusher_friction)
+    left = float(TRUTH.shape.outline[:, 0].min())
+    for depth in (0.001, 0.003):
+        inside = np.tile([left + depth - RADIUS, 0.0], (2, 1))
+        end = corrected.simulate(np.zeros(3), PusherPath(np.array([0.0, 0.5]), inside, RADIUS), np.array([0.5]))[-1]
+        np.testing.assert_allclose(end, [depth, 0.0, 0.0], atol=2e-4)
+
+
 def test_errors_of_tool_clock_and_camera_act_outside_any_engine() -> None:
     """The own model without effects, measured with them, is the own model with them."""
     effects = effect_values(
