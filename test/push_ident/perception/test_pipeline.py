@@ -8,7 +8,7 @@ from itertools import count
 import numpy as np
 import pytest
 
-from helpers.depth_scene import CAMERA, HAMMER_OUTLINE, INTRINSICS, Prism, circle, hammer, rectangle, render
+from helpers.depth_scene import CAMERA, HAMMER_OUTLINE, INTRINSICS, Prism, box, circle, hammer, rectangle, render
 from push_ident.errors import FrameError, InputError, PerceptionError
 from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
@@ -188,6 +188,26 @@ def test_an_object_moved_by_hand_is_reported_lost_and_then_found_under_its_id_at
         assert "object o1" in seen[3].why_no_pose() and found.object_id == "o1"
         expected = compose(there, compose(inverse(FIRST), before.pose))
         assert np.all(np.abs(error_of(found.pose, expected)) < [1e-3, 1e-3, 1e-2])
+
+
+@pytest.mark.parametrize(
+    ("turn", "places", "found"),
+    [
+        (0.3, [(0.02, 0.0)], 0),
+        (1.5, [(0.02, 0.0)], None),  # or by 1.64 the other way round
+        (0.0, [(0.03, 0.01), (0.0, 0.16)], 0),
+        (0.0, [(0.0, -0.14), (0.0, 0.15)], None),
+    ],
+    ids=["turned a little", "a quarter turn", "one near and one far", "two as far"],
+)
+def test_a_lost_symmetric_object_is_found_only_where_place_and_heading_are_certain(turn, places, found):
+    there = [box(FIRST[0] + x, FIRST[1] + y, 0.12, 0.06, 0.05, FIRST[2] + turn) for x, y in places]
+    _, seen = observed([[box(*FIRST[:2], 0.12, 0.06, 0.05, FIRST[2])]] * 4 + [[]] + [there] * 3, rest_frames=3)
+    known = seen[7].objects[0]
+    assert (known.pose is None) == (found is None)
+    if found is not None:
+        moved = np.array([*places[found], turn])
+        assert np.all(np.abs(error_of(known.pose, seen[3].objects[0].pose + moved)) < [2e-3, 2e-3, 3e-2])
 
 
 def test_time_going_back_drops_what_was_known():

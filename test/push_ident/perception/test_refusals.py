@@ -21,6 +21,7 @@ from push_ident.perception.recording import observe_offline
 from push_ident.perception.refusals import Reason
 from push_ident.perception.search import search
 from push_ident.perception.settings import PerceptionSettings
+from push_ident.perception.tracking.pose_fit import UpperSide
 from push_ident.types import DepthFrame
 
 POSE = np.array([0.03, -0.02, 0.4])
@@ -101,6 +102,37 @@ def test_an_outline_that_does_not_cover_its_segment_is_refused(monkeypatch):
     monkeypatch.setattr(search, "fuse_views", lambda traced, views: replace(traced, pose=np.add(traced.pose, (0.06, 0.0, 0.0))))
     observation, shapes, _ = observe([Prism(BOX, 0.05)])
     assert not shapes and "covers" in of(Reason.NO_SHAPE, observation)[0].why
+
+
+@pytest.mark.parametrize("change", [(0.0, 0.0, np.pi / 2), (0.0, 0.03, 0.0)])
+def test_an_outline_that_its_own_frames_do_not_fit_is_refused(change, monkeypatch):
+    """Who is told of an object gets its poses from then on; else it was lost in the next frame, and perhaps found where it is not."""
+    monkeypatch.setattr(search, "fuse_views", lambda traced, views: replace(traced, pose=np.add(traced.pose, change)))
+    monkeypatch.setattr(search, "check_covered", lambda *_: None)
+    observation, shapes, _ = observe([Prism(BOX, 0.05)])
+    assert not shapes and "do not fit the outline" in of(Reason.NO_SHAPE, observation)[0].why
+
+
+def test_a_thing_that_would_be_given_up_in_the_next_frame_is_no_object(monkeypatch):
+    monkeypatch.setattr(search, "compare_upper_side", lambda *_: UpperSide(5e-4, 0.03, 0.0, 0.0))
+    observation, shapes, _ = observe([Prism(BOX, 0.05)])
+    assert not shapes and "5 cm^2 within its outline are lower" in of(Reason.NO_SHAPE, observation)[0].why
+
+
+def test_a_thing_seen_on_both_sides_of_what_hides_its_middle_is_behind_it():
+    """Nothing is measured in the shadow beside the nearer one, so that the parts do not touch it in the image."""
+    nearer = Prism(rectangle(0.0, -0.02, 0.04, 0.02), 0.25)
+    column = render([nearer]).depth < render([]).depth - 0.001
+    beside = cv2.dilate(column.astype(np.uint8), np.ones((1, 25), np.uint8)) > 0
+    scene = [nearer, Prism(rectangle(-0.1, -0.12, -0.03, 0.12), 0.05)]
+    observation, shapes, _ = observe(scene, change=lambda depth: np.putmask(depth, beside & ~column, np.nan))
+    assert len(of(Reason.BEHIND_ANOTHER, observation)) == 2 and len(shapes) == 1
+
+
+def test_a_thing_whose_foot_stands_on_another_one_is_stacked_though_table_is_around_most_of_it():
+    lower, upper = box(0.03, 0.0, 0.2, 0.13, 0.06), box(-0.03, 0.0, 0.05, 0.12, 0.12, bottom=0.06)
+    observation, shapes, _ = observe([lower, upper])
+    assert not shapes and of(Reason.STACKED, observation)[0].height == pytest.approx(0.18, abs=0.006)
 
 
 def test_points_under_the_table_and_a_rough_table_are_named():

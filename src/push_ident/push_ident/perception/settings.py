@@ -77,6 +77,9 @@ class SegmentSettings:
     min_covered: float = 0.7
     """Least fraction of the points of a segment that its traced outline must cover. On recorded scenes of a Kinect, refusing shapes below
     this caught half of the wrong ones and one in 128 right ones."""
+    must_fit: bool = True
+    """Whether an object has to be found, in the frame in which it is taken in, where it was traced. Else its poses cannot be relied on; a
+    wrong focal length, which a known size is to show, prevents it."""
 
 
 @dataclass(frozen=True, slots=True)

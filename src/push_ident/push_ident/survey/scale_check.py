@@ -173,7 +173,7 @@ def check_scale(survey: Survey, known: KnownSize) -> ScaleCheck:
         PerceptionError: There is no object, or none of about this size.
     """
     lengths = np.array([known.width, known.depth] + ([] if known.height is None else [known.height]))
-    compared = first = _compared(survey, known, 1.0)
+    compared = first = _compared_at_all(survey, known)
     for _ in range(4):
         fits = _fits(compared, lengths)
         error = _simplest(fits, len(lengths)) if compared.moments.is_of_kind else ScaleError.NEITHER
@@ -218,11 +218,22 @@ def _compared(survey: Survey, known: KnownSize, focal: float) -> _Compared:
     return _Compared(surveyed, moments, survey.camera_in_table[:3, :3], deviation, focal)
 
 
+def _compared_at_all(survey: Survey, known: KnownSize) -> _Compared:
+    """Also where the object was not taken in since its own frames do not fit its outline: a wrong focal length does that."""
+    try:
+        return _compared(survey, known, 1.0)
+    except PerceptionError as error:
+        try:
+            return _compared(_with_focal(survey, 1.0), known, 1.0)
+        except PerceptionError:
+            raise error from None
+
+
 def _with_focal(survey: Survey, focal: float) -> Survey:
     """The same images looked at again with another focal length, in which the walls of a box stand upright if it is right."""
     frame = survey.frame
     intrinsics = replace(frame.intrinsics, fx=frame.intrinsics.fx / focal, fy=frame.intrinsics.fy / focal)
-    return survey_frames([replace(frame, intrinsics=intrinsics)])
+    return survey_frames([replace(frame, intrinsics=intrinsics)], must_fit=False)
 
 
 def _fits(compared: _Compared, lengths: Float64Array) -> dict[ScaleError, _Fit]:

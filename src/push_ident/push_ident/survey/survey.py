@@ -24,7 +24,7 @@ from push_ident.perception.frame.view import median_frame, points_in_table
 from push_ident.perception.observation import Observation
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.refusals import Reason, Refusal
-from push_ident.perception.settings import PerceptionSettings, TableSettings
+from push_ident.perception.settings import PerceptionSettings, SegmentSettings, TableSettings
 from push_ident.survey.noise_bands import NoiseBand, noise_by_distance
 from push_ident.types import DepthFrame, Float64Array, ObjectShape
 
@@ -120,10 +120,19 @@ def frames_at_rest(
     return best, f"{passed} of the first {n_seen} frames show something else and are not used" if passed > 0 else ""
 
 
-def survey_frames(frames: Sequence[DepthFrame], camera_in_table: Float64Array | None = None, notes: Sequence[str] = ()) -> Survey:
+def survey_frames(
+    frames: Sequence[DepthFrame],
+    camera_in_table: Float64Array | None = None,
+    notes: Sequence[str] = (),
+    *,
+    must_fit: bool = True,
+) -> Survey:
     """Look at frames at rest: one or more of a camera that does not move, in the order of their stamps [s].
 
-    `camera_in_table`: known pose of the optical frame in the table frame, shape (4, 4), which the plane of the table corrects.
+    Args:
+        camera_in_table: known pose of the optical frame in the table frame, shape (4, 4), which the plane of the table corrects.
+        notes: of the source, which are passed on.
+        must_fit: as of `SegmentSettings`.
 
     Raises:
         FrameError: There are no frames, or the image does not belong to its intrinsics.
@@ -144,7 +153,7 @@ def survey_frames(frames: Sequence[DepthFrame], camera_in_table: Float64Array | 
         camera = camera.copy()
         camera[:2, 3] -= middle
         low, high = _pair(low - middle), _pair(high - middle)
-    settings = PerceptionSettings(workspace_low=low, workspace_high=high)
+    settings = PerceptionSettings(workspace_low=low, workspace_high=high, segments=SegmentSettings(must_fit=must_fit))
     bands, noise = noise_by_distance(frames, picture, camera, settings)
     settings = replace(settings, min_object_height=_least_height(bands, noise, settings))
     perception, ids, doubts, observation, failure = _perceive(frames, camera, settings)

@@ -43,7 +43,7 @@ from push_ident.perception.refusals import Reason, Refusal, Removal
 from push_ident.perception.search.hollows import Covered, cover_hollows, with_hollow
 from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.tracking.pose_fit import fit_pose
+from push_ident.perception.tracking.pose_fit import MISSING, compare_upper_side, fit_pose
 from push_ident.perception.tracking.tracker import KnownObjects, Tracker
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
@@ -135,12 +135,15 @@ class Search:
         unexplained = _unexplained(segments, points, list(tracked.values()), least_area)
         fits = {}
         for name, known in self._objects.items():
-            fit = None if known.is_tracked else self._tracker.find_again(view, name, unexplained)
+            # What is where it was, but for a part of it, is nowhere else.
+            is_there = known.is_tracked or known.status is TrackStatus.PART_MISSING
+            fit = None if is_there else self._tracker.find_again(view, name, unexplained)
             if fit is not None:
                 fits[name] = fit
                 unexplained = _unexplained(unexplained, points, [known.placed], least_area)
         unexplained, touching, removed = separation.refuse_parts(unexplained, points, rest_frames)
-        traced, waiting = self.registration.update([segment for segment in unexplained if segment.whole], covered)
+        others = [known.placed for known in self._objects.tracked().values()]
+        traced, waiting = self.registration.update([segment for segment in unexplained if segment.whole], covered, view, others)
         new = {self._objects.add(thing, started.stamp): thing for thing in traced}
         cut = [segment.refusal(points, segment.fault) for segment in unexplained if segment.fault is not None]
         self.refused, self.counts = (*cut, *touching, *waiting), started.counts
@@ -307,11 +310,15 @@ class Registration:
         """Keep a frame of the further camera `name`; its optical frame in the table frame, shape (4, 4); the robot at that time."""
         self._further.setdefault(name, FurtherCamera()).add(frame, camera_in_table, robot)
 
-    def update(self, segments: Sequence[Segment], covered: Covered) -> tuple[list[NewObject], list[Refusal]]:
+    def update(
+        self, segments: Sequence[Segment], covered: Covered, latest: FrameView, others: Sequence[Placed]
+    ) -> tuple[list[NewObject], list[Refusal]]:
         """Take the whole segments of a frame that no object explains.
 
         Args:
             covered: The frame in which they were found.
+            latest: The frame now, in which their shapes have to be found.
+            others: The objects that are tracked.
 
         Returns:
             The objects that were at rest for `rest_frames` frames with this one, and why the others are none. What goes wrong with one
@@ -326,7 +333,9 @@ class Registration:
             if candidate.waited >= candidate.wait * view.settings.rest_frames:
                 try:
                     traced, views = self._shape_of(candidate, _lid_of(segment, covered), view)
-                    _check_covered(traced, segment, view)
+                    check_covered(traced, segment, view)
+                    if view.settings.segments.must_fit:
+                        _check_tracked(traced, latest, others)
                     measured = segment.measured_in(view.points).astype(np.float64)
                     new.append(NewObject(traced, segment.area, tuple(views), _contact_doubt(traced, measured, view.settings.tool_reach)))
                     continue
@@ -399,7 +408,7 @@ def _lid_of(segment: Segment, covered: Covered) -> Float64Array:
     return covered.view.points[box][covered.lid[box] & segment.mask][:, :2].astype(np.float64)
 
 
-def _check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> None:
+def check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> None:
     """Raises PerceptionError unless the outline covers the points of its segment, with 10 mm around it: those of walls scatter."""
     points = _thinned(segment.measured_in(view.points)[:, :2].astype(np.float64))
     covered = float(np.mean(signed_distance(points, transform_points(traced.pose, traced.shape.outline)) < 0.01))
@@ -408,6 +417,25 @@ def _check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> N
         raise PerceptionError(
             f"the traced outline covers {covered:.0%} of what was seen of it, expected at least {least:.0%}; "
             "it may be hollow, leaning or several things"
+        )
+
+
+def _check_tracked(traced: TracedObject, view: FrameView, others: Sequence[Placed]) -> None:
+    """Raises PerceptionError unless the object is found in a frame where it was traced: who is told of it gets its pose from now on."""
+    template, accepted = Template(traced), view.settings.tracking
+    max_step, max_turn = accepted.max_jump
+    fit = fit_pose(template, view, traced.pose, others)
+    shift, turn = float(np.linalg.norm((fit.pose - traced.pose)[:2])), abs(float(wrap_angle(fit.pose[2] - traced.pose[2])))
+    contradicting = fit.share_contradicting
+    if fit.status is not TrackStatus.TRACKED or contradicting > accepted.found_contradicting or shift > max_step or turn > max_turn:
+        raise PerceptionError(
+            f"the frames do not fit the outline that they gave ({contradicting:.0%} of the lines of sight contradict it, "
+            f"{fit.share_visible:.0%} of its edge are visible); it may be several things or hidden in part, or the focal length is wrong"
+        )
+    missing = compare_upper_side(template, view, fit.pose, others).missing
+    if missing > MISSING:
+        raise PerceptionError(
+            f"{1e4 * missing:.0f} cm^2 within its outline are lower than its upper side; it may be hollow, or several things that touch"
         )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from push_ident.perception.frame.view import OBJECT, ROBOT, UNKNOWN, FrameView
+from push_ident.perception.frame.view import OBJECT, ROBOT, TABLE, UNKNOWN, FrameView
 from push_ident.perception.kernels import grow_surfaces, mark_folds, mark_jumps
 from push_ident.perception.known_object import Segment, area_from_above
 from push_ident.perception.refusals import Reason
@@ -70,42 +70,75 @@ def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[
     low, high = np.array(settings.workspace_low) + 0.004, np.array(settings.workspace_high) - 0.004  # nearer is cut by it
     if any(points[:, k].min() <= low[k] or points[:, k].max() >= high[k] for k in (0, 1)):
         return Reason.AT_WORKSPACE_BORDER
-    wide = (slice(max(0, rows.start - _NEAR), rows.stop + _NEAR), slice(max(0, columns.start - _NEAR), columns.stop + _NEAR))
-    inside = surfaces[wide] == index
-    near = cv2.dilate(inside.astype(np.uint8), np.ones((2 * _NEAR + 1, 2 * _NEAR + 1), np.uint8)) > 0
-    if np.any(near & (labels[wide] == ROBOT)):
+    reach = _NEAR + int(np.ceil(settings.segments.shadow / _pixel(view, box)))
+    wide = (slice(max(0, rows.start - reach), rows.stop + reach), slice(max(0, columns.start - reach), columns.stop + reach))
+    inside, others, at = surfaces[wide] == index, surfaces[wide] > 0, labels[wide]
+    others &= ~inside
+    around = _grown(inside, _NEAR) & ~inside
+    if np.any(around & (at == ROBOT)):
         return Reason.BESIDE_ROBOT
-    around = near & ~inside
-    on_others = around & (surfaces[wide] > 0)
-    if _behind_another(view.frame.depth[wide], inside, on_others, settings.min_step):
+    beyond = _grown(_through(inside, at == UNKNOWN, reach), _NEAR)
+    hides = others & _nearer(view.frame.depth[wide], inside, settings.min_step)
+    if np.count_nonzero(hides & around) >= _SMALLEST_PATCH or _mostly(hides & beyond, np.where(beyond & others, surfaces[wide], 0)):
         return Reason.BEHIND_ANOTHER
-    if np.count_nonzero(on_others) > settings.segments.on_another * np.count_nonzero(around):
+    if np.count_nonzero(around & others) > settings.segments.on_another * np.count_nonzero(around):
         return Reason.STACKED
-    if _beside_unmeasured(view, box, inside, around):
+    if _stands_on_another(view, points, inside, others, at == TABLE):
+        return Reason.STACKED
+    if _beside_unmeasured(view, box, inside, around, at != UNKNOWN):
         return Reason.BESIDE_UNMEASURED
     return None
 
 
-def _beside_unmeasured(view: FrameView, box: tuple[slice, slice], inside: BoolArray, around: BoolArray) -> bool:
+def _pixel(view: FrameView, box: tuple[slice, slice]) -> float:
+    """Width of a pixel at the distance of what is in a box [m]."""
+    return float(np.nanmedian(view.frame.depth[box])) / view.frame.intrinsics.fx
+
+
+def _grown(mask: BoolArray, by: int) -> BoolArray:
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((2 * by + 1, 2 * by + 1), np.uint8)) > 0)
+
+
+def _through(inside: BoolArray, unmeasured: BoolArray, reach: int) -> BoolArray:
+    """The pixels of a segment and the unmeasured ones beside it, up to so many pixels away: what hides it may stand behind a shadow."""
+    grown, allowed = inside.astype(np.uint8), (inside | unmeasured).astype(np.uint8)
+    for _ in range(reach):
+        grown = cv2.dilate(grown, np.ones((3, 3), np.uint8)) & allowed
+    return np.asarray(grown > 0)
+
+
+def _stands_on_another(view: FrameView, points: Float64Array, inside: BoolArray, others: BoolArray, table: BoolArray) -> bool:
+    """Whether the lower border of a segment with these points [m], shape (n, 3), table frame, meets other things more than the table.
+
+    From straight above no lower border is seen: within 30 degrees of that nothing is said.
+    """
+    camera, intrinsics = view.camera_in_table, view.frame.intrinsics
+    foot = np.median(points, axis=0)
+    in_camera = (np.array([foot, foot - np.array([0.0, 0.0, 1e-3])]) - camera[:3, 3]) @ camera[:3, :3]
+    down = np.diff(in_camera[:, :2] / in_camera[:, 2:], axis=0)[0] * in_camera[0, 2] / 1e-3
+    steepness = float(np.hypot(*down))
+    if steepness < 0.5:
+        return False
+    columns, rows = np.rint(_NEAR * down / steepness * np.array([1.0, intrinsics.fy / intrinsics.fx])).astype(int)
+    height, width = inside.shape
+    shift = np.array([[1, 0, -columns], [0, 1, -rows]], dtype=np.float32)
+    below, on_table = (cv2.warpAffine(mask.astype(np.uint8), shift, (width, height)) for mask in (others, table))
+    return bool(np.count_nonzero(inside & (below > 0)) > np.count_nonzero(inside & (on_table > 0)))
+
+
+def _beside_unmeasured(view: FrameView, box: tuple[slice, slice], inside: BoolArray, around: BoolArray, measured: BoolArray) -> bool:
     """Whether nothing is measured over a wide strip along much of the border of a segment, so that it may be larger than it seems.
 
-    `inside`, `around`: the pixels of the segment and those around it, over its box grown by `_NEAR`.
+    `inside`, `around`, `measured`: the pixels of the segment, those around it and those that are measured, over its box and more.
     """
-    shadow, enough = view.settings.segments.shadow, view.settings.segments.unmeasured * np.count_nonzero(around)
-    rows, columns = box
-    pixel = float(np.nanmedian(view.frame.depth[box])) / view.frame.intrinsics.fx
-    reach = _NEAR + int(np.ceil(shadow / pixel))
-    wide = (slice(max(0, rows.start - reach), rows.stop + reach), slice(max(0, columns.start - reach), columns.stop + reach))
-    top, left = rows.start - _NEAR - wide[0].start, columns.start - _NEAR - wide[1].start
-    inner = (slice(top, top + inside.shape[0]), slice(left, left + inside.shape[1]))
-    others = view.labels[wide] != UNKNOWN
-    if np.count_nonzero(around & ~others[inner]) <= enough:
+    settings = view.settings.segments
+    enough = settings.unmeasured * np.count_nonzero(around)
+    if np.count_nonzero(around & ~measured) <= enough:
         return False
-    others[inner] &= ~inside
     # A line of single pixels is the foot of a wall of the segment itself.
-    areas = cv2.morphologyEx(others.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    to_others = cv2.distanceTransform(1 - areas, cv2.DIST_L2, 3)[inner]
-    return bool(np.count_nonzero(around & (to_others * pixel > shadow)) > enough)
+    areas = cv2.morphologyEx((measured & ~inside).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    to_others = cv2.distanceTransform(1 - areas, cv2.DIST_L2, 3)
+    return bool(np.count_nonzero(around & (to_others * _pixel(view, box) > settings.shadow)) > enough)
 
 
 def _bridged(depth: NDArray[np.float32], labels: NDArray[np.int8], focal: float, step: float) -> tuple[BoolArray, NDArray[np.float32]]:
@@ -158,16 +191,20 @@ def _boxes(surfaces: NDArray[np.int32], region: tuple[slice, slice]) -> list[tup
     ]
 
 
-def _behind_another(depth: NDArray[np.float32], inside: BoolArray, others: BoolArray, step: float) -> bool:
-    """Whether another surface beside this one is nearer to the camera by more than a step and so may hide part of it."""
-    if np.count_nonzero(others) < _SMALLEST_PATCH:
-        return False
-    distance, nearest = cv2.distanceTransformWithLabels((~inside).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+def _nearer(depth: NDArray[np.float32], inside: BoolArray, step: float) -> BoolArray:
+    """Which pixels are nearer to the camera, by more than a step, than the border of a segment beside them."""
+    _, nearest = cv2.distanceTransformWithLabels((~inside).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     depth_of = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
     depth_of[nearest[inside]] = depth[inside]
     with np.errstate(invalid="ignore"):
-        hides = others & (distance <= _NEAR) & (depth < depth_of[nearest] - step)
-    return bool(np.count_nonzero(hides) >= _SMALLEST_PATCH)
+        return np.asarray(depth < depth_of[nearest] - step)
+
+
+def _mostly(mask: BoolArray, surfaces: NDArray[np.int32]) -> bool:
+    """Whether more than half of what is seen of one of these surfaces, number 0 left out, is in the mask."""
+    seen = np.bincount(surfaces.ravel())
+    masked = np.bincount(surfaces[mask], minlength=len(seen))
+    return bool(np.any((masked[1:] >= _SMALLEST_PATCH) & (2 * masked[1:] > seen[1:])))
 
 
 def split_surfaces(depth: NDArray[np.float32], mask: BoolArray, focal: float, step: float) -> NDArray[np.int32]:

@@ -59,6 +59,10 @@ _OVERSHOOT: Final = 1.5
 """Second derivative of half the sum of squares over J'J near the best pose [-]. The measured changes at the edge at once, the expected over
 the width s: across an edge, with e = sigmoid(-d / s), the integral of e'^2 is 1 / (6 s), and that of the residual times -e'' 1 / (12 s).
 A full step of Gauss-Newton thus ends half as far beyond the best pose as it began before it."""
+_EQUAL: Final = 0.02
+"""Headings of which so much less or more of the lines of sight contradict fit equally well [-]: whole objects have 0.002."""
+_SAME_HEADING: Final = np.pi / 18.0
+"""Fits whose headings differ by less ended in the same minimum [rad]: the step of those compared."""
 _ABOVE: Final = 0.01
 """Points this far above the top belong to something in front [m]."""
 MATCHER_WINDOW: Final = 0.02
@@ -133,9 +137,11 @@ def fit_pose(template: Template, view: FrameView, start: ArrayLike, others: Sequ
 def relocate(
     template: Template, view: FrameView, centre: ArrayLike, *, others: Sequence[Placed] = (), last_yaw: float | None = None
 ) -> PoseFit:
-    """Find a lost object at `centre` (x, y) [m] with any yaw: compare all headings coarsely, then fit from the best three.
+    """Find a lost object at `centre` (x, y) [m] with any yaw: compare all headings coarsely, then fit from the best three and from the
+    last one.
 
-    Where several headings fit equally well, as those of a nearly symmetric object do, the one nearest `last_yaw` [rad] is taken.
+    Where several headings fit equally well, as those of a nearly symmetric object do, the one nearest `last_yaw` [rad] is taken if the next
+    is more than twice as far from it; else the status is UNDETERMINED.
     """
     everywhere = template.radius + FIELD_MARGIN
     headings = np.linspace(-np.pi, np.pi, 36, endpoint=False)
@@ -145,15 +151,26 @@ def relocate(
         return _failed(TrackStatus.OUT_OF_VIEW, starts[0])
     mean_square = np.array([_compare(template, lines, start, 2 * _LEVELS[0][0]).mean_square for start in starts])
     minima = np.flatnonzero((mean_square <= np.roll(mean_square, 1)) & (mean_square <= np.roll(mean_square, -1)))
-    fits = [fit_pose(template, view, starts[index], others) for index in minima[np.argsort(mean_square[minima])][:3]]
+    tried = [starts[index] for index in minima[np.argsort(mean_square[minima])][:3]]
+    tried += [] if last_yaw is None else [np.array([*starts[0][:2], last_yaw])]
+    fits = [fit_pose(template, view, start, others) for start in tried]
     best = min(fits, key=lambda fit: (fit.status is not TrackStatus.TRACKED, fit.share_contradicting))
-    if last_yaw is not None:
-        equal = [fit for fit in fits if fit.status is best.status and fit.share_contradicting < best.share_contradicting + 0.02]
-        best = min(equal, key=lambda fit: abs(float(wrap_angle(fit.pose[2] - last_yaw))))
+    equal = [fit for fit in fits if fit.status is best.status and fit.share_contradicting < best.share_contradicting + _EQUAL]
+    best, is_certain = _nearest_heading(equal, float(best.pose[2]) if last_yaw is None else last_yaw)
     # Without a previous pose, one half of an object can be taken for the other half.
     accepted = view.settings.tracking
     is_doubtful = best.share_visible < accepted.found_visible or best.share_contradicting > accepted.found_contradicting
-    return replace(best, status=TrackStatus.HIDDEN) if best.status is TrackStatus.TRACKED and is_doubtful else best
+    if best.status is TrackStatus.TRACKED and not (is_certain and not is_doubtful):
+        return replace(best, status=TrackStatus.HIDDEN if is_doubtful else TrackStatus.UNDETERMINED)
+    return best
+
+
+def _nearest_heading(fits: Sequence[PoseFit], yaw: float) -> tuple[PoseFit, bool]:
+    """The fit whose heading is nearest to `yaw` [rad], and whether each other heading is more than twice as far from it."""
+    turns = [abs(float(wrap_angle(fit.pose[2] - yaw))) for fit in fits]
+    nearest = fits[int(np.argmin(turns))]
+    others = [turn for fit, turn in zip(fits, turns, strict=True) if abs(float(wrap_angle(fit.pose[2] - nearest.pose[2]))) > _SAME_HEADING]
+    return nearest, all(turn > 2.0 * min(turns) for turn in others)
 
 
 def lines_of_sight(

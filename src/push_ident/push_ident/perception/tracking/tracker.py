@@ -287,17 +287,25 @@ class Tracker:
         return fits
 
     def find_again(self, view: FrameView, name: str, segments: Sequence[Segment]) -> PoseFit | None:
-        """Fit of a lost object to the first segment of similar area that it fits as a whole; None where it fits none."""
+        """Fit of a lost object to the one segment that it fits as a whole; None where it fits none, or several.
+
+        One of several is taken where it lies less than half as far from the last place of the object as the next.
+        """
         known, others = self._objects[name], self._objects.others_near(name)
         low, high = view.settings.tracking.same_area
+        fits = []
         for segment in segments:
-            if low * known.area < segment.area < high * known.area:
+            if low * known.area < segment.area < high * known.area and _is_as_high(segment, view.points, known.template.top_range[1]):
                 fit = relocate(known.template, view, segment.centre, others=others, last_yaw=float(known.pose[2]))
                 if fit.status is TrackStatus.TRACKED and not compare_upper_side(known.template, view, fit.pose, others).is_part_missing:
-                    self.separation.clear(name)
-                    known.accept(fit, view.frame.stamp)
-                    return fit
-        return None
+                    fits.append(fit)
+        fits.sort(key=lambda fit: float(np.linalg.norm((fit.pose - known.pose)[:2])))
+        nearest, next_one = ([float(np.linalg.norm((fit.pose - known.pose)[:2])) for fit in fits] + [np.inf] * 2)[:2]
+        if not 2.0 * nearest < next_one:
+            return None
+        self.separation.clear(name)
+        known.accept(fits[0], view.frame.stamp)
+        return fits[0]
 
     def adopt(
         self, refined: Mapping[str, tuple[Refined, Template]], view: FrameView, fits: dict[str, PoseFit]
@@ -356,10 +364,14 @@ def _is_all_parts(suspect: _Suspect, segment: Segment, points: NDArray[np.float3
     low, high = (share * suspect.area for share in _TOGETHER)
     if not low < segment.area < high:
         return False
-    heights = segment.points_in(points)[:, 2]
-    same_height = abs(float(np.quantile(heights, TOP_QUANTILE)) - suspect.height) < _SAME_HEIGHT
     # What is left of the object when a part was taken away lies within its outline.
-    return same_height and _area_beyond(segment, points, suspect.placed) > MISSING
+    return _is_as_high(segment, points, suspect.height) and _area_beyond(segment, points, suspect.placed) > MISSING
+
+
+def _is_as_high(segment: Segment, points: NDArray[np.float32], height: float) -> bool:
+    """Whether a segment is as high as an object [m]."""
+    heights = segment.measured_in(points)[:, 2]
+    return len(heights) > 0 and abs(float(np.quantile(heights, TOP_QUANTILE)) - height) < _SAME_HEIGHT
 
 
 def _area_beyond(segment: Segment, points: NDArray[np.float32], placed: Placed) -> float:
