@@ -10,7 +10,17 @@ from scipy.ndimage import gaussian_filter1d
 from helpers.depth_scene import rectangle
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.perception.outline.edges import EdgeLines, dense, displaced_std, edge_std, hidden_walls
+from push_ident.geometry.shape_check import crossing_edges
+from push_ident.perception.outline.edges import (
+    EdgeLines,
+    dense,
+    displaced_std,
+    edge_std,
+    hidden_walls,
+    moved_apart,
+    with_edges_moved,
+    without_reversed,
+)
 from push_ident.perception.outline.tracing import straighten
 from push_ident.perception.pipeline import Perception
 from push_ident.types import DepthFrame
@@ -115,3 +125,13 @@ def test_no_edge_of_a_ragged_contour_has_no_length() -> None:
         # Turned, so that ends of stretches that are one point differ by rounding.
         outline = straighten(transform_points([0.0, 0.0, 0.3], max(contours, key=cv2.contourArea)[:, 0] * 2.5e-4))
         assert len(outline) >= 3 and np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1).min() > 1e-6
+
+
+def test_edges_that_would_cross_move_less_far() -> None:
+    """A slot of 2 mm whose sides are pushed into each other by 3 mm each stays open."""
+    slot = np.array([(0, 0), (30, 0), (30, 20), (16, 20), (16, 5), (14, 5), (14, 22), (0, 22)], dtype=float) * 1e-3
+    step = np.zeros(8)
+    step[[3, 5]] = 3e-3
+    outline, moved = moved_apart(slot, np.zeros(8), step)
+    assert crossing_edges(outline) is None and 0.0 <= moved.max() < 1.5e-3
+    assert crossing_edges(without_reversed(slot, with_edges_moved(slot, step), step)[0]) is not None

@@ -9,6 +9,7 @@ from push_ident_sim.studies import (
     edge,
     goals,
     injected,
+    labelled,
     maps,
     paths,
     pusht,
@@ -40,6 +41,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         paths,
         pusht,
         sensors,
+        labelled,
     )
 }
 BENCHMARKS: dict[str, Benchmark] = {module.STUDY.name: module.STUDY for module in (engine, batches, identification, frames, rivals)}

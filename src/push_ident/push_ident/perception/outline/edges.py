@@ -29,6 +29,7 @@ from scipy.special import ndtr
 from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.geometry.outline import edge_normals, polygon_centroid
 from push_ident.geometry.se2 import inverse, transform_points
+from push_ident.geometry.shape_check import crossing_edges
 from push_ident.perception.frame.view import FrameView
 from push_ident.perception.kernels import edges_nearest
 from push_ident.perception.known_object import Template, TracedObject, TrackStatus
@@ -211,7 +212,7 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject
         gradient, curvature = _derivatives(template, outline, fitted)
         shared = same_curve(outline)
         step = np.clip(moved + (shared @ gradient) / (shared @ curvature), -0.003, 0.003) - moved
-        outline, moved = without_reversed(outline, with_edges_moved(outline, step), moved + step)
+        outline, moved = moved_apart(outline, moved, step)
     straight = straighten(dense(outline))
     outline = straight if len(straight) >= 3 else outline
     cameras = np.array([transform_points(inverse(pose), view.camera_in_table[None, :2, 3])[0] for view, pose in fitted])
@@ -226,6 +227,16 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject
     pose = np.array([*transform_points(traced.pose, [(x, y)])[0], traced.pose[2]])
     fused = replace(traced, shape=shape, pose=pose, top_origin=traced.top_origin - (x, y))
     return replace(fused, camera_positions=(cameras - (x, y),), displaced_std=displaced_std(simple, cameras, simple_lines))
+
+
+def moved_apart(outline: Float64Array, moved: Float64Array, step: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """The outline with its edges moved by a step, shape (n_edges,), and their offsets: by half of it, a quarter or not at all where edges
+    would cross each other."""
+    for part in (1.0, 0.5, 0.25):
+        after, offsets = without_reversed(outline, with_edges_moved(outline, part * step), moved + part * step)
+        if crossing_edges(after) is None:
+            return after, offsets
+    return outline, moved
 
 
 def _fitted(template: Template, views: Sequence[PosedView]) -> list[PosedView]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from push_ident.errors import PerceptionError
 from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.geometry.outline import edge_normals, polygon_area, polygon_centroid
+from push_ident.geometry.shape_check import crossing_edges
 from push_ident.perception.frame.view import unmeasured_areas
 from push_ident.perception.kernels import outline_distances
 from push_ident.perception.known_object import SegmentedView, TracedObject
@@ -309,7 +310,7 @@ def straighten(contour: Float64Array) -> Float64Array:
         contour: closed, dense (points well below a millimetre apart) [m], shape (n, 2); either orientation, kept.
 
     Returns:
-        Polygon, shape (n_vertices, 2), without edges of no length.
+        Polygon, shape (n_vertices, 2), without edges of no length. Where straight edges would cross each other, it follows the contour.
     """
     corners = _simplified(contour, _COARSE)
     if len(corners) < 3:
@@ -324,10 +325,14 @@ def straighten(contour: Float64Array) -> Float64Array:
             inner = here.points[_open_simplified(here.points)]
             vertices.extend(inner[1:-1])
         vertices.extend(_joint(here, following))
-    outline = np.array(vertices)
-    # Two stretches may end in the same point, or, by rounding, next to it; an edge without a length has no normal.
-    outline = outline[np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) > 1e-6]
-    return outline if len(outline) >= 3 else contour[_simplified(contour, _NEAR_CONTOUR)]
+    outline = _with_lengths(np.array(vertices))
+    is_simple = len(outline) >= 3 and crossing_edges(outline) is None
+    return outline if is_simple else _with_lengths(contour[_simplified(contour, _NEAR_CONTOUR)])
+
+
+def _with_lengths(outline: Float64Array) -> Float64Array:
+    """Without edges of no length, which have no normal: two stretches may end in the same point, or, by rounding, next to it."""
+    return np.asarray(outline[np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) > 1e-6])
 
 
 def _simplified(contour: Float64Array, tolerance: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

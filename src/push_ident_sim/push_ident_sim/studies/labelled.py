@@ -1,0 +1,264 @@
+"""Labelled depth frames of others: is what perception takes in one whole thing, where it is, and what becomes of the rest?"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from push_ident.errors import InputError, PerceptionError
+from push_ident.extras import need
+from push_ident.files import finite
+from push_ident.geometry.se2 import transform_points, wrap_angle
+from push_ident.offline.depth_images import DepthImages
+from push_ident.perception.frame.view import points_in_table
+from push_ident.perception.pipeline import Perception
+from push_ident.perception.settings import PerceptionSettings
+from push_ident.survey.survey import survey_frames
+from push_ident.types import BoolArray, DepthFrame, Float64Array
+from push_ident_sim.studies.common.measuring import share
+from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
+from push_ident_sim.studies.common.tables import markdown_table, number, share_text
+
+_N_FRAMES: Final = 44
+"""Each frame is seen so many times, 1.5 s at 30 Hz: poses of what rests must not move."""
+_FOUND: Final = 0.5
+"""Least overlap of an outline with the footprint of a labelled thing: intersection over union of their convex hulls."""
+_MOVED: Final = (0.01, np.radians(10.0))
+"""A pose that differs by more from the first one, in the same frame, is wrong [m, rad]."""
+_BESIDE: Final = 4
+"""Distance at which things are side by side in the image [px]."""
+_STEP: Final = 0.02
+"""What is nearer to the camera by more hides what is beside it [m]."""
+_HIDDEN: Final = 0.04
+"""Least fraction of its surroundings that hides a thing which counts as partly hidden."""
+_LEAST: Final = (100, 0.012)
+"""Points and height [m] of a labelled thing that counts: parts of the table are labelled, too."""
+_COUNTS: Final = ("things", "whole", "found", "refused", "unsaid", "tracked", "right", "lost")
+"""Of each frame."""
+_CELL: Final = 0.002
+"""Of the grid in which overlaps are counted [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Labelled:
+    """One labelled thing."""
+
+    hull: Float64Array
+    """Convex hull of its points from above [m], shape (n, 2), table frame."""
+    low: float
+    high: float
+    """Heights of its lowest and highest points [m]."""
+    hidden: bool
+    """Whether something nearer is beside it, or the border of the image or of the workspace."""
+
+
+def _read(path: Path) -> tuple[DepthFrame, NDArray[np.int64]]:
+    """The depth, and the number of the thing that each pixel shows, 0 for none.
+
+    Raises InputError for a cloud that is not organised, or has no labels.
+    """
+    need("pcd")
+    import open3d
+
+    frame = next(DepthImages(path).frames())
+    cloud = open3d.t.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+    if "label" not in cloud.point:
+        raise InputError(f"{path} has no field `label`, expected the number of the thing that each point belongs to.")
+    return frame, cloud.point["label"].numpy().reshape(frame.depth.shape).astype(np.int64)
+
+
+def labelled_things(frame: DepthFrame, labels: NDArray[np.int64], camera: Float64Array, settings: PerceptionSettings) -> list[Labelled]:
+    """What the labels of a frame say is on the table; `camera`: optical frame in the table frame, shape (4, 4)."""
+    points, things = points_in_table(frame, camera), []
+    low, high = np.array(settings.workspace_low), np.array(settings.workspace_high)
+    for label in np.unique(labels[labels > 0]):
+        mask = (labels == label) & np.isfinite(points[..., 2])
+        inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # points at an edge lie between two things
+        own = points[inner].astype(np.float64)
+        if len(own) < _LEAST[0] or np.quantile(own[:, 2], 0.98) < _LEAST[1]:
+            continue
+        inside = np.all((own[:, :2] > low) & (own[:, :2] < high))
+        at_border = mask[:_BESIDE].any() or mask[-_BESIDE:].any() or mask[:, :_BESIDE].any() or mask[:, -_BESIDE:].any()
+        hidden = bool(at_border or not inside or _is_hidden(frame.depth, mask, (labels > 0) & (labels != label)))
+        lowest, highest = np.quantile(own[:, 2], [0.02, 0.98])
+        things.append(Labelled(_hull(own[:, :2]), float(lowest), float(highest), hidden))
+    return things
+
+
+def _is_hidden(depth: NDArray[np.float32], mask: BoolArray, others: BoolArray) -> bool:
+    _, nearest = cv2.distanceTransformWithLabels((~mask).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    own = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
+    own[nearest[mask]] = depth[mask]
+    beside = (cv2.dilate(mask.astype(np.uint8), np.ones((2 * _BESIDE + 1,) * 2, np.uint8)) > 0) & ~mask
+    with np.errstate(invalid="ignore"):
+        hiding = beside & others & (depth < own[nearest] - _STEP)
+    return bool(np.count_nonzero(hiding) > _HIDDEN * np.count_nonzero(beside))
+
+
+def _stands_on_another(thing: Labelled, things: Sequence[Labelled]) -> bool:
+    """A quarter of it lies over another one, whose upper part is lower than its own lowest points."""
+    area = cv2.contourArea(thing.hull.astype(np.float32))
+    return any(
+        other is not thing and thing.low > max(_STEP, 0.6 * other.high) and _common(thing.hull, other.hull)[0] > 0.25 * area
+        for other in things
+    )
+
+
+def _hull(points: Float64Array) -> Float64Array:
+    return np.asarray(cv2.convexHull(points.astype(np.float32).reshape(-1, 1, 2))[:, 0], dtype=np.float64)
+
+
+def _common(a: Float64Array, b: Float64Array) -> tuple[float, float]:
+    """Areas of the intersection and of the union of two polygons [m^2]."""
+    both = np.vstack([a, b])
+    low = both.min(axis=0)
+    size = np.ceil((both.max(axis=0) - low) / _CELL).astype(int) + 1
+    masks = []
+    for polygon in (a, b):
+        mask = np.zeros((size[1], size[0]), np.uint8)
+        cv2.fillPoly(mask, [np.rint((polygon - low) / _CELL).astype(np.int32)], 1)
+        masks.append(mask > 0)
+    return float(np.count_nonzero(masks[0] & masks[1])) * _CELL**2, float(np.count_nonzero(masks[0] | masks[1])) * _CELL**2
+
+
+def _overlap(a: Float64Array, b: Float64Array) -> float:
+    common, union = _common(a, b)
+    return common / union
+
+
+def _run(case: Case, settings: CaseSettings) -> Json:
+    frame, labels = _read(find_frames(settings.recordings)[case.object_name])
+    survey = survey_frames([frame])
+    things = labelled_things(frame, labels, survey.camera_in_table, survey.settings)
+    perception, first = Perception(survey.camera_in_table, survey.settings, occupancy=False), dict[str, Float64Array]()
+    for i in range(_N_FRAMES):
+        try:
+            observation = perception.observe(replace(frame, stamp=i / 30))
+        except PerceptionError:
+            return finite({"things": len(things), "tracked": 0, "unusable": 1})
+        first |= {name: perception.first_pose(name) for name in observation.new_shapes}
+    tracked = {known.object_id: known.pose for known in observation.objects if known.pose is not None}
+    outlines = {name: _hull(transform_points(pose, perception.known(name).traced.shape.outline)) for name, pose in tracked.items()}
+    faults, seen = [], set()
+    for name, outline in outlines.items():
+        overlaps = [_overlap(outline, thing.hull) for thing in things]
+        best = int(np.argmax(overlaps)) if overlaps else -1
+        shift = tracked[name] - first[name]
+        if best < 0 or overlaps[best] < _FOUND:
+            faults.append("outline" if best >= 0 and overlaps[best] > 0.1 else "nothing there")
+        elif _stands_on_another(things[best], things):
+            faults.append("on another")
+        elif things[best].hidden:
+            faults.append("partly hidden")
+        elif np.hypot(*shift[:2]) > _MOVED[0] or abs(float(wrap_angle(shift[2]))) > _MOVED[1]:
+            faults.append("elsewhere")
+        else:
+            seen.add(best)
+    whole = [i for i, thing in enumerate(things) if not (thing.hidden or _stands_on_another(thing, things))]
+    refused = [i for i in range(len(things)) if any(_common(refusal.outline, things[i].hull)[0] > 0 for refusal in observation.refused)]
+    return finite(
+        {
+            "things": len(things),
+            "whole": len(whole),
+            "found": len([i for i in whole if i in seen]),
+            "refused": len([i for i in whole if i not in seen and i in refused]),
+            "unsaid": len([i for i in range(len(things)) if i not in seen and i not in refused]),
+            "tracked": len(tracked),
+            "right": len(seen),
+            "faults": dict(Counter(faults)),
+            "lost": len(first) - len(tracked),
+            "unusable": 0,
+        }
+    )
+
+
+def find_frames(folder: Path) -> dict[str, Path]:
+    """Labelled clouds in a folder and the folders in it, by the name of the file. Raises InputError where there is none."""
+    files = {path.stem: path for path in sorted(folder.rglob("*.pcd"))}
+    if not files:
+        raise InputError(f"{folder}: no labelled frame in it; expected organised clouds `*.pcd` with a field `label`.")
+    return files
+
+
+def _row(cases: Sequence[Json]) -> Json:
+    faults = sum((Counter(v.get("faults", {})) for v in cases), Counter[str]())
+    total = {
+        key: sum(v.get(key, 0) for v in cases) for key in ("things", "whole", "found", "refused", "unsaid", "tracked", "right", "lost")
+    }
+    return {
+        **total,
+        "frames": len(cases),
+        "unusable": sum(v["unusable"] for v in cases),
+        "wrong": share([i >= total["right"] for i in range(total["tracked"])]),
+        "of_whole": share([i < total["found"] for i in range(total["whole"])]),
+        "faults": dict(faults),
+    }
+
+
+def _summarise(results: Sequence[CaseResult]) -> Json:
+    groups = sorted({_group(r.case.object_name) for r in results})
+    return {"sets": {name: _row([r.values for r in results if _group(r.case.object_name) == name]) for name in groups}}
+
+
+def _group(name: str) -> str:
+    """The letters with which the name of a frame begins."""
+    match = re.match(r"[^\W\d_]+", name)
+    return match.group() if match else name
+
+
+def _tables(summary: Json) -> str:
+    head = [
+        "frames",
+        "",
+        "labelled",
+        "whole",
+        "found of whole",
+        "refused of whole",
+        "neither, of all",
+        "tracked",
+        "of these wrong",
+        "faults",
+    ]
+    rows = []
+    for name, row in summary["sets"].items():
+        faults = ", ".join(f"{n} {fault}" for fault, n in row["faults"].items()) or "–"
+        counts = [number(row[key], "{:.0f}") for key in ("refused", "unsaid", "tracked")]
+        cells = [str(row["frames"]), str(row["things"]), str(row["whole"]), share_text(row["of_whole"]), *counts, share_text(row["wrong"])]
+        rows.append([name, *cells, faults])
+    return markdown_table(head, rows)
+
+
+def _answer(summary: Json) -> str:
+    return "; ".join(
+        f"{name}: {row['wrong']['successes']} of {row['tracked']} tracked objects are wrong, {row['found']} of {row['whole']} whole found"
+        for name, row in summary["sets"].items()
+    )
+
+
+STUDY = Experiment(
+    name="labelled",
+    title="Is what perception takes in a whole thing, where it is?",
+    question=(
+        f"Organised clouds with labels (`--recordings DIR`), each seen {_N_FRAMES} times, without a number given. Whole: nothing nearer is "
+        "beside it, it stands on the table, and inside image and workspace. Found: tracked at the end, and its outline overlaps with the "
+        "footprint of the labelled thing by half (intersection over union of the convex hulls). Wrong: an outline of no labelled thing, of "
+        "one that is partly hidden or stands on another, or a pose more than 10 mm or 10 degrees from the first one though nothing moved. "
+        "Labels and hulls are of what the camera sees. Groups are the letters with which names begin."
+    ),
+    objects=(),
+    find_objects=lambda folder: tuple(find_frames(folder)),
+    variants=("at-rest",),
+    stages=("geometry", "perception", "offline", "survey"),
+    run=_run,
+    summarise=_summarise,
+    tables=_tables,
+    answer=_answer,
+)  # fmt: skip
