@@ -64,8 +64,12 @@ injected: setup  ## known causes put into recordings of others, DATA=FOLDER of t
 	$(VENV)/push-ident experiment report
 
 scenes: setup  ## scenes of MuJoCo and Bullet made wrong in a known way, and recordings in DATA=FOLDER against a plain scene, then the pages
-	$(call experiment,scenes --seed 2000 --models 6)
+	$(call experiment,scenes --seed 4000 --models 10)
 	$(call experiment,recorded-scenes --models 1 --recordings "$(DATA)")
+	$(VENV)/push-ident experiment report
+
+labelled: setup  ## perception on labelled depth frames, DATA=FOLDER of organised clouds (minutes), then the page
+	$(call experiment,labelled --models 1 --recordings "$(DATA)")
 	$(VENV)/push-ident experiment report
 
 STREAMS ?= 10000
