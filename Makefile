@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup demo docs bench experiments blind recordings scenes states faults fuzz test test-long test-release lint format dist dist-check changelog release clean
+.PHONY: help setup demo docs bench experiments blind recordings scenes labelled states faults fuzz test test-long test-release lint format dist dist-check changelog release clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */  make \1\t/' | expand -t 16

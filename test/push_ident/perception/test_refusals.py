@@ -106,7 +106,7 @@ def test_an_outline_that_does_not_cover_its_segment_is_refused(monkeypatch):
 
 @pytest.mark.parametrize("change", [(0.0, 0.0, np.pi / 2), (0.0, 0.03, 0.0)])
 def test_an_outline_that_its_own_frames_do_not_fit_is_refused(change, monkeypatch):
-    """Who is told of an object gets its poses from then on; else it was lost in the next frame, and perhaps found where it is not."""
+    """Else the object is lost in the next frame, and perhaps found where it is not."""
     monkeypatch.setattr(search, "fuse_views", lambda traced, views: replace(traced, pose=np.add(traced.pose, change)))
     monkeypatch.setattr(search, "check_covered", lambda *_: None)
     observation, shapes, _ = observe([Prism(BOX, 0.05)])

@@ -78,8 +78,8 @@ class SegmentSettings:
     """Least fraction of the points of a segment that its traced outline must cover. On recorded scenes of a Kinect, refusing shapes below
     this caught half of the wrong ones and one in 128 right ones."""
     must_fit: bool = True
-    """Whether an object has to be found, in the frame in which it is taken in, where it was traced. Else its poses cannot be relied on; a
-    wrong focal length, which a known size is to show, prevents it."""
+    """Whether an object is taken in only if a pose fit finds it where it was traced. False only to look at images whose focal length may
+    be wrong: their walls do not fit any outline."""
 
 
 @dataclass(frozen=True, slots=True)

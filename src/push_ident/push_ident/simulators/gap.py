@@ -222,9 +222,9 @@ def _corrected_one_after_the_other(simulator: PushSimulator, fit: Identification
         yield corrected_by(simulator, fit, effects[n:])
 
 
-def corrected_by(simulator: PushSimulator, fit: Identification, but: Sequence[str] = ()) -> PushSimulator:
-    """The simulator with the object of a fit, precise contact, and those of its effects that scene or data can have, `but` for some."""
-    effects = _without(fit.posterior.effects, but)
+def corrected_by(simulator: PushSimulator, fit: Identification, without: Sequence[str] = ()) -> PushSimulator:
+    """The simulator with the object of a fit, precise contact, and those of its effects that scene or data can have, `without` some."""
+    effects = _without(fit.posterior.effects, without)
     if isinstance(simulator, CorrectableSimulator):
         friction = changed_friction(effects, fit.model.pusher_friction)[0]
         return Measured(simulator.with_object(fit.model, effects).with_precise_contact(friction), effects)

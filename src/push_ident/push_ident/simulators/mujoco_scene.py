@@ -32,8 +32,8 @@ _TOOL: Final = 1 << 30
 """Bit of tool and outline."""
 _FRAME: Final = 1e-6
 """Mass and inertia of a body that only carries cells, relative to theirs [1]."""
-_PARTED: Final = 20
-"""Most moves by which an object leaves a tool that is recorded inside it: each is that of the deepest contact."""
+_MOST_MOVES: Final = 20
+"""By which an object leaves a tool that is recorded inside it, each by the deepest contact [1]: one is enough at a flat side."""
 _LEAST: Final = 1e-12
 """Mass and inertia of a cell [kg, kg m^2]: MuJoCo refuses bodies that weigh nothing, as parts of cells cut at the outline may."""
 _TILT: Final = 1e-3
@@ -141,7 +141,7 @@ class MujocoScene:
             mujoco.mj_step(model, data)
         placed(data, start)
         data.qpos[places], data.qvel[speeds] = path[0], 0.0
-        _part(model, data, lambda away: placed(data, start + np.array([*away, 0.0])), body, model.body(self.tool_body).id)
+        _move_out(model, data, lambda away: placed(data, start + np.array([*away, 0.0])), body, model.body(self.tool_body).id)
         step = model.opt.timestep
         ticks = np.arange(tool_path.time[0], max(tool_path.time[-1], times[-1]) + step, step)
         ways = np.column_stack([np.interp(ticks, tool_path.time, path[:, axis]) for axis in (0, 1)])
@@ -188,21 +188,21 @@ def _compile(spec: Any, path: Path) -> Any:
         raise InputError(f"MuJoCo cannot compile {path}: {error}") from None
 
 
-def _part(model: Any, data: Any, displace: Callable[[Float64Array], None], pushed: int, tool: int) -> None:
+def _move_out(model: Any, data: Any, displace: Callable[[Float64Array], None], pushed: int, tool: int) -> None:
     """Move the object out of a tool that is recorded inside it, along the normals of their contacts: stiff contact would throw it away."""
     import mujoco
 
     of_object, of_tool = _with_descendants(model, pushed), _with_descendants(model, tool)
     away = np.zeros(2)
-    for _ in range(_PARTED):
+    for _ in range(_MOST_MOVES):
         mujoco.mj_forward(model, data)
-        inside = []
+        moves = []
         for contact in data.contact:
             first, second = model.geom_bodyid[contact.geom]
             # A normal points from the first geom of a contact to the second.
             sign = 1.0 if first in of_tool and second in of_object else -1.0 if first in of_object and second in of_tool else 0.0
-            inside.append(sign * max(-contact.dist, 0.0) * contact.frame[:2])
-        deepest = max(inside, key=np.linalg.norm, default=np.zeros(2))
+            moves.append(sign * max(-contact.dist, 0.0) * contact.frame[:2])
+        deepest = max(moves, key=np.linalg.norm, default=np.zeros(2))
         if not np.any(deepest):
             return
         away = away + deepest

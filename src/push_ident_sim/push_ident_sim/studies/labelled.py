@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.errors import InputError, PerceptionError
+from push_ident.errors import InputError
 from push_ident.extras import need
 from push_ident.files import finite
 from push_ident.geometry.se2 import transform_points, wrap_angle
 from push_ident.offline.depth_images import DepthImages
 from push_ident.perception.frame.view import points_in_table
 from push_ident.perception.pipeline import Perception
+from push_ident.perception.search.segments import nearer_than_border
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.survey.survey import survey_frames
 from push_ident.types import BoolArray, DepthFrame, Float64Array
@@ -30,7 +31,7 @@ from push_ident_sim.studies.common.tables import markdown_table, number, share_t
 _N_FRAMES: Final = 44
 """Each frame is seen so many times, 1.5 s at 30 Hz: poses of what rests must not move."""
 _FOUND: Final = 0.5
-"""Least overlap of an outline with the footprint of a labelled thing: intersection over union of their convex hulls."""
+"""Least intersection over union, from above, of the convex hulls of an outline and of a labelled thing."""
 _MOVED: Final = (0.01, np.radians(10.0))
 """A pose that differs by more from the first one, in the same frame, is wrong [m, rad]."""
 _BESIDE: Final = 4
@@ -41,8 +42,6 @@ _HIDDEN: Final = 0.04
 """Least fraction of its surroundings that hides a thing which counts as partly hidden."""
 _LEAST: Final = (100, 0.012)
 """Points and height [m] of a labelled thing that counts: parts of the table are labelled, too."""
-_COUNTS: Final = ("things", "whole", "found", "refused", "unsaid", "tracked", "right", "lost")
-"""Of each frame."""
 _CELL: Final = 0.002
 """Of the grid in which overlaps are counted [m]."""
 
@@ -82,29 +81,26 @@ def labelled_things(frame: DepthFrame, labels: NDArray[np.int64], camera: Float6
     for label in np.unique(labels[labels > 0]):
         mask = (labels == label) & np.isfinite(points[..., 2])
         inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0  # points at an edge lie between two things
-        own = points[inner].astype(np.float64)
-        if len(own) < _LEAST[0] or np.quantile(own[:, 2], 0.98) < _LEAST[1]:
+        surface = points[inner].astype(np.float64)
+        if len(surface) < _LEAST[0] or np.quantile(surface[:, 2], 0.98) < _LEAST[1]:
             continue
-        inside = np.all((own[:, :2] > low) & (own[:, :2] < high))
+        inside = np.all((surface[:, :2] > low) & (surface[:, :2] < high))
         at_border = mask[:_BESIDE].any() or mask[-_BESIDE:].any() or mask[:, :_BESIDE].any() or mask[:, -_BESIDE:].any()
         hidden = bool(at_border or not inside or _is_hidden(frame.depth, mask, (labels > 0) & (labels != label)))
-        lowest, highest = np.quantile(own[:, 2], [0.02, 0.98])
-        things.append(Labelled(_hull(own[:, :2]), float(lowest), float(highest), hidden))
+        lowest, highest = np.quantile(surface[:, 2], [0.02, 0.98])
+        things.append(Labelled(_hull(surface[:, :2]), float(lowest), float(highest), hidden))
     return things
 
 
 def _is_hidden(depth: NDArray[np.float32], mask: BoolArray, others: BoolArray) -> bool:
-    _, nearest = cv2.distanceTransformWithLabels((~mask).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
-    own = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
-    own[nearest[mask]] = depth[mask]
-    beside = (cv2.dilate(mask.astype(np.uint8), np.ones((2 * _BESIDE + 1,) * 2, np.uint8)) > 0) & ~mask
-    with np.errstate(invalid="ignore"):
-        hiding = beside & others & (depth < own[nearest] - _STEP)
-    return bool(np.count_nonzero(hiding) > _HIDDEN * np.count_nonzero(beside))
+    """Whether other things beside the pixels of a thing are nearer to the camera than its border is."""
+    surroundings = (cv2.dilate(mask.astype(np.uint8), np.ones((2 * _BESIDE + 1,) * 2, np.uint8)) > 0) & ~mask
+    hiding = surroundings & others & nearer_than_border(depth, mask, _STEP)
+    return bool(np.count_nonzero(hiding) > _HIDDEN * np.count_nonzero(surroundings))
 
 
 def _stands_on_another(thing: Labelled, things: Sequence[Labelled]) -> bool:
-    """A quarter of it lies over another one, whose upper part is lower than its own lowest points."""
+    """Whether a quarter of its footprint lies over that of another thing, and it begins where that ends."""
     area = cv2.contourArea(thing.hull.astype(np.float32))
     return any(
         other is not thing and thing.low > max(_STEP, 0.6 * other.high) and _common(thing.hull, other.hull)[0] > 0.25 * area
@@ -140,14 +136,11 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     things = labelled_things(frame, labels, survey.camera_in_table, survey.settings)
     perception, first = Perception(survey.camera_in_table, survey.settings, occupancy=False), dict[str, Float64Array]()
     for i in range(_N_FRAMES):
-        try:
-            observation = perception.observe(replace(frame, stamp=i / 30))
-        except PerceptionError:
-            return finite({"things": len(things), "tracked": 0, "unusable": 1})
+        observation = perception.observe(replace(frame, stamp=i / 30))
         first |= {name: perception.first_pose(name) for name in observation.new_shapes}
     tracked = {known.object_id: known.pose for known in observation.objects if known.pose is not None}
     outlines = {name: _hull(transform_points(pose, perception.known(name).traced.shape.outline)) for name, pose in tracked.items()}
-    faults, seen = [], set()
+    faults, right = [], set[int]()
     for name, outline in outlines.items():
         overlaps = [_overlap(outline, thing.hull) for thing in things]
         best = int(np.argmax(overlaps)) if overlaps else -1
@@ -161,21 +154,19 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         elif np.hypot(*shift[:2]) > _MOVED[0] or abs(float(wrap_angle(shift[2]))) > _MOVED[1]:
             faults.append("elsewhere")
         else:
-            seen.add(best)
+            right.add(best)
     whole = [i for i, thing in enumerate(things) if not (thing.hidden or _stands_on_another(thing, things))]
     refused = [i for i in range(len(things)) if any(_common(refusal.outline, things[i].hull)[0] > 0 for refusal in observation.refused)]
     return finite(
         {
             "things": len(things),
             "whole": len(whole),
-            "found": len([i for i in whole if i in seen]),
-            "refused": len([i for i in whole if i not in seen and i in refused]),
-            "unsaid": len([i for i in range(len(things)) if i not in seen and i not in refused]),
+            "found": len([i for i in whole if i in right]),
+            "refused": len([i for i in whole if i not in right and i in refused]),
+            "unsaid": len([i for i in range(len(things)) if i not in right and i not in refused]),
             "tracked": len(tracked),
-            "right": len(seen),
+            "right": len(right),
             "faults": dict(Counter(faults)),
-            "lost": len(first) - len(tracked),
-            "unusable": 0,
         }
     )
 
@@ -189,14 +180,11 @@ def find_frames(folder: Path) -> dict[str, Path]:
 
 
 def _row(cases: Sequence[Json]) -> Json:
-    faults = sum((Counter(v.get("faults", {})) for v in cases), Counter[str]())
-    total = {
-        key: sum(v.get(key, 0) for v in cases) for key in ("things", "whole", "found", "refused", "unsaid", "tracked", "right", "lost")
-    }
+    faults = sum((Counter(v["faults"]) for v in cases), Counter[str]())
+    total = {key: sum(v[key] for v in cases) for key in ("things", "whole", "found", "refused", "unsaid", "tracked", "right")}
     return {
         **total,
         "frames": len(cases),
-        "unusable": sum(v["unusable"] for v in cases),
         "wrong": share([i >= total["right"] for i in range(total["tracked"])]),
         "of_whole": share([i < total["found"] for i in range(total["whole"])]),
         "faults": dict(faults),
@@ -215,18 +203,7 @@ def _group(name: str) -> str:
 
 
 def _tables(summary: Json) -> str:
-    head = [
-        "frames",
-        "",
-        "labelled",
-        "whole",
-        "found of whole",
-        "refused of whole",
-        "neither, of all",
-        "tracked",
-        "of these wrong",
-        "faults",
-    ]
+    head = ["", "frames", "labelled", "whole", "whole: found", "whole: refused", "all: neither", "tracked", "of these wrong", "faults"]
     rows = []
     for name, row in summary["sets"].items():
         faults = ", ".join(f"{n} {fault}" for fault, n in row["faults"].items()) or "–"

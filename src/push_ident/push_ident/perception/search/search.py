@@ -135,7 +135,7 @@ class Search:
         unexplained = _unexplained(segments, points, list(tracked.values()), least_area)
         fits = {}
         for name, known in self._objects.items():
-            # What is where it was, but for a part of it, is nowhere else.
+            # One of which a part is missing is where it was: elsewhere, or turned round, another thing would be taken for it.
             is_there = known.is_tracked or known.status is TrackStatus.PART_MISSING
             fit = None if is_there else self._tracker.find_again(view, name, unexplained)
             if fit is not None:
@@ -421,7 +421,7 @@ def check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> No
 
 
 def _check_tracked(traced: TracedObject, view: FrameView, others: Sequence[Placed]) -> None:
-    """Raises PerceptionError unless the object is found in a frame where it was traced: who is told of it gets its pose from now on."""
+    """Raises PerceptionError unless a pose fit in a frame of the same rest finds the object where it was traced."""
     template, accepted = Template(traced), view.settings.tracking
     max_step, max_turn = accepted.max_jump
     fit = fit_pose(template, view, traced.pose, others)

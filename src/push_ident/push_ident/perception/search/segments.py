@@ -24,6 +24,9 @@ from push_ident.types import BoolArray, Float64Array
 
 _NEAR: Final = 4
 """Distance at which a robot pixel or the image border counts as touching [px]."""
+_SEES_WALLS: Final = 0.5
+"""Sine of the least angle between line of sight and vertical at which walls, and so the lower border of a thing, are seen well [-]: 30
+degrees, where a wall covers half as many pixels as from the side."""
 _OWN_SHADOW: Final = 1.0 / 3.0
 """Width of the shadow that a step of an object leaves on the object itself over the height of the step [-]: a baseline of a third of the
 distance, that of a structured-light scanner near its object; other depth cameras have a tenth or less."""
@@ -77,14 +80,15 @@ def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[
     around = _grown(inside, _NEAR) & ~inside
     if np.any(around & (at == ROBOT)):
         return Reason.BESIDE_ROBOT
-    beyond = _grown(_through(inside, at == UNKNOWN, reach), _NEAR)
-    hides = others & _nearer(view.frame.depth[wide], inside, settings.min_step)
-    if np.count_nonzero(hides & around) >= _SMALLEST_PATCH or _mostly(hides & beyond, np.where(beyond & others, surfaces[wide], 0)):
-        return Reason.BEHIND_ANOTHER
-    if np.count_nonzero(around & others) > settings.segments.on_another * np.count_nonzero(around):
-        return Reason.STACKED
-    if _stands_on_another(view, points, inside, others, at == TABLE):
-        return Reason.STACKED
+    if others.any():
+        hiding = others & nearer_than_border(view.frame.depth[wide], inside, settings.min_step)
+        across_shadow = others & _grown(_with_shadow(inside, at == UNKNOWN, reach), _NEAR)
+        is_hidden_across = _has_most_of_one(hiding & across_shadow, np.where(across_shadow, surfaces[wide], 0))
+        if np.count_nonzero(hiding & around) >= _SMALLEST_PATCH or is_hidden_across:
+            return Reason.BEHIND_ANOTHER
+        on_others = np.count_nonzero(around & others) > settings.segments.on_another * np.count_nonzero(around)
+        if on_others or _stands_on_another(view, points, inside, others, at == TABLE):
+            return Reason.STACKED
     if _beside_unmeasured(view, box, inside, around, at != UNKNOWN):
         return Reason.BESIDE_UNMEASURED
     return None
@@ -99,8 +103,8 @@ def _grown(mask: BoolArray, by: int) -> BoolArray:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((2 * by + 1, 2 * by + 1), np.uint8)) > 0)
 
 
-def _through(inside: BoolArray, unmeasured: BoolArray, reach: int) -> BoolArray:
-    """The pixels of a segment and the unmeasured ones beside it, up to so many pixels away: what hides it may stand behind a shadow."""
+def _with_shadow(inside: BoolArray, unmeasured: BoolArray, reach: int) -> BoolArray:
+    """The pixels of a segment, and the unmeasured ones connected with it, up to `reach` pixels away."""
     grown, allowed = inside.astype(np.uint8), (inside | unmeasured).astype(np.uint8)
     for _ in range(reach):
         grown = cv2.dilate(grown, np.ones((3, 3), np.uint8)) & allowed
@@ -108,22 +112,23 @@ def _through(inside: BoolArray, unmeasured: BoolArray, reach: int) -> BoolArray:
 
 
 def _stands_on_another(view: FrameView, points: Float64Array, inside: BoolArray, others: BoolArray, table: BoolArray) -> bool:
-    """Whether the lower border of a segment with these points [m], shape (n, 3), table frame, meets other things more than the table.
+    """Whether other things, rather than the table, are below the lower border of a segment in the image.
 
-    From straight above no lower border is seen: within 30 degrees of that nothing is said.
+    `points`: of the segment [m], shape (n, 3), table frame. False where the camera looks down so steeply that it sees no walls.
     """
     camera, intrinsics = view.camera_in_table, view.frame.intrinsics
-    foot = np.median(points, axis=0)
-    in_camera = (np.array([foot, foot - np.array([0.0, 0.0, 1e-3])]) - camera[:3, 3]) @ camera[:3, :3]
+    middle = np.median(points, axis=0)
+    in_camera = (np.array([middle, middle - (0.0, 0.0, 1e-3)]) - camera[:3, 3]) @ camera[:3, :3]
+    # Downwards in the image, for a metre downwards across the line of sight.
     down = np.diff(in_camera[:, :2] / in_camera[:, 2:], axis=0)[0] * in_camera[0, 2] / 1e-3
-    steepness = float(np.hypot(*down))
-    if steepness < 0.5:
+    sine = float(np.hypot(*down))
+    if sine < _SEES_WALLS:
         return False
-    columns, rows = np.rint(_NEAR * down / steepness * np.array([1.0, intrinsics.fy / intrinsics.fx])).astype(int)
+    columns, rows = np.rint(_NEAR * down / sine * (1.0, intrinsics.fy / intrinsics.fx)).astype(int)
     height, width = inside.shape
     shift = np.array([[1, 0, -columns], [0, 1, -rows]], dtype=np.float32)
-    below, on_table = (cv2.warpAffine(mask.astype(np.uint8), shift, (width, height)) for mask in (others, table))
-    return bool(np.count_nonzero(inside & (below > 0)) > np.count_nonzero(inside & (on_table > 0)))
+    below_others, below_table = (cv2.warpAffine(mask.astype(np.uint8), shift, (width, height)) > 0 for mask in (others, table))
+    return bool(np.count_nonzero(inside & below_others) > np.count_nonzero(inside & below_table))
 
 
 def _beside_unmeasured(view: FrameView, box: tuple[slice, slice], inside: BoolArray, around: BoolArray, measured: BoolArray) -> bool:
@@ -191,8 +196,11 @@ def _boxes(surfaces: NDArray[np.int32], region: tuple[slice, slice]) -> list[tup
     ]
 
 
-def _nearer(depth: NDArray[np.float32], inside: BoolArray, step: float) -> BoolArray:
-    """Which pixels are nearer to the camera, by more than a step, than the border of a segment beside them."""
+def nearer_than_border(depth: NDArray[np.float32], inside: BoolArray, step: float) -> BoolArray:
+    """Which pixels are nearer to the camera by more than `step` [m] than the border pixel of a segment nearest to them.
+
+    `depth` [m] and `inside`, the pixels of the segment, have shape (rows, columns), as the result.
+    """
     _, nearest = cv2.distanceTransformWithLabels((~inside).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     depth_of = np.zeros(int(nearest.max()) + 1, dtype=np.float32)
     depth_of[nearest[inside]] = depth[inside]
@@ -200,11 +208,11 @@ def _nearer(depth: NDArray[np.float32], inside: BoolArray, step: float) -> BoolA
         return np.asarray(depth < depth_of[nearest] - step)
 
 
-def _mostly(mask: BoolArray, surfaces: NDArray[np.int32]) -> bool:
-    """Whether more than half of what is seen of one of these surfaces, number 0 left out, is in the mask."""
-    seen = np.bincount(surfaces.ravel())
-    masked = np.bincount(surfaces[mask], minlength=len(seen))
-    return bool(np.any((masked[1:] >= _SMALLEST_PATCH) & (2 * masked[1:] > seen[1:])))
+def _has_most_of_one(mask: BoolArray, surfaces: NDArray[np.int32]) -> bool:
+    """Whether more than half of the pixels of one surface, of those numbered from 1 on, are in the mask."""
+    n_pixels = np.bincount(surfaces.ravel())
+    n_masked = np.bincount(surfaces[mask], minlength=len(n_pixels))
+    return bool(np.any((n_masked[1:] >= _SMALLEST_PATCH) & (2 * n_masked[1:] > n_pixels[1:])))
 
 
 def split_surfaces(depth: NDArray[np.float32], mask: BoolArray, focal: float, step: float) -> NDArray[np.int32]:

@@ -84,6 +84,10 @@ class TrackedObject:
         age = stamp - self.stamp
         return self.pose + self.velocity * age if 0 < age < _MAX_AGE else self.pose
 
+    def distance_to(self, fit: PoseFit) -> float:
+        """From its latest pose [m]."""
+        return float(np.linalg.norm((fit.pose - self.pose)[:2]))
+
     def accept(self, fit: PoseFit, stamp: float) -> None:
         """Update status, pose and velocity with a fit."""
         self.status = fit.status
@@ -295,13 +299,12 @@ class Tracker:
         low, high = view.settings.tracking.same_area
         fits = []
         for segment in segments:
-            if low * known.area < segment.area < high * known.area and _is_as_high(segment, view.points, known.template.top_range[1]):
+            if low * known.area < segment.area < high * known.area:
                 fit = relocate(known.template, view, segment.centre, others=others, last_yaw=float(known.pose[2]))
                 if fit.status is TrackStatus.TRACKED and not compare_upper_side(known.template, view, fit.pose, others).is_part_missing:
                     fits.append(fit)
-        fits.sort(key=lambda fit: float(np.linalg.norm((fit.pose - known.pose)[:2])))
-        nearest, next_one = ([float(np.linalg.norm((fit.pose - known.pose)[:2])) for fit in fits] + [np.inf] * 2)[:2]
-        if not 2.0 * nearest < next_one:
+        fits.sort(key=known.distance_to)
+        if not fits or (len(fits) > 1 and 2.0 * known.distance_to(fits[0]) >= known.distance_to(fits[1])):
             return None
         self.separation.clear(name)
         known.accept(fits[0], view.frame.stamp)
@@ -364,14 +367,10 @@ def _is_all_parts(suspect: _Suspect, segment: Segment, points: NDArray[np.float3
     low, high = (share * suspect.area for share in _TOGETHER)
     if not low < segment.area < high:
         return False
+    heights = segment.points_in(points)[:, 2]
+    same_height = abs(float(np.quantile(heights, TOP_QUANTILE)) - suspect.height) < _SAME_HEIGHT
     # What is left of the object when a part was taken away lies within its outline.
-    return _is_as_high(segment, points, suspect.height) and _area_beyond(segment, points, suspect.placed) > MISSING
-
-
-def _is_as_high(segment: Segment, points: NDArray[np.float32], height: float) -> bool:
-    """Whether a segment is as high as an object [m]."""
-    heights = segment.measured_in(points)[:, 2]
-    return len(heights) > 0 and abs(float(np.quantile(heights, TOP_QUANTILE)) - height) < _SAME_HEIGHT
+    return same_height and _area_beyond(segment, points, suspect.placed) > MISSING
 
 
 def _area_beyond(segment: Segment, points: NDArray[np.float32], placed: Placed) -> float:
