@@ -210,6 +210,15 @@ def test_a_lost_symmetric_object_is_found_only_where_place_and_heading_are_certa
         assert np.all(np.abs(error_of(known.pose, seen[3].objects[0].pose + moved)) < [2e-3, 2e-3, 3e-2])
 
 
+def test_a_lost_object_that_is_beside_two_segments_is_in_one_place():
+    """A rod, as an arm, passes over it: both its segment and that of the rod lead to it."""
+    parts = (0.12, 0.06, 0.05, 0.0, 0.0), (0.4, 0.012, 0.01, np.pi / 2, 0.15)
+    there, rod = (box(0.06, -0.05, *size, FIRST[2] + turn, bottom) for *size, turn, bottom in parts)
+    _, seen = observed([[box(*FIRST[:2], 0.12, 0.06, 0.05, FIRST[2])]] * 4 + [[]] + [[there, rod]] * 3, rest_frames=3)
+    moved = seen[7].objects[0].pose - seen[3].objects[0].pose
+    assert np.all(np.abs(moved - (0.03, -0.03, 0.0)) < [2e-3, 2e-3, 1e-2])
+
+
 def test_a_thing_of_another_height_is_not_the_lost_object():
     there = [box(FIRST[0], FIRST[1] + 0.1, 0.12, 0.06, 0.08, FIRST[2])]
     _, seen = observed([[box(*FIRST[:2], 0.12, 0.06, 0.05, FIRST[2])]] * 4 + [[]] + [there] * 2, rest_frames=3)

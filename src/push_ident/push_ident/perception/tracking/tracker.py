@@ -84,10 +84,6 @@ class TrackedObject:
         age = stamp - self.stamp
         return self.pose + self.velocity * age if 0 < age < _MAX_AGE else self.pose
 
-    def distance_to(self, fit: PoseFit) -> float:
-        """From its latest pose [m]."""
-        return float(np.linalg.norm((fit.pose - self.pose)[:2]))
-
     def accept(self, fit: PoseFit, stamp: float) -> None:
         """Update status, pose and velocity with a fit."""
         self.status = fit.status
@@ -291,24 +287,26 @@ class Tracker:
         return fits
 
     def find_again(self, view: FrameView, name: str, segments: Sequence[Segment]) -> PoseFit | None:
-        """Fit of a lost object to the one segment that it fits as a whole; None where it fits none, or several.
+        """Fit of a lost object at the one place where it fits as a whole, beside a segment of similar area; None where there is none.
 
-        One of several is taken where it lies less than half as far from the last place of the object as the next.
+        One of several places is taken where it is less than half as far from the last place of the object as the next.
         """
         known, others = self._objects[name], self._objects.others_near(name)
-        low, high = view.settings.tracking.same_area
-        fits = []
+        (low, high), (same_place, _) = view.settings.tracking.same_area, view.settings.tracking.max_jump
+        fits = list[PoseFit]()
         for segment in segments:
             if low * known.area < segment.area < high * known.area:
                 fit = relocate(known.template, view, segment.centre, others=others, last_yaw=float(known.pose[2]))
                 if fit.status is TrackStatus.TRACKED and not compare_upper_side(known.template, view, fit.pose, others).is_part_missing:
                     fits.append(fit)
-        fits.sort(key=known.distance_to)
-        if not fits or (len(fits) > 1 and 2.0 * known.distance_to(fits[0]) >= known.distance_to(fits[1])):
+        nearest = min(fits, key=lambda fit: _apart(fit.pose, known.pose), default=None)
+        # Several segments, as on both sides of an arm, may show the object in one place.
+        elsewhere = [fit for fit in fits if nearest is not None and _apart(fit.pose, nearest.pose) > same_place]
+        if nearest is None or any(2.0 * _apart(nearest.pose, known.pose) >= _apart(fit.pose, known.pose) for fit in elsewhere):
             return None
         self.separation.clear(name)
-        known.accept(fits[0], view.frame.stamp)
-        return fits[0]
+        known.accept(nearest, view.frame.stamp)
+        return nearest
 
     def adopt(
         self, refined: Mapping[str, tuple[Refined, Template]], view: FrameView, fits: dict[str, PoseFit]
@@ -360,6 +358,11 @@ class Tracker:
                 self.separation.suspect(name, known.placed, known.area, upper_side)
         known.accept(fit, view.frame.stamp)
         return fit
+
+
+def _apart(pose: Float64Array, other: Float64Array) -> float:
+    """Distance of two poses (x, y, yaw) [m]."""
+    return float(np.linalg.norm((pose - other)[:2]))
 
 
 def _is_all_parts(suspect: _Suspect, segment: Segment, points: NDArray[np.float32]) -> bool:
