@@ -17,7 +17,7 @@ setup(
     ],
     # What is needed to run stands in package.xml (rosdep) and in requirements/ (pip).
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest"], "pusht": ["gym-pusht"]},
+    extras_require={"test": ["pytest"], "newton": ["newton"], "pusht": ["gym-pusht"]},
     python_requires=">=3.11",
     zip_safe=False,
     maintainer="push_ident maintainers",

@@ -28,6 +28,11 @@ BODY = """<robot name="block"><link name="base">
 <collision><origin xyz="0 0 0.015"/><geometry><box size="0.16 0.06 0.03"/></geometry></collision>
 <contact><lateral_friction value="0.4"/></contact></link></robot>"""
 
+SDF = """<sdf version="1.6"><model name="block"><link name="base"><pose>0 0 0.015 0 0 0</pose>
+<inertial><pose>0.02 0.01 0 0 0 0</pose><mass>0.5</mass><inertia><ixx>1e-4</ixx><iyy>1e-3</iyy><izz>1e-3</izz></inertia></inertial>
+<collision name="box"><geometry><box><size>0.16 0.06 0.03</size></box></geometry>
+<surface><friction><ode><mu>0.4</mu><mu2>0.4</mu2></ode></friction></surface></collision></link></model></sdf>"""
+
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
@@ -93,6 +98,41 @@ def test_what_bullet_cannot_be_is_said(path: Path, tmp_path: Path) -> None:
 def test_options_name_a_scene_by_its_suffix(path: Path, tmp_path: Path) -> None:
     scene = scene_of(path, "", "", "0.1,0,0", "", "0.5,0.8")
     assert isinstance(scene, BulletScene) and (scene.table_friction, scene.pusher_friction) == (0.5, 0.8)
-    for file, friction, expected in (("thing.sdf", "", "nor inertia of SDF"), ("thing.urdf", "0.5", "--engine-friction")):
+    with pytest.raises(InputError, match="--engine-friction"):
+        scene_of(tmp_path / "thing.sdf", "", "", "", "", "0.5")
+
+
+def test_an_sdf_is_the_object_of_the_same_urdf_with_its_inertia_and_friction(tmp_path: Path) -> None:
+    files = {tmp_path / "block.urdf": BODY, tmp_path / "block.sdf": SDF, tmp_path / "heavy.sdf": SDF.replace("<izz>1e-3", "<izz>1e-2")}
+    files[tmp_path / "smooth.sdf"] = SDF.replace("0.4", "0.2")
+    ends = []
+    # A tool that leaves the object in motion, which inertia and friction then decide.
+    throw = PusherPath(np.array([0.0, 0.1, 0.2]), np.array([[0.07, -0.06], [0.07, 0.02], [0.07, -0.06]]), 0.01)
+    for file, text in files.items():
+        file.write_text(text, encoding="utf-8")
+        ends.append(BulletScene(file).simulate(np.zeros(3), throw, np.array([0.5]))[0])
+    # A micrometre at the start changes an end in Bullet by as much.
+    np.testing.assert_allclose(ends[1], ends[0], atol=5e-3)
+    assert min(np.abs(ends[2] - ends[1]).max(), np.abs(ends[3] - ends[1]).max()) > 0.02
+
+
+def test_a_corrected_sdf_is_written_as_one_with_what_the_world_needs(path: Path, tmp_path: Path) -> None:
+    file = tmp_path / "block.sdf"
+    file.write_text(SDF, encoding="utf-8")
+    scene = BulletScene(file).with_object(TRUTH, effect_values({"table_tilt": [0.05, 0.0]})).with_precise_contact(0.3)
+    assert [one.name for one in scene.write(tmp_path / "fixed.sdf")] == ["fixed.sdf.obj", "fixed.sdf"]
+    assert "<sdf" in (tmp_path / "fixed.sdf").read_text(encoding="utf-8") and "<gravity>0.4905" in scene.contact_settings
+    assert set(scene.words) == set(BulletScene(path).words)
+
+
+def test_an_sdf_that_bullet_cannot_be_is_refused(tmp_path: Path) -> None:
+    second = SDF[SDF.index("<collision") : SDF.index("</link>")].replace("0.4", "0.1").replace('"box"', '"other"')
+    for text, expected in (
+        ("<sdf", "Cannot read"),
+        (SDF.replace("1e-4", "much"), "Cannot read"),
+        (SDF.replace("</link>", f"{second}</link>"), "collisions of the link `base`"),
+        (SDF.replace("<model", "<other").replace("</model", "</other"), "0 models"),
+    ):
+        (tmp_path / "block.sdf").write_text(text, encoding="utf-8")
         with pytest.raises(InputError, match=expected):
-            scene_of(tmp_path / file, "", "", "", "", friction)
+            BulletScene(tmp_path / "block.sdf")

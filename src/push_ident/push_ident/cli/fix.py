@@ -39,7 +39,7 @@ _PageOption = Annotated[
     Path | None, typer.Option("--page", metavar="FILE", help="Write a page (HTML).", callback=writable_file, show_default=False)
 ]
 _SceneArgument = Annotated[
-    Path, typer.Argument(metavar="SCENE", help="MJCF file of MuJoCo, or URDF of the object for Bullet.", show_default=False)
+    Path, typer.Argument(metavar="SCENE", help="MJCF file of MuJoCo, or URDF or SDF of the object, for Bullet.", show_default=False)
 ]
 
 
@@ -76,7 +76,7 @@ def fix_command(
         check_number_of_pushes(loaded.records)
         effects = with_
         if effects is None:
-            diagnosis = diagnose(loaded.records, DiagnosisSettings(prior=prior), on_progress=report)
+            diagnosis = diagnose(loaded.records, DiagnosisSettings(prior=prior), proposes_push=False, on_progress=report)
             effects = [effect.name for effect in diagnosis.effects]
         gap = simulator_gap(loaded.records, simulator, prior, effects=effects, nuisances=loaded.nuisances, on_progress=report)
         report("identifying from all pushes")

@@ -33,7 +33,7 @@ EngineFrictionOption = Annotated[
     typer.Option(
         "--engine-friction",
         metavar="TABLE,PUSHER",
-        help="Of a URDF: lateral friction of plane and pusher in your program.",
+        help="Of a URDF or SDF: lateral friction of plane and pusher in your program.",
         show_default="1,1",
     ),
 ]
@@ -47,13 +47,11 @@ def scene_of(
         parse_floats(text or "0,0,0", ("m", "m", "rad"), option, "X,Y,YAW in metres and radians, such as 0.4,-0.1,1.57")
         for text, option in ((table_in_scene, "--table-in-scene"), (object_in_body, "--object-in-body"))
     )
-    if path.suffix.lower() == ".urdf":
+    if path.suffix.lower() in (".urdf", ".sdf"):
         from push_ident.simulators.bullet_scene import BulletScene
 
         of_table, of_pusher = parse_floats(engine_friction or "1,1", ("", ""), "--engine-friction", "TABLE,PUSHER, such as 0.5,1.0")
         return BulletScene(path, float(of_table), float(of_pusher), table, frame)
-    if path.suffix.lower() == ".sdf":
-        raise InputError(f"{path}: PyBullet reads neither friction nor inertia of SDF; give an MJCF file of MuJoCo, or a URDF.")
     from push_ident.simulators.mujoco_scene import MujocoScene
 
     if not object_body or not pusher_body:

@@ -49,6 +49,7 @@ def diagnose(
     *,
     against: Sequence[PushRecord] = (),
     push_settings: PushSettings | None = None,
+    proposes_push: bool = True,
     earlier: Diagnosis | None = None,
     on_progress: Progress | None = None,
 ) -> Diagnosis:
@@ -60,6 +61,7 @@ def diagnose(
         against: pushes of the same object in the same cell while all was well. What both recordings share is then no cause: effects are
             changes since.
         push_settings: limits of the push that is proposed.
+        proposes_push: False saves the time of looking for one.
         earlier: outcome for the first of these pushes: fits start at its fits, which takes less time and may end in another minimum of
             a cost with kinks, within the tolerance of the fits. Where its pushes are others, it is not used.
         on_progress: called with what is under way.
@@ -79,7 +81,7 @@ def diagnose(
     if camera_is_in_question(state):
         report("the camera is less accurate than a calibrated one: its errors are effects now")
         state = select(fit_base_model(question_camera(state), report), report)
-    return explain(decide(validate(state, report)), push_settings, report)
+    return explain(decide(validate(state, report)), push_settings, report, proposes_push=proposes_push)
 
 
 def initial_state(records: Sequence[PushRecord], settings: DiagnosisSettings) -> DiagnosisState:

@@ -21,7 +21,7 @@ _ANYWHERE = (-1.0, 1.0, -1.0, 1.0)
 """Workspace of a proposed push where the caller gave no limits [m]."""
 
 
-def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progress: Progress) -> Diagnosis:
+def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progress: Progress, *, proposes_push: bool = True) -> Diagnosis:
     """The outcome of a diagnosis after all other stages; where a gate was not passed, it abstains.
 
     `push_settings`: limits of the push that is proposed, from where the object lies now.
@@ -29,11 +29,11 @@ def explain(state: DiagnosisState, push_settings: PushSettings | None, on_progre
     policy, validation, decision = state.settings.policy, state.validation, state.decision
     if validation is None or decision is None:
         return _abstention(state)
-    on_progress("looking for the next push")
     last = state.records[-1]
     pose, limits = np.array(last.poses.pose[-1]), push_settings or PushSettings(pusher_radius=last.pusher.radius, workspace=_ANYWHERE)
     next_push = None
-    if validation.account.more_pushes != 0:
+    if proposes_push and validation.account.more_pushes != 0:
+        on_progress("looking for the next push")
         next_push = most_informative_push(validation.selection.fit, pose, limits, policy.next_push)
     something_else = validation.something_else
     sources = [state.source_of(push) for push in range(len(state.records) + len(state.reference))]

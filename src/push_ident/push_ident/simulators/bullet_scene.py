@@ -1,4 +1,4 @@
-"""An object of Bullet as a simulator of pushes: a URDF on a plane, pushed by a ball that follows the recorded path.
+"""An object of Bullet as a simulator of pushes: a URDF or SDF on a plane, pushed by a ball that follows the recorded path.
 
 Bullet solves friction on the axes of the table, each with its own effective mass: where these differ, as at the ends of a long object, the
 direction of a friction force is up to 30 degrees wrong, whatever the parameters are (docs/how-to/own-simulator.md).
@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -45,9 +46,10 @@ Pose = Callable[[], Float64Array]
 
 @dataclass(frozen=True)
 class BulletScene:
-    """An object in a URDF file whose z axis points up, at rest on a plane whose world frame is `table_in_world`.
+    """An object in a URDF or SDF file whose z axis points up, at rest on a plane whose world frame is `table_in_world`.
 
-    Bullet multiplies the friction of two bodies: that of the plane and of the pusher are as in the user's program.
+    Bullet multiplies the friction of two bodies: that of the plane and of the pusher are as in the user's program. Gazebo, whose format SDF
+    is, takes the smaller one: with 1 here, that of the object, on a table and against a pusher that are no smoother.
     """
 
     path: Path
@@ -95,8 +97,21 @@ class BulletScene:
         return replace(self, precise=True, identified=identified)
 
     @property
+    def in_threads(self) -> bool:
+        """As of `CorrectableSimulator`: PyBullet keeps its clients in one table."""
+        return False
+
+    @property
     def words(self) -> Mapping[str, str]:
         """As of `CorrectableSimulator`."""
+        if _is_sdf(self.path):
+            pusher = "mu and mu2 of the outline"
+            return {
+                OBJECT: "inertial and surface of its links",
+                CONTACT: pusher,
+                ExportAs.GRAVITY.value: "gravity of the world",
+                ExportAs.PUSHER_FRICTION.value: pusher,
+            }
         return {
             OBJECT: "inertial and lateral_friction of its links",
             CONTACT: "lateralFriction of the pusher, enableConeFriction",
@@ -107,6 +122,12 @@ class BulletScene:
     @property
     def contact_settings(self) -> str:
         """For people: what a program has to set for the gravity and the contact of this scene."""
+        if _is_sdf(self.path):
+            gravity = " ".join(f"{value:.4f}" for value in self.gravity)
+            return (
+                f"<gravity>{gravity}</gravity> of the world, table and pusher no smoother than the object; compared in Bullet, "
+                "with a cone of friction: Gazebo did not run; a comment in the file names the rest"
+            )
         gravity = ", ".join(f"{value:.4f}" for value in self.gravity)
         return (
             f"setGravity({gravity}), setPhysicsEngineParameter(enableConeFriction=1), lateralFriction {self.table_friction:g} of the plane "
@@ -114,10 +135,11 @@ class BulletScene:
         )
 
     def write(self, path: Path) -> list[Path]:
-        """Write the identified object as URDF with its mesh; the files written. Raises InputError where none was identified."""
+        """Write the identified object with its mesh, as SDF where the suffix says so and else as URDF; the files written. Raises InputError
+        where none was identified."""
         if self.identified is None:
             raise InputError(f"{self.path} has no identified object that could be written; correct it first with `with_object`.")
-        return write_description(path, self.identified, "urdf")
+        return write_description(path, self.identified, "sdf" if _is_sdf(path) else "urdf")
 
     def simulate(self, first_pose: Float64Array, tool_path: PusherPath, times: Float64Array) -> Float64Array:
         """As of `PushSimulator`; a pusher that is a polygon is refused.
@@ -180,16 +202,13 @@ class BulletScene:
             client.disconnect()
 
     def _loaded(self, client: Any) -> tuple[int, Place, Pose]:
-        import pybullet as bullet
-
-        flags = bullet.URDF_USE_INERTIA_FROM_FILE
         if self.identified is None:
-            body = _load(client, self.path, flags)
+            body = _load(client, self.path)
         else:
             with tempfile.TemporaryDirectory() as folder:
                 file = Path(folder) / "identified.urdf"
                 self.write(file)
-                body = _load(client, file, flags)
+                body = _load(client, file)
         return _object_in_plane(client, body) if _is_in_plane(client, body) else _free_object(client, body)
 
 
@@ -202,29 +221,80 @@ def _is_in_plane(client: Any, body: int) -> bool:
 
 
 def _connected() -> Any:
-    """A client of Bullet of its own, which says hello on no standard output: results may be written there."""
+    """A client of Bullet of its own."""
     import pybullet as bullet
     from pybullet_utils.bullet_client import BulletClient
 
+    with _nothing_on_standard_output():
+        return BulletClient(connection_mode=bullet.DIRECT)
+
+
+@contextmanager
+def _nothing_on_standard_output() -> Iterator[None]:
+    """Bullet says hello and warns there, where results may be written."""
     sys.stdout.flush()
     output = os.dup(1)
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         os.dup2(nowhere.fileno(), 1)
         try:
-            return BulletClient(connection_mode=bullet.DIRECT)
+            yield
         finally:
             os.dup2(output, 1)
             os.close(output)
 
 
-def _load(client: Any, path: Path, flags: int) -> int:
+def _load(client: Any, path: Path) -> int:
     """A body. Raises InputError where Bullet cannot read it."""
     import pybullet as bullet
 
     try:
-        return int(client.loadURDF(str(path), flags=flags))
+        if _is_sdf(path):
+            return _load_sdf(client, path)
+        return int(client.loadURDF(str(path), flags=bullet.URDF_USE_INERTIA_FROM_FILE))
     except bullet.error as error:
-        raise InputError(f"Bullet cannot read {path}: {error}. Give a URDF of the object, with mesh paths relative to it.") from None
+        raise InputError(f"Bullet cannot read {path}: {error}. Give a URDF or SDF of the object, with mesh paths relative to it.") from None
+
+
+def _is_sdf(path: Path) -> bool:
+    return path.suffix.lower() == ".sdf"
+
+
+def _load_sdf(client: Any, path: Path) -> int:
+    """A model of one body. Bullet reads shapes, masses and fixed joints; inertia and friction are read here, for it takes neither."""
+    links = _links_of_sdf(path)
+    with _nothing_on_standard_output():
+        bodies = client.loadSDF(str(path))
+    if len(bodies) != 1:
+        raise InputError(f"{path} has {len(bodies)} models, expected one: the object alone.")
+    body = int(bodies[0])
+    names = {-1: client.getBodyInfo(body)[0], **{k: client.getJointInfo(body, k)[12] for k in range(client.getNumJoints(body))}}
+    for number, name in names.items():
+        friction, inertia = links[name.decode("utf-8")]
+        client.changeDynamics(body, number, lateralFriction=friction)
+        if inertia is not None:
+            client.changeDynamics(body, number, localInertiaDiagonal=inertia)
+    return body
+
+
+def _links_of_sdf(path: Path) -> dict[str, tuple[float, list[float] | None]]:
+    """Coefficient of friction [1], 1 where none is given, and moments of inertia [kg m^2] of each link; a push in the plane depends on no
+    product of inertia. Raises InputError where it is no XML or a link has more than one coefficient."""
+    try:
+        links = ElementTree.parse(path).getroot().iter("link")
+        read = {}
+        for link in links:
+            coefficients = {float(one.findtext("surface/friction/ode/mu", "1")) for one in link.iter("collision")}
+            if len(coefficients) > 1:
+                raise InputError(
+                    f"{path}: the collisions of the link `{link.get('name')}` have the coefficients of friction {sorted(coefficients)}, "
+                    "expected one, as Bullet has one for a link; make links of them with fixed joints."
+                )
+            tensor = link.find("inertial/inertia")
+            inertia = None if tensor is None else [float(tensor.findtext(tag, "1")) for tag in ("ixx", "iyy", "izz")]
+            read[link.get("name", "")] = (next(iter(coefficients), 1.0), inertia)
+    except (OSError, ElementTree.ParseError, ValueError) as error:
+        raise InputError(f"Cannot read {path}: {error}. Give an SDF of the object.") from None
+    return read
 
 
 def _free_joints(client: Any, body: int) -> None:

@@ -171,8 +171,8 @@ def simulator_gap(
         report(f"identifying {' and '.join(('the object', *names))} from {len(train)} pushes")
         return _identified(train, prior, names, options)
 
-    # Nobody said that the simulator may run twice at once.
-    for fold, fit in enumerate(map_in_threads(identified, range(_FOLDS))):
+    def repeat(fold_and_fit: tuple[int, Identification]) -> None:
+        fold, fit = fold_and_fit
         held_out = list(range(fold, len(records), _FOLDS))
         tests = [records[k] for k in held_out]
         for row, scene in enumerate(_corrected_one_after_the_other(simulator, fit, in_scene), start=1):
@@ -181,6 +181,10 @@ def simulator_gap(
         for n in range(len(left_out) + 1):
             acting = _without(fit.posterior.effects, left_out[n:])
             errors[len(stages) - len(left_out) + n, held_out] = held_out_errors(fit.model, tests, effects=acting)
+
+    fits = enumerate(map_in_threads(identified, range(_FOLDS)))
+    at_once = isinstance(simulator, CorrectableSimulator) and simulator.in_threads
+    list(map_in_threads(repeat, list(fits)) if at_once else map(repeat, fits))
     parts = (*((OBJECT, CONTACT) if corrected else ()), *in_scene, ENGINE if corrected else UNDIVIDED, *left_out, MODEL)
     observed = np.stack([observe_push(record).pose[[0, -1]] for record in records], axis=1)
     return SimulatorGap(simulator.name, ("as it is", *stages), errors, parts, observed, ends, _words(simulator, parts), left_out)

@@ -82,6 +82,11 @@ class MujocoScene:
         return [path]
 
     @property
+    def in_threads(self) -> bool:
+        """As of `CorrectableSimulator`: MuJoCo keeps a simulation in its own `MjData`."""
+        return True
+
+    @property
     def words(self) -> Mapping[str, str]:
         """As of `CorrectableSimulator`."""
         return {

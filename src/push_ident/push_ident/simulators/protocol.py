@@ -52,6 +52,10 @@ class CorrectableSimulator(PushSimulator, Protocol):
         near rigid contact with Coulomb friction."""
 
     @property
+    def in_threads(self) -> bool:
+        """Whether pushes may be simulated at once, each in a thread."""
+
+    @property
     def words(self) -> Mapping[str, str]:
         """What its users call what is corrected: of `OBJECT`, `CONTACT`, and the value of each `ExportAs` that it can have."""
 

@@ -29,7 +29,7 @@ _NUISANCES = ("outline_error",)
 def _run(case: Case, settings: CaseSettings) -> Json:
     drawn = draw_pushes(find_sets(settings.recordings)[case.object_name], _N_PUSHES, np.random.default_rng([case.model]), with_forces=False)
     records, prior = drawn.records, prior_of(drawn)
-    effects = [effect.name for effect in diagnose(records, DiagnosisSettings(prior=prior)).effects]
+    effects = [effect.name for effect in diagnose(records, DiagnosisSettings(prior=prior), proposes_push=False).effects]
     with tempfile.TemporaryDirectory() as folder:
         scene = plain_scene(Path(folder), records[0].shape.outline, max(records[0].pusher.radius, _UNKNOWN_RADIUS), _FRICTION)
         gap = simulator_gap(records, scene, prior, effects=effects, nuisances=_NUISANCES)

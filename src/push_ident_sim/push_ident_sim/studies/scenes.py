@@ -150,7 +150,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     with tempfile.TemporaryDirectory() as folder:
         model, radius = _object_of_scene(right, fault), records[0].pusher.radius
         scene = _SCENES[case.variant](Path(folder), model, radius, soft="soft contact" in fault.names)
-        effects = [effect.name for effect in diagnose(records).effects]
+        effects = [effect.name for effect in diagnose(records, proposes_push=False).effects]
         gap = simulator_gap(records, scene, effects=effects)
     return finite({"fault": list(fault.names), "truth": list(fault.causes), "seconds": time.process_time() - start, **_outcome(gap)})
 
