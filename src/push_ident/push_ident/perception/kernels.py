@@ -184,13 +184,15 @@ def intersect_object(field: Any, tops: Any, depth: Any, left_out: Any, rays: Any
             x, y = _to_object(centre[0] + ray_x * length, centre[1] + ray_y * length, pose, cos, sin)
             if not abs(_nearest(field, x, y)) < reach:
                 continue
-            # Height of the top beside the line: looked up where the line passes the mean level, then twice where it passes that top.
+            # Height of the top beside the line: looked up where the line passes the mean level, then twice where it passes that top. Beside
+            # a step of the top this does not converge; where the line passes and whether it is stopped then refer to the same height.
             top = _nearest(tops, x, y)
             for _ in range(2):
                 length = (top - centre[2]) / ray_z
-                upper[n, 0], upper[n, 1] = centre[0] + ray_x * length, centre[1] + ray_y * length
-                x, y = _to_object(upper[n, 0], upper[n, 1], pose, cos, sin)
+                x, y = _to_object(centre[0] + ray_x * length, centre[1] + ray_y * length, pose, cos, sin)
                 top = _nearest(tops, x, y)
+            length = (top - centre[2]) / ray_z
+            upper[n, 0], upper[n, 1] = centre[0] + ray_x * length, centre[1] + ray_y * length
             threshold = max(top - depth_of_stop, 0.5 * top)
             length = (threshold - centre[2]) / ray_z
             lower[n, 0], lower[n, 1] = centre[0] + ray_x * length, centre[1] + ray_y * length

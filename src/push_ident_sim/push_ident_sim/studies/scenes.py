@@ -130,10 +130,15 @@ def _mujoco(folder: Path, model: ObjectModel, radius: float, *, soft: bool) -> M
 
 def _bullet(folder: Path, model: ObjectModel, radius: float, *, soft: bool) -> BulletScene:
     """`soft`: with the pyramid of friction."""
-    file = folder / "object.urdf"
-    write_whole(file, _ANY_URDF, "the object")
-    BulletScene(file).with_object(model).with_precise_contact(model.pusher_friction).write(file)
-    return BulletScene(file, precise=not soft)
+    scene = any_scene_of_bullet(folder)
+    scene.with_object(model).with_precise_contact(model.pusher_friction).write(scene.path)
+    return replace(scene, precise=not soft)
+
+
+def any_scene_of_bullet(folder: Path) -> BulletScene:
+    """One to be corrected, whose object does not matter."""
+    write_whole(folder / "object.urdf", _ANY_URDF, "the object")
+    return BulletScene(folder / "object.urdf")
 
 
 _ANY_URDF: Final = (

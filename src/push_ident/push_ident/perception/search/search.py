@@ -427,7 +427,9 @@ def _check_tracked(traced: TracedObject, view: FrameView, others: Sequence[Place
     fit = fit_pose(template, view, traced.pose, others)
     shift, turn = float(np.linalg.norm((fit.pose - traced.pose)[:2])), abs(float(wrap_angle(fit.pose[2] - traced.pose[2])))
     contradicting = fit.share_contradicting
-    if fit.status is not TrackStatus.TRACKED or contradicting > accepted.found_contradicting or shift > max_step or turn > max_turn:
+    # Lines of sight through an opening meet walls inside, which are not known.
+    most = accepted.doubtful if traced.hollow is None else accepted.found_contradicting
+    if fit.status is not TrackStatus.TRACKED or contradicting > most or shift > max_step or turn > max_turn:
         raise PerceptionError(
             f"the frames do not fit the outline that they gave ({contradicting:.0%} of the lines of sight contradict it, "
             f"{fit.share_visible:.0%} of its edge are visible); it may be several things or hidden in part, or the focal length is wrong"

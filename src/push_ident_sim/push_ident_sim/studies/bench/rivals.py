@@ -40,6 +40,8 @@ _DIFFERENCE: Final = 1e-3
 _PRIOR: Final = Prior()
 _NEWTON_CALLS: Final = 60
 """Evaluations of cost and gradient by Newton, at most."""
+_FARTHEST: Final = 3.0
+"""Of the logarithm of a friction coefficient from its start [1]: the search along a gradient of wrong size goes too far."""
 _FRICTION_STEP: Final = 3e-3
 """For differences in Newton [1]: it computes in single precision."""
 _FINE_STEP: Final = 1e-5
@@ -168,7 +170,10 @@ def _by_newton(task: _Task, plate_there: NewtonPlate) -> Json:
         return lambda pose, path, times: plate_there.simulate(task.friction(x), pose, path, times)
 
     first, started = np.zeros(len(task.stds)), time.process_time()
-    found = minimize(cost, first, jac=True, method="L-BFGS-B", options={"maxfun": _NEWTON_CALLS if task.iterations > 1 else 2})
+    bounds = [(-_FARTHEST, _FARTHEST)] * len(first)
+    found = minimize(
+        cost, first, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxfun": _NEWTON_CALLS if task.iterations > 1 else 2}
+    )
     seconds = time.process_time() - started
     errors = {"before_m": task.error(simulate_with(first)), "error_m": task.error(simulate_with(found.x))}
     return {"seconds": seconds, "iterations": int(found.nfev), **errors, **_derivatives(task, plate_there)}
