@@ -96,7 +96,7 @@ def test_tilted_extrinsics_are_corrected_to_the_true_plane():
     np.testing.assert_allclose(plane.correct(wrong @ CAMERA)[[0, 1, 2, 2], [0, 1, 2, 3]], CAMERA[[0, 1, 2, 2], [0, 1, 2, 3]], atol=1e-3)
     lifted = CAMERA.copy()
     lifted[2, 3] += 0.2
-    for frame, camera, why in ((BLIND, CAMERA, "0 valid of 307200"), (render([]), lifted, "check the extrinsics")):
+    for frame, camera, why in ((BLIND, CAMERA, "0 valid of 307200"), (render([]), lifted, "200 mm from its place")):
         with pytest.raises(PerceptionError, match=why):
             fit_table(points_in_table(frame, camera), SETTINGS)
 

@@ -22,7 +22,8 @@ from push_ident.perception.refusals import Reason
 from push_ident.perception.search import search
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking.pose_fit import UpperSide
-from push_ident.types import DepthFrame
+from push_ident.survey.survey import survey_frames
+from push_ident.types import CameraIntrinsics, DepthFrame
 
 POSE = np.array([0.03, -0.02, 0.4])
 BOX = rectangle(-0.06, -0.04, 0.06, 0.04)
@@ -143,6 +144,47 @@ def test_points_under_the_table_and_a_rough_table_are_named():
     for wrong, why in ((bin_floor, "under the table"), (rough, "deviate by|agree on a plane")):
         with pytest.raises(PerceptionError, match=why):
             fit_table(wrong, PerceptionSettings())
+
+
+def over_the_floor(prisms):
+    """Depth of prisms on a table of 50 x 40 cm that stands 70 cm above a floor, of which more is in view."""
+    lower = CAMERA.copy()
+    lower[2, 3] += 0.7
+    table = Prism(rectangle(-0.25, -0.2, 0.25, 0.2), 0.7)
+    raised = [Prism(prism.polygon, prism.top + 0.7, prism.bottom + 0.7) for prism in prisms]
+    rng = np.random.default_rng(4)
+    return [render([table, *raised], lower, rng=rng, stamp=i / 30) for i in range(12)]
+
+
+def test_a_floor_beside_the_table_is_no_reflection_and_no_table():
+    frames, perception = over_the_floor([Prism(BOX, 0.05)]), Perception(CAMERA, PerceptionSettings(rest_frames=3))
+    new = [name for frame in frames for name in perception.observe(frame).new_shapes]
+    survey = survey_frames(frames)
+    assert new == ["o1"] and [thing.height for thing in survey.objects] == pytest.approx([0.05], abs=0.004)
+    assert np.subtract(survey.settings.workspace_high, survey.settings.workspace_low) == pytest.approx((0.4, 0.5), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("frame", "tilt", "why"),
+    [
+        (render([Prism(BOX, 0.05)]), 0.26, "tilted by 0.2.. rad .* calibrate the camera"),
+        (replace(render([Prism(BOX, 0.05)]), depth=1e3 * render([Prism(BOX, 0.05)]).depth), 0.0, "1000.0 times too large.*16UC1"),
+    ],
+    ids=["a camera that hangs otherwise", "millimetres taken for metres"],
+)
+def test_why_no_table_is_found_is_the_cause(frame, tilt, why):
+    turned = CAMERA.copy()
+    turned[:3, :3] = [[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]] @ CAMERA[:3, :3]
+    with pytest.raises(PerceptionError, match=why):
+        Perception(turned, PerceptionSettings()).observe(frame)
+
+
+def test_an_image_too_coarse_for_an_object_is_named():
+    coarse = CameraIntrinsics(80, 60, 65.6, 65.6, 39.5, 29.5)
+    perception = Perception(CAMERA, PerceptionSettings(rest_frames=1, search_period=0.0))
+    for i in range(4):
+        seen = perception.observe(render([Prism(BOX, 0.05)], stamp=i / 30, intrinsics=coarse))
+    assert not seen.objects and "use a finer image" in seen.why_no_pose()
 
 
 def test_the_least_height_of_an_object_follows_the_noise():

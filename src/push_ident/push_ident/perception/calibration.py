@@ -19,17 +19,18 @@ from push_ident.errors import InputError, PerceptionError
 from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.geometry.outline import points_in_polygon, polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points
-from push_ident.perception.frame.table import STRIDE
-from push_ident.perception.frame.view import FrameView, median_frame, points_in_table
+from push_ident.perception.frame.view import STRIDE, FrameView, median_frame, points_in_table
 from push_ident.perception.known_object import PoseFit, Segment, SegmentedView, Template, TracedObject, TrackStatus
 from push_ident.perception.outline.tracing import trace_object
 from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking.pose_fit import relocate
-from push_ident.types import DepthFrame, Float64Array, ObjectShape
+from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
 _MIN_SHARE: Final = 0.15
 """Least fraction of all points that must lie on the plane of the table."""
+_LEVEL: Final = 0.02
+"""Bin of heights in which a second plane is looked for [m]: twice the reach of its fit."""
 _DIFFERENT: Final = 0.004
 """Least mean distance between the outlines of the mark and of a turned copy [m]: below it the heading is ambiguous."""
 _MARK_AREA: Final = (0.6, 1.6)
@@ -91,7 +92,9 @@ class Calibration:
 
 
 def camera_over_table(frame: DepthFrame) -> tuple[Float64Array, float, float]:
-    """Camera pose over the largest plane in view, without prior knowledge: z points up, the origin is the middle of that plane.
+    """Camera pose over the table, without prior knowledge: z points up, the origin is the middle of its plane.
+
+    The table is the largest plane in view, or a plane so far above it that it can be no object: the largest is the floor then.
 
     Args:
         frame: Preferably the `median_frame` of several frames.
@@ -105,25 +108,15 @@ def camera_over_table(frame: DepthFrame) -> tuple[Float64Array, float, float]:
     points = points[np.isfinite(points[:, 2])]
     if len(points) < 200:
         raise PerceptionError(f"Depth image has {len(points) * STRIDE**2} valid of {frame.depth.size} pixels; check the camera.")
-    normal, offset = _largest_plane(points)
-    # Noise grows with the square of the depth, so near points get more weight.
-    weight = 1.0 / points[:, 2] ** 2
-    noise, inliers = 0.01, np.abs(points @ normal - offset) < 0.02
-    for _ in range(6):
-        if np.count_nonzero(inliers) < _MIN_SHARE * len(points):
-            break
-        near, w = points[inliers], weight[inliers, None]
-        middle = np.sum(near * w**2, axis=0) / np.sum(w**2)
-        normal = np.linalg.svd((near - middle) * w, full_matrices=False)[2][2]
-        offset = float(normal @ middle)
-        distance = points @ normal - offset
-        noise = 1.4826 * float(np.median(np.abs(distance[inliers])))
-        inliers = np.abs(distance) < 3.0 * max(noise, 3e-4)
+    normal, offset, noise, inliers = _refined_plane(points, *_largest_plane(points))
+    above = _level_above(points @ normal - offset)
+    if above is not None:
+        table = _refined_plane(points, normal, offset + above)
+        if np.mean(table[3]) >= _MIN_SHARE:
+            normal, offset, noise, inliers = table
     share = float(np.mean(inliers))
     if share < _MIN_SHARE:
         raise PerceptionError(f"{share:.0%} of {len(points)} points lie on one plane, expected {_MIN_SHARE:.0%}; show more of the table.")
-    if offset > 0:
-        normal, offset = -normal, -offset
     origin = np.median(points[inliers], axis=0)
     origin -= (origin @ normal - offset) * normal
     x_axis = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
@@ -200,6 +193,34 @@ def _largest_plane(points: Float64Array) -> tuple[Float64Array, float]:
         if count > best_count:
             best, best_count = (normal, offset), count
     return best
+
+
+def _refined_plane(points: Float64Array, normal: Float64Array, offset: float) -> tuple[Float64Array, float, float, BoolArray]:
+    """Least squares from a plane near by: normal towards the camera, offset, noise about the plane [m], and which points are on it."""
+    # Noise grows with the square of the depth, so near points get more weight.
+    weight = 1.0 / points[:, 2] ** 2
+    noise, inliers = 0.01, np.abs(points @ normal - offset) < 0.02
+    for _ in range(6):
+        if np.count_nonzero(inliers) < _MIN_SHARE * len(points):
+            break
+        near, w = points[inliers], weight[inliers, None]
+        middle = np.sum(near * w**2, axis=0) / np.sum(w**2)
+        normal = np.linalg.svd((near - middle) * w, full_matrices=False)[2][2]
+        offset = float(normal @ middle)
+        distance = points @ normal - offset
+        noise = 1.4826 * float(np.median(np.abs(distance[inliers])))
+        inliers = np.abs(distance) < 3.0 * max(noise, 3e-4)
+    return (-normal, -offset, noise, inliers) if offset > 0 else (normal, offset, noise, inliers)
+
+
+def _level_above(heights: Float64Array) -> float | None:
+    """Height at which most of the points lie that are higher above the largest plane than any object [m]; None where too few do."""
+    higher = heights[heights > PerceptionSettings().max_object_height]
+    if len(higher) < _MIN_SHARE * len(heights):
+        return None
+    counts, edges = np.histogram(higher, bins=np.arange(higher.min(), higher.max() + 2 * _LEVEL, _LEVEL))
+    fullest = int(np.argmax(counts))
+    return float(np.median(higher[(higher >= edges[fullest]) & (higher <= edges[fullest + 1])]))
 
 
 def _fit(template: Template, view: FrameView, segment: Segment) -> tuple[PoseFit, float, float]:

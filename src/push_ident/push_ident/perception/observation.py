@@ -61,4 +61,9 @@ class Observation:
             return "; ".join(f"object {known.object_id}: {known.status.value}" for known in self.objects)
         if self.refused:
             return summary_of(self.refused)
+        if n_pixels := self.counts.get("object_pixels", 0):
+            return (
+                f"{n_pixels} pixels show something on the table, but no connected patch of it has enough of them for an object; "
+                "bring the camera nearer, or use a finer image"
+            )
         return f"nothing on the table is higher than min_object_height ({self.counts['table']} pixels show the table)"

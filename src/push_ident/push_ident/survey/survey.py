@@ -1,7 +1,7 @@
 """What a depth camera sees of a table, from frames at rest and without a number given: table, noise, objects, refusals.
 
-The table is the largest plane in view; the workspace is the box around what is visible of it. Perception then runs on the frames as it
-does live, so that what it takes in here it takes in there.
+The table is the largest plane in view, or one high above it; the workspace is the box around what is visible of it. Perception then runs on
+the frames as it does live, so that what it takes in here it takes in there.
 """
 
 from __future__ import annotations

@@ -7,8 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.perception.frame.table import STRIDE
-from push_ident.perception.frame.view import FrameView
+from push_ident.perception.frame.view import STRIDE, FrameView
 from push_ident.types import DepthFrame, Float64Array
 
 _UNITS: Final = (1e-4, 1.25e-4, 2e-4, 2.5e-4, 1e-3, 1e-2, 1.0)

@@ -6,17 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import PerceptionError
+from push_ident.geometry.outline import points_in_polygon
+from push_ident.perception.frame.depth_unit import wrong_unit
 from push_ident.perception.frame.robot import RobotPart
-from push_ident.perception.frame.view import DEVIATIONS, FrameView, points_in_table
-from push_ident.perception.settings import PerceptionSettings
-from push_ident.types import DepthFrame, Float64Array
+from push_ident.perception.frame.view import DEVIATIONS, STRIDE, FrameView, points_in_table
+from push_ident.perception.settings import PerceptionSettings, TableSettings
+from push_ident.types import BoolArray, DepthFrame, Float64Array
 
-STRIDE: Final = 4
-"""Every fourth pixel of every fourth row is used: enough for three unknowns."""
 _MIN_POINTS: Final = 125
 """Least number of points on the plane, after the stride."""
 
@@ -67,8 +68,9 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
     Raises PerceptionError: No valid pixel, too few points on a plane, too many under it, or a correction larger than the error of usable
     extrinsics.
     """
-    sample = points[::STRIDE, ::STRIDE].reshape(-1, 3).astype(np.float64)
-    valid = sample[np.isfinite(sample[:, 2])]
+    sample = points[::STRIDE, ::STRIDE]
+    pixels = np.argwhere(np.isfinite(sample[..., 2]))
+    valid = sample[tuple(pixels.T)].astype(np.float64)
     if len(valid) == 0:
         raise PerceptionError(f"Depth image has 0 valid of {points.shape[0] * points.shape[1]} pixels; check the camera and its range.")
     low, high, accepted = settings.workspace_low, settings.workspace_high, settings.table
@@ -76,6 +78,7 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
     near = valid[in_workspace & (np.abs(valid[:, 2]) < accepted.search_height)]
     needed = max(_MIN_POINTS, int(accepted.min_share * np.count_nonzero(in_workspace)))
     if len(near) < needed:
+        _check_that_it_is_nowhere_else(valid, accepted)
         raise PerceptionError(
             f"{len(near)} of {len(valid)} points lie within {accepted.search_height * 1e3:.0f} mm of the table, expected at least "
             f"{needed}; check the extrinsics and that the camera sees the workspace."
@@ -86,29 +89,57 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
         noise = 1.4826 * float(np.median(np.abs(distance[np.abs(distance) < 0.01]))) if np.any(np.abs(distance) < 0.01) else 0.01
         inliers = np.abs(distance) < 3.0 * max(noise, 2e-4)
         if np.count_nonzero(inliers) < needed:
+            _check_that_it_is_nowhere_else(valid, accepted)
             raise PerceptionError(
                 f"{np.count_nonzero(inliers)} of {len(near)} points agree on a plane, expected {needed}; clear the table."
             )
         chosen = design[inliers]
         plane = np.linalg.lstsq(chosen.T @ chosen, chosen.T @ near[inliers, 2], rcond=None)[0]
-    if np.hypot(plane[0], plane[1]) > accepted.max_tilt or abs(plane[2]) > accepted.max_offset:
-        raise PerceptionError(
-            f"The table is tilted by {np.hypot(plane[0], plane[1]):.3f} rad and {plane[2] * 1e3:.0f} mm from its place in the extrinsics, "
-            f"expected at most {accepted.max_tilt} rad and {accepted.max_offset * 1e3:.0f} mm; calibrate the camera."
-        )
+    _check_place(plane, accepted)
     if noise > accepted.max_noise:
         raise PerceptionError(
             f"The points of the table deviate by {noise * 1e3:.1f} mm from a plane, expected at most {accepted.max_noise * 1e3:.0f} mm; "
             "it is not flat, or glossy, or too far from the camera."
         )
-    everything = valid[in_workspace]
-    under = float(np.mean(everything[:, 2] - everything[:, :2] @ plane[:2] - plane[2] < -max(accepted.under, DEVIATIONS * noise)))
+    height = valid[in_workspace] @ np.array([-plane[0], -plane[1], 1.0]) - plane[2]
+    below = height < -max(accepted.under, DEVIATIONS * noise)
+    # Beside the table its floor may be in view; a reflection, and the floor of a bin, are seen through it.
+    under = float(np.mean(below & _surrounded(pixels[in_workspace], np.abs(height) < 3.0 * noise, sample.shape[:2])))
     if under > accepted.max_share_under:
         raise PerceptionError(
             f"{under:.0%} of the points in the workspace lie more than {accepted.under * 1e3:.0f} mm under the table, expected at most "
             f"{accepted.max_share_under:.0%}: a reflection, or the rim of a bin taken for the table; check extrinsics and workspace."
         )
     return TablePlane((float(plane[0]), float(plane[1])), float(plane[2]), max(noise, 1e-4))
+
+
+def _check_place(plane: Float64Array, accepted: TableSettings) -> None:
+    tilt = float(np.hypot(plane[0], plane[1]))
+    if tilt > accepted.max_tilt or abs(plane[2]) > accepted.max_offset:
+        raise PerceptionError(
+            f"The table is tilted by {tilt:.3f} rad and {plane[2] * 1e3:.0f} mm from its place in the extrinsics, "
+            f"expected at most {accepted.max_tilt} rad and {accepted.max_offset * 1e3:.0f} mm; calibrate the camera."
+        )
+
+
+def _check_that_it_is_nowhere_else(points: Float64Array, accepted: TableSettings) -> None:
+    """Raises PerceptionError where enough of all points, shape (n, 3), lie on a plane that is not where the extrinsics have the table."""
+    plane = _best_random_plane(points, np.inf)
+    design = np.column_stack([points[:, :2], np.ones(len(points))])
+    on_plane = np.abs(points[:, 2] - design @ plane) < 0.01
+    if np.mean(on_plane) > accepted.min_share and np.count_nonzero(on_plane) >= _MIN_POINTS:
+        _check_place(np.linalg.lstsq(design[on_plane], points[on_plane, 2], rcond=None)[0], accepted)
+
+
+def _surrounded(pixels: NDArray[np.intp], of_table: BoolArray, shape: tuple[int, int]) -> BoolArray:
+    """Which pixels (row, column), shape (n, 2), lie in the convex hull of those of the table in an image of a shape."""
+    mask = np.zeros(shape, dtype=np.uint8)
+    mask[tuple(pixels[of_table].T)] = 1
+    # What crosses the height of the table elsewhere, as a chair does, has few pixels there.
+    solid = cv2.findNonZero(cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)))
+    if solid is None:
+        return np.ones(len(pixels), dtype=bool)
+    return points_in_polygon(pixels[:, ::-1].astype(np.float64), cv2.convexHull(solid)[:, 0].astype(np.float64))
 
 
 def _best_random_plane(points: Float64Array, max_tilt: float) -> Float64Array:
@@ -148,7 +179,13 @@ class TableCamera:
     def view(self, frame: DepthFrame, robot: Sequence[RobotPart]) -> FrameView:
         """The frame seen by this camera; the first frame gives the plane. Raises PerceptionError: No table is found in the first frame."""
         if self.plane is None:
-            self._use(fit_table(FrameView(frame, self._extrinsics, settings=self.settings).points, self.settings))
+            try:
+                self._use(fit_table(FrameView(frame, self._extrinsics, settings=self.settings).points, self.settings))
+            except PerceptionError:
+                if wrong := wrong_unit(frame, self._extrinsics):
+                    remedy = "publish millimetres as 16UC1 and metres as 32FC1 (REP 118)"
+                    raise PerceptionError(f"No table is where the extrinsics say, since {wrong}; {remedy}.") from None
+                raise
         assert self.plane is not None
         # An object is higher than the noise of the table.
         limits = replace(self.settings, min_object_height=max(self.settings.min_object_height, self.plane.least_height))

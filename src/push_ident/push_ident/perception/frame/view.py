@@ -24,6 +24,9 @@ from push_ident.perception.kernels import label_heights, place_points, points_in
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.types import BoolArray, CameraIntrinsics, DepthFrame, Float64Array
 
+STRIDE: Final = 4
+"""Every fourth pixel of every fourth row is used for a plane: enough for three unknowns."""
+
 UNKNOWN, TABLE, OBJECT, ROBOT = -1, 0, 1, 2
 """Labels of pixels."""
 DEVIATIONS: Final = 4.0
