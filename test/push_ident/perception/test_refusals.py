@@ -136,6 +136,14 @@ def test_a_thing_whose_foot_stands_on_another_one_is_stacked_though_table_is_aro
     assert not shapes and of(Reason.STACKED, observation)[0].height == pytest.approx(0.18, abs=0.006)
 
 
+@pytest.mark.parametrize("turn", [0.0, np.pi / 2, -np.pi / 2])
+def test_boxes_side_by_side_whose_fronts_are_in_one_plane_are_not_one_thing(turn):
+    pair = [Prism(rectangle(-0.05, -0.1, 0.05, 0.0), 0.06), Prism(rectangle(-0.05, 0.0, 0.05, 0.1), 0.10)]
+    observation, shapes, _ = observe([prism.at((0.0, 0.0, turn)) for prism in pair])
+    assert all(polygon_area(shape.outline) == pytest.approx(0.01, rel=0.2) for shape in shapes.values())
+    assert len(shapes) + len(observation.refused) == 2
+
+
 def test_points_under_the_table_and_a_rough_table_are_named():
     points = points_in_table(render([], rng=np.random.default_rng(0)), CAMERA)
     bin_floor, rough = points.copy(), points.copy()  # the rim of a bin lies at the height of the table

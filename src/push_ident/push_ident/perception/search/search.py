@@ -15,6 +15,7 @@ from typing import Final
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from push_ident.errors import FrameError, InputError, PerceptionError
 from push_ident.geometry.outline import polygon_area, signed_distance
@@ -490,7 +491,7 @@ def _height_of_edge(traced: TracedObject, edge: Float64Array) -> Float64Array:
     if not inside.any():
         return np.full(len(edge), float(traced.top.max()))
     cells, heights = cells[inside], traced.top.ravel()[inside]
-    nearest = np.array([np.argmin(np.sum(np.square(cells - point), axis=1)) for point in edge])
+    nearest = cKDTree(cells).query(edge)[1]
     return np.asarray(heights[nearest], dtype=np.float64)
 
 
@@ -498,8 +499,7 @@ def _is_near(positions: Float64Array, points: Float64Array) -> BoolArray:
     """Which positions (n, 2) have one of the points within 8 mm, shape (n,): that point is on the side below an edge there."""
     if len(points) == 0:
         return np.zeros(len(positions), dtype=bool)
-    some = _thinned(points)
-    return np.array([np.min(np.sum(np.square(some - position), axis=1)) < 0.008**2 for position in positions])
+    return np.asarray(cKDTree(points).query(positions)[0] < 0.008)
 
 
 def _thinned(points: Float64Array) -> Float64Array:

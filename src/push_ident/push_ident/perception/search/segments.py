@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from push_ident.perception.frame.view import OBJECT, ROBOT, TABLE, UNKNOWN, FrameView
 from push_ident.perception.kernels import grow_surfaces, mark_folds, mark_jumps
@@ -49,6 +50,7 @@ def find_segments(view: FrameView) -> tuple[list[Segment], dict[str, int]]:
     shadowed, bridged = _bridged(depth[region], labels[region], focal, settings.min_step)
     surfaces[region] = _surfaces(bridged, on_object[region] | shadowed, focal, settings.min_step)
     surfaces[region][shadowed] = 0
+    surfaces[region] = _divided_by_tops(surfaces[region], view.points[region], focal / _median(depth, surfaces), settings.min_step)
     counts = {"object_pixels": int(np.count_nonzero(on_object)), "segments": 0}
     segments = []
     for index, box in enumerate(_boxes(surfaces, region), start=1):
@@ -162,6 +164,63 @@ def _bridged(depth: NDArray[np.float32], labels: NDArray[np.int8], focal: float,
         return none, depth
     behind = cv2.dilate(np.where(on_object > 0, depth, np.float32(0.0)), kernel)
     return between, np.where(between, behind, depth)
+
+
+def _median(depth: NDArray[np.float32], surfaces: NDArray[np.int32]) -> float:
+    """Median depth of all surfaces [m]; infinite where there are none."""
+    return float(np.median(depth[surfaces > 0])) if surfaces.any() else np.inf
+
+
+def _divided_by_tops(surfaces: NDArray[np.int32], points: NDArray[np.float32], pixels: float, step: float) -> NDArray[np.int32]:
+    """The surfaces, divided where their level parts differ in height by more than a step: walls in one plane may join things side by side.
+
+    Args:
+        surfaces: numbered from 1 on, 0 for none, shape (rows, columns).
+        points: [m], shape (rows, columns, 3), table frame.
+        pixels: for a metre across the line of sight [1/m].
+        step: height of the smallest step that divides [m].
+    """
+    if not surfaces.any():
+        return surfaces
+    heights = cv2.medianBlur(np.where(surfaces > 0, points[..., 2], np.float32(0.0)), 5)
+    window = np.ones((2 * int(np.ceil(0.5 * step * pixels)) + 1,) * 2, np.uint8)
+    # A wall rises by a step within the window.
+    level = (cv2.dilate(heights, window) - cv2.erode(heights, window) < 0.5 * step) & (surfaces > 0)
+    divided, count = surfaces.copy(), int(surfaces.max())
+    for index, box in enumerate(ndimage.find_objects(surfaces), start=1):
+        if box is None:
+            continue
+        inside = surfaces[box] == index
+        tops = _tops(level[box] & inside, heights[box], step)
+        if tops.max() < 2:
+            continue
+        of_top = _nearest_top(points[box][inside].astype(np.float64), points[box].astype(np.float64), tops, heights[box], step)
+        divided[box][inside] = np.where(of_top == 1, index, count + of_top - 1)
+        count += int(tops.max()) - 1
+    return divided
+
+
+def _tops(level: BoolArray, heights: NDArray[np.float32], step: float) -> NDArray[np.int32]:
+    """Level parts of a surface, those of about one height with the same number from 1 on, lowest first; 0 elsewhere."""
+    parts = _cores(level)
+    if parts.max() < 2:
+        return parts
+    height = np.array(ndimage.median(heights, parts, np.arange(1, parts.max() + 1)))
+    order = np.argsort(height)
+    number = np.zeros(len(height) + 1, dtype=np.int32)
+    number[1 + order] = 1 + np.concatenate([[0], np.cumsum(np.diff(height[order]) > step)])
+    return number[parts]
+
+
+def _nearest_top(
+    measured: Float64Array, points: Float64Array, tops: NDArray[np.int32], heights: NDArray[np.float32], step: float
+) -> NDArray[np.int32]:
+    """Number of the top, of those that are not below it, to which each measured point (n, 3) is nearest from above, shape (n,)."""
+    numbers = np.arange(1, int(tops.max()) + 1)
+    distance = np.stack([cKDTree(points[tops == number][:, :2]).query(measured[:, :2])[0] for number in numbers])
+    too_low = np.stack([measured[:, 2] > float(np.median(heights[tops == number])) + 0.5 * step for number in numbers])
+    too_low[-1] = False  # the highest
+    return np.asarray(numbers[np.argmin(np.where(too_low, np.inf, distance), axis=0)], dtype=np.int32)
 
 
 def _region(mask: BoolArray) -> tuple[slice, slice]:
