@@ -11,7 +11,7 @@ import pytest
 
 from helpers.depth_scene import CAMERA, HAMMER_OUTLINE, INTRINSICS, Prism, box, circle, hammer, rectangle, render
 from push_ident.errors import FrameError, InputError, PerceptionError
-from push_ident.geometry.outline import polygon_area, signed_distance
+from push_ident.geometry.outline import dense, polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.perception.frame import occupancy, table
 from push_ident.perception.frame.occupancy import FREE, OCCUPIED, UNOBSERVED, top_down
@@ -19,7 +19,7 @@ from push_ident.perception.frame.robot import Cylinder
 from push_ident.perception.frame.table import fit_table
 from push_ident.perception.frame.view import FrameView, median_frame, points_in_table
 from push_ident.perception.known_object import SegmentedView, Template, TrackStatus
-from push_ident.perception.outline.edges import dense, fuse_views
+from push_ident.perception.outline.edges import fuse_views
 from push_ident.perception.outline.tracing import trace_object
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.recording import observe_offline
@@ -84,6 +84,30 @@ def test_a_wall_that_is_seen_below_a_step_of_the_upper_side_contradicts_no_pose(
     for upper_side in (traced.top, top):
         fit = fit_pose(Template(replace(traced, top=upper_side)), view, traced.pose)
         assert fit.status is TrackStatus.TRACKED and fit.share_contradicting < 0.001
+
+
+def test_a_round_thing_has_no_heading_and_keeps_its_place():
+    rng, perception, poses = np.random.default_rng(0), Perception(CAMERA, SETTINGS), []
+    for i in range(60):
+        x = np.clip(0.002 * (i - 20), 0.0, 0.03)  # pushed along x
+        seen = perception.observe(render([Prism(circle(0.04, 48), 0.06).at((x, 0.01, 0.1 * i))], rng=rng, stamp=i / 30))
+        for known in seen.objects:
+            assert known.status is TrackStatus.TRACKED
+            poses.append(known.pose)
+            assert known.covariance[2, 2] == pytest.approx(np.pi**2 / 3) and not known.covariance[2, :2].any()
+    assert len(poses) > 50 and np.ptp(poses, axis=0) == pytest.approx((0.03, 0.0, 0.0), abs=0.003)
+    elsewhere = [Prism(circle(0.04, 48), 0.06).at((-0.1, 0.12, 0.0))]
+    for i in range(60, 80):
+        seen = perception.observe(render(elsewhere, rng=rng, stamp=i / 30))
+    assert [(known.object_id, known.status) for known in seen.objects] == [("o1", TrackStatus.TRACKED)]
+
+
+@pytest.mark.parametrize("outline", [rectangle(-0.03, -0.03, 0.03, 0.03), circle(0.04, 6), HAMMER_OUTLINE])
+def test_a_thing_with_corners_has_a_heading(outline):
+    perception = Perception(CAMERA, SETTINGS)
+    for i in range(6):
+        perception.observe(render([Prism(outline, 0.05).at(FIRST)], rng=np.random.default_rng(i), stamp=i / 30))
+    assert Template(perception.known("o1").traced).has_heading
 
 
 def test_tilted_extrinsics_are_corrected_to_the_true_plane():

@@ -14,11 +14,10 @@ from scipy.optimize import least_squares
 from helpers.depth_scene import CAMERA, HAMMER_OUTLINE, Prism, hammer, rectangle, render
 from push_ident.errors import InputError
 from push_ident.geometry.cut_cells import cells_in_outline
-from push_ident.geometry.outline import polygon_area, signed_distance
+from push_ident.geometry.outline import dense, polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.perception.frame.view import FrameView, points_in_table
 from push_ident.perception.known_object import NewObject, PoseFit, Segment, SegmentedView, Template, TrackStatus
-from push_ident.perception.outline.edges import dense
 from push_ident.perception.outline.rests import Rests, with_cells
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.settings import PerceptionSettings

@@ -12,11 +12,10 @@ import pytest
 from helpers.depth_scene import CAMERA, HAMMER_OUTLINE, Prism, box, circle, hammer, look_at, rectangle, render
 from push_ident.errors import InputError
 from push_ident.geometry.arm_shape import ArmShape
-from push_ident.geometry.outline import signed_distance
+from push_ident.geometry.outline import dense, signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points
 from push_ident.perception.frame.robot import Cylinder, RobotHistory
 from push_ident.perception.frame.view import OBJECT, ROBOT, FrameView, height_inside, in_robot
-from push_ident.perception.outline.edges import dense
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.refusals import Reason
 from push_ident.perception.search.segments import find_segments

@@ -156,3 +156,12 @@ def _leave(next_corners: dict[_Corner, list[_Corner]], walk: list[_Corner]) -> _
     if not ends:
         del next_corners[corner]
     return end
+
+
+def dense(outline: Float64Array, step: float = 2.5e-4) -> Float64Array:
+    """Points along the outline every `step` [m], by default as dense as in a traced contour."""
+    ends = np.roll(outline, -1, axis=0)
+    counts = np.maximum(np.linalg.norm(ends - outline, axis=1) / step, 1.0).astype(np.int64)
+    return np.concatenate(
+        [a + np.linspace(0.0, 1.0, n, endpoint=False)[:, None] * (b - a) for a, b, n in zip(outline, ends, counts, strict=True)]
+    )

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from push_ident.geometry.outline import dense
+from push_ident.geometry.se2 import rotation
 from push_ident.perception.frame.view import FrameView
 from push_ident.perception.kernels import Grid, interpolate, nearest_values, outline_distances
 from push_ident.perception.refusals import Reason, Refusal
@@ -26,6 +29,8 @@ _FIELD_STEP: Final = 0.001
 """Edge of a cell of the signed distance field [m]."""
 NOISE_STEP: Final = 0.005
 """A smaller difference of heights is noise [m]: three times the noise of a height."""
+_TURNS: Final = 16
+"""By which an outline is turned, up to a half one."""
 FIELD_MARGIN: Final = 0.04
 """Width of the field around the outline [m]; further out the distance is held."""
 
@@ -209,6 +214,17 @@ class Template:
         """Lowest and highest point of the upper side [m]."""
         self.radius = float(np.linalg.norm(self.outline, axis=1).max())
         """Radius of the circle around the origin that holds the outline [m]."""
+
+    @cached_property
+    def has_heading(self) -> bool:
+        """Whether the outline turned about its centroid differs from itself by more than two tracings of it do; else yaw means nothing."""
+        std = self.traced.shape.outline_std
+        if std is None:
+            return True
+        points = dense(self.outline, ON_OBJECT / 2.0)
+        turned = [points @ rotation(angle).T for angle in np.linspace(0.0, np.pi, _TURNS + 1)[1:]]
+        most = max(float(np.mean(np.square(self.distance(one)[0]))) for one in turned)
+        return most > 2.0 * float(np.mean(np.square(std)))
 
     def distance(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Signed distance [m], shape (n,), and its gradient, shape (n, 2), at points (n, 2) in the object frame."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from push_ident.geometry.cut_cells import cells_in_outline
-from push_ident.geometry.outline import edge_normals, polygon_centroid
+from push_ident.geometry.outline import dense, edge_normals, polygon_centroid
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.geometry.shape_check import crossing_edges
 from push_ident.perception.frame.view import FrameView
@@ -295,12 +295,3 @@ def without_reversed(before: Float64Array, after: Float64Array, moved: Float64Ar
     merged = np.where(kept[:, None], after, 0.5 * (after + np.roll(after, -1, axis=0)))
     corner = np.where(np.roll(kept, 1)[:, None], after, np.roll(merged, 1, axis=0))
     return corner[kept], moved[kept]
-
-
-def dense(outline: Float64Array, step: float = 2.5e-4) -> Float64Array:
-    """Points along the outline every `step` [m], by default as dense as in a traced contour."""
-    ends = np.roll(outline, -1, axis=0)
-    counts = np.maximum(np.linalg.norm(ends - outline, axis=1) / step, 1.0).astype(np.int64)
-    return np.concatenate(
-        [a + np.linspace(0.0, 1.0, n, endpoint=False)[:, None] * (b - a) for a, b, n in zip(outline, ends, counts, strict=True)]
-    )

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from push_ident.errors import FrameError, InputError, PerceptionError
-from push_ident.geometry.outline import polygon_area, signed_distance
+from push_ident.geometry.outline import dense, polygon_area, signed_distance
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.frame.robot import RobotPart
@@ -38,7 +38,7 @@ from push_ident.perception.known_object import (
     TrackStatus,
     area_from_above,
 )
-from push_ident.perception.outline.edges import dense, fuse_views, relative_size
+from push_ident.perception.outline.edges import fuse_views, relative_size
 from push_ident.perception.outline.tracing import trace_object
 from push_ident.perception.refusals import Reason, Refusal, Removal
 from push_ident.perception.search.hollows import Covered, cover_hollows, with_hollow

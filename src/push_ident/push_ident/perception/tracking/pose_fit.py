@@ -63,6 +63,8 @@ _EQUAL: Final = 0.02
 """Headings of which so much less or more of the lines of sight contradict fit equally well [-]: whole objects have 0.002."""
 _SAME_HEADING: Final = np.pi / 18.0
 """Fits whose headings differ by less ended in the same minimum [rad]: the step of those compared."""
+_ANY_HEADING: Final = np.pi**2 / 3.0
+"""Variance of a yaw that may be any [rad^2]."""
 _ABOVE: Final = 0.01
 """Points this far above the top belong to something in front [m]."""
 MATCHER_WINDOW: Final = 0.02
@@ -122,12 +124,16 @@ def fit_pose(template: Template, view: FrameView, start: ArrayLike, others: Sequ
     covariance = comparison.edge_variance * np.linalg.inv(normal) + np.diag(np.square(accepted.min_deviation))
     residual_covariance = _at_least(covariance, _jackknife(template, lines, pose, normal))
     covariance = residual_covariance + _covariance_shared_by_frames(template, view, lines, pose, normal)
+    unsure = np.diag(covariance) > np.square(accepted.max_deviation)
+    if not template.has_heading:
+        unsure[2] = False
+        covariance, residual_covariance = _with_any_heading(covariance), _with_any_heading(residual_covariance)
     status = TrackStatus.TRACKED
     if np.hypot(*(pose - start)[:2]) > 0.05 or share_contradicting > accepted.max_contradicting:
         status = TrackStatus.POOR_FIT
     elif share_visible < accepted.min_share_visible:
         status = TrackStatus.HIDDEN
-    elif np.any(np.diag(covariance) > np.square(accepted.max_deviation)):
+    elif unsure.any():
         status = TrackStatus.UNDETERMINED
     pose[2] = start[2] + float(wrap_angle(pose[2] - start[2]))
     covariance = 0.5 * (covariance + covariance.T)
@@ -153,6 +159,7 @@ def relocate(
     minima = np.flatnonzero((mean_square <= np.roll(mean_square, 1)) & (mean_square <= np.roll(mean_square, -1)))
     tried = [starts[index] for index in minima[np.argsort(mean_square[minima])][:3]]
     tried += [] if last_yaw is None else [np.array([*starts[0][:2], last_yaw])]
+    tried = tried if template.has_heading else tried[-1:]
     fits = [fit_pose(template, view, start, others) for start in tried]
     best = min(fits, key=lambda fit: (fit.status is not TrackStatus.TRACKED, fit.share_contradicting))
     equal = [fit for fit in fits if fit.status is best.status and fit.share_contradicting < best.share_contradicting + _EQUAL]
@@ -332,7 +339,10 @@ def _gauss_newton(
         diagonal = np.diag(now.normal)
         damped = now.normal.copy()
         damped.flat[:: len(damped) + 1] = diagonal + (1e-3 * diagonal + _DAMPING)
-        step = np.linalg.solve(damped, now.gradient)
+        if template.has_heading:
+            step = np.linalg.solve(damped, now.gradient)
+        else:
+            step = np.append(np.linalg.solve(damped[:2, :2], now.gradient[:2]), 0.0)
         length = max(float(np.hypot(step[0], step[1])), template.radius * abs(float(step[2])), 1e-12)
         # The linearisation does not hold beyond the width.
         step *= 1.0 / _OVERSHOOT if length < width else min(1.0, 2.0 * width / length)
@@ -340,6 +350,13 @@ def _gauss_newton(
         if np.hypot(step[0], step[1]) < enough and abs(step[2]) < 10.0 * enough:
             break  # the turn moves an edge 10 cm from the middle by as much
     return pose
+
+
+def _with_any_heading(covariance: Float64Array) -> Float64Array:
+    """The covariance, shape (3, 3), with a yaw of which nothing is known."""
+    result = np.zeros((3, 3))
+    result[:2, :2], result[2, 2] = covariance[:2, :2], _ANY_HEADING
+    return result
 
 
 def _jackknife(template: Template, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
