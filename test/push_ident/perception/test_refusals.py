@@ -136,6 +136,12 @@ def test_a_thing_whose_foot_stands_on_another_one_is_stacked_though_table_is_aro
     assert not shapes and of(Reason.STACKED, observation)[0].height == pytest.approx(0.18, abs=0.006)
 
 
+def test_a_slab_on_another_thing_is_stacked_though_the_table_is_seen_below_its_border():
+    support, slab = box(-0.08, 0.1, 0.06, 0.06, 0.06), box(0.0, 0.0, 0.16, 0.22, 0.04, bottom=0.06)
+    observation, shapes, _ = observe([support, slab])
+    assert not shapes and [refusal.height for refusal in of(Reason.STACKED, observation)] == pytest.approx([0.1], abs=0.006)
+
+
 @pytest.mark.parametrize("turn", [0.0, np.pi / 2, -np.pi / 2])
 def test_boxes_side_by_side_whose_fronts_are_in_one_plane_are_not_one_thing(turn):
     pair = [Prism(rectangle(-0.05, -0.1, 0.05, 0.0), 0.06), Prism(rectangle(-0.05, 0.0, 0.05, 0.1), 0.10)]

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from push_ident.geometry.outline import points_in_polygon
 from push_ident.perception.frame.view import OBJECT, ROBOT, TABLE, UNKNOWN, FrameView
 from push_ident.perception.kernels import grow_surfaces, mark_folds, mark_jumps
 from push_ident.perception.known_object import Segment, area_from_above
@@ -89,7 +90,7 @@ def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[
         if np.count_nonzero(hiding & around) >= _SMALLEST_PATCH or is_hidden_across:
             return Reason.BEHIND_ANOTHER
         on_others = np.count_nonzero(around & others) > settings.segments.on_another * np.count_nonzero(around)
-        if on_others or _stands_on_another(view, points, inside, others, at == TABLE):
+        if on_others or _sees_it_on_another(view, wide, points, surfaces, index):
             return Reason.STACKED
     if _beside_unmeasured(view, box, inside, around, at != UNKNOWN):
         return Reason.BESIDE_UNMEASURED
@@ -113,12 +114,11 @@ def _with_shadow(inside: BoolArray, unmeasured: BoolArray, reach: int) -> BoolAr
     return np.asarray(grown > 0)
 
 
-def _stands_on_another(view: FrameView, points: Float64Array, inside: BoolArray, others: BoolArray, table: BoolArray) -> bool:
-    """Whether other things, rather than the table, are below the lower border of a segment in the image.
-
-    `points`: of the segment [m], shape (n, 3), table frame. False where the camera looks down so steeply that it sees no walls.
-    """
+def _sees_it_on_another(view: FrameView, box: tuple[slice, slice], points: Float64Array, surfaces: NDArray[np.int32], index: int) -> bool:
+    """Whether surface number `index`, with points (n, 3), in a box ends above the table where a thing beside it goes on, or other things,
+    rather than the table, are below its lower border in the image. False where the camera looks down so steeply that it sees no walls."""
     camera, intrinsics = view.camera_in_table, view.frame.intrinsics
+    inside, others, table = surfaces[box] == index, (surfaces[box] > 0) & (surfaces[box] != index), view.labels[box] == TABLE
     middle = np.median(points, axis=0)
     in_camera = (np.array([middle, middle - (0.0, 0.0, 1e-3)]) - camera[:3, 3]) @ camera[:3, :3]
     # Downwards in the image, for a metre downwards across the line of sight.
@@ -126,6 +126,12 @@ def _stands_on_another(view: FrameView, points: Float64Array, inside: BoolArray,
     sine = float(np.hypot(*down))
     if sine < _SEES_WALLS:
         return False
+    if np.count_nonzero(points[:, 2] < view.settings.min_step) < _SMALLEST_PATCH:
+        beside = np.isin(surfaces[box], surfaces[box][others & _grown(inside, _NEAR)])
+        outline = cv2.convexHull(points[:, :2].astype(np.float32))[:, 0].astype(np.float64)
+        further_out = ~points_in_polygon(view.points[box][beside][:, :2].astype(np.float64), outline)
+        if np.count_nonzero(further_out) >= _SMALLEST_PATCH:  # else it may be a foot of its own
+            return True
     columns, rows = np.rint(_NEAR * down / sine * (1.0, intrinsics.fy / intrinsics.fx)).astype(int)
     height, width = inside.shape
     shift = np.array([[1, 0, -columns], [0, 1, -rows]], dtype=np.float32)
