@@ -38,6 +38,8 @@ _BESIDE: Final = 4
 """Distance at which things are side by side in the image [px]."""
 _STEP: Final = 0.02
 """What is nearer to the camera by more hides what is beside it [m]."""
+_FOOT: Final = 0.15
+"""Of the height of a thing that stands on the table its lowest points are at most so much [1]: few of a tall one are near its foot."""
 _HIDDEN: Final = 0.04
 """Least fraction of its surroundings that hides a thing which counts as partly hidden."""
 _LEAST: Final = (100, 0.012)
@@ -100,9 +102,9 @@ def _is_hidden(depth: NDArray[np.float32], mask: BoolArray, others: BoolArray) -
 
 
 def _stands_on_another(thing: Labelled, things: Sequence[Labelled]) -> bool:
-    """Whether a quarter of its footprint lies over that of another thing, and it begins where that ends."""
+    """Whether it ends above the table, or a quarter of its footprint lies over that of another thing and it begins where that ends."""
     area = cv2.contourArea(thing.hull.astype(np.float32))
-    return any(
+    return thing.low > max(_STEP, _FOOT * thing.high) or any(
         other is not thing and thing.low > max(_STEP, 0.6 * other.high) and _common(thing.hull, other.hull)[0] > 0.25 * area
         for other in things
     )
