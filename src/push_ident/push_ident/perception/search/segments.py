@@ -189,8 +189,9 @@ def _divided_by_tops(surfaces: NDArray[np.int32], points: NDArray[np.float32], p
     if not surfaces.any():
         return surfaces
     heights = cv2.medianBlur(np.where(surfaces > 0, points[..., 2], np.float32(0.0)), 5)
-    window = np.ones((2 * int(np.ceil(0.5 * step * pixels)) + 1,) * 2, np.uint8)
-    # A wall rises by a step within the window.
+    # A wall rises by a step within the window, which a wrong unit would make of any size.
+    reach = int(np.ceil(min(0.5 * step * pixels, max(surfaces.shape))))
+    window = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     level = (cv2.dilate(heights, window) - cv2.erode(heights, window) < 0.5 * step) & (surfaces > 0)
     divided, count = surfaces.copy(), int(surfaces.max())
     for index, box in enumerate(ndimage.find_objects(surfaces), start=1):
