@@ -27,7 +27,7 @@ docs: setup  ## the documentation site, in out/site; open out/site/index.html
 	NO_MKDOCS_2_WARNING=1 $(VENV)/mkdocs build
 	@echo "written: out/site/index.html"
 
-bench: setup  ## time and error of engine, identification and perception (ten minutes), then docs/results/benchmarks.md
+bench: setup  ## time and error of engine, identification, perception, scenes and rivals (half an hour; Newton: requirements/newton.txt), then docs/results/benchmarks.md
 	$(VENV)/push-ident bench --page docs/results/benchmarks.md
 
 # The published seeds.

@@ -30,7 +30,7 @@ def bench_command(
         ),
     ] = _PAGE,
 ) -> None:
-    """Measure time and error of engine, planning, identification and perception; about ten minutes."""
+    """Measure time and error of engine, planning, identification, perception, scenes and rivals; about half an hour."""
     known = sim_module("push_ident_sim.studies.registry").BENCHMARKS
     runner, pages = sim_module("push_ident_sim.studies.common.runner"), sim_module("push_ident_sim.studies.common.pages")
     settings = sim_module("push_ident_sim.studies.common.study").Settings(quick, seed)
