@@ -186,22 +186,19 @@ def _divided_by_tops(surfaces: NDArray[np.int32], points: NDArray[np.float32], p
         pixels: for a metre across the line of sight [1/m].
         step: height of the smallest step that divides [m].
     """
-    if not surfaces.any():
-        return surfaces
-    heights = cv2.medianBlur(np.where(surfaces > 0, points[..., 2], np.float32(0.0)), 5)
     # A wall rises by a step within the window, which a wrong unit would make of any size.
     reach = int(np.ceil(min(0.5 * step * pixels, max(surfaces.shape))))
     window = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    level = (cv2.dilate(heights, window) - cv2.erode(heights, window) < 0.5 * step) & (surfaces > 0)
     divided, count = surfaces.copy(), int(surfaces.max())
     for index, box in enumerate(ndimage.find_objects(surfaces), start=1):
         if box is None:
             continue
         inside = surfaces[box] == index
-        tops = _tops(level[box] & inside, heights[box], step)
+        heights = cv2.medianBlur(np.where(inside, points[box][..., 2], np.float32(0.0)), 5)
+        tops = _tops(inside & (cv2.dilate(heights, window) - cv2.erode(heights, window) < 0.5 * step), heights, step)
         if tops.max() < 2:
             continue
-        of_top = _nearest_top(points[box][inside].astype(np.float64), points[box].astype(np.float64), tops, heights[box], step)
+        of_top = _nearest_top(points[box][inside].astype(np.float64), points[box].astype(np.float64), tops, heights, step)
         divided[box][inside] = np.where(of_top == 1, index, count + of_top - 1)
         count += int(tops.max()) - 1
     return divided
@@ -212,7 +209,7 @@ def _tops(level: BoolArray, heights: NDArray[np.float32], step: float) -> NDArra
     parts = _cores(level)
     if parts.max() < 2:
         return parts
-    height = np.array(ndimage.median(heights, parts, np.arange(1, parts.max() + 1)))
+    height = (np.bincount(parts.ravel(), heights.ravel()) / np.bincount(parts.ravel()))[1:]
     order = np.argsort(height)
     number = np.zeros(len(height) + 1, dtype=np.int32)
     number[1 + order] = 1 + np.concatenate([[0], np.cumsum(np.diff(height[order]) > step)])
