@@ -30,7 +30,7 @@ from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 _MIN_SHARE: Final = 0.15
 """Least fraction of all points that must lie on the plane of the table."""
 _LEVEL: Final = 0.02
-"""Bin of heights in which a second plane is looked for [m]: twice the reach of its fit."""
+"""Range of heights in which a second plane is looked for [m]: the reach of its fit."""
 _DIFFERENT: Final = 0.004
 """Least mean distance between the outlines of the mark and of a turned copy [m]: below it the heading is ambiguous."""
 _MARK_AREA: Final = (0.6, 1.6)
@@ -218,9 +218,10 @@ def _level_above(heights: Float64Array) -> float | None:
     higher = heights[heights > PerceptionSettings().max_object_height]
     if len(higher) < _MIN_SHARE * len(heights):
         return None
-    counts, edges = np.histogram(higher, bins=np.arange(higher.min(), higher.max() + 2 * _LEVEL, _LEVEL))
-    fullest = int(np.argmax(counts))
-    return float(np.median(higher[(higher >= edges[fullest]) & (higher <= edges[fullest + 1])]))
+    higher = np.sort(higher)
+    ends = np.searchsorted(higher, higher + _LEVEL)
+    first = int(np.argmax(ends - np.arange(len(higher))))
+    return float(np.median(higher[first : ends[first]]))
 
 
 def _fit(template: Template, view: FrameView, segment: Segment) -> tuple[PoseFit, float, float]:

@@ -269,7 +269,9 @@ def _load_sdf(client: Any, path: Path) -> int:
     body = int(bodies[0])
     names = {-1: client.getBodyInfo(body)[0], **{k: client.getJointInfo(body, k)[12] for k in range(client.getNumJoints(body))}}
     for number, name in names.items():
-        friction, inertia = links[name.decode("utf-8")]
+        if (link := name.decode("utf-8")) not in links:
+            raise InputError(f"{path}: Bullet has a link `{link}` that is none of {sorted(links)}; give a model without models in it.")
+        friction, inertia = links[link]
         client.changeDynamics(body, number, lateralFriction=friction)
         if inertia is not None:
             client.changeDynamics(body, number, localInertiaDiagonal=inertia)

@@ -95,7 +95,7 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
             )
         chosen = design[inliers]
         plane = np.linalg.lstsq(chosen.T @ chosen, chosen.T @ near[inliers, 2], rcond=None)[0]
-    _check_place(plane, accepted)
+    _check_place(plane, accepted, "calibrate the camera")
     if noise > accepted.max_noise:
         raise PerceptionError(
             f"The points of the table deviate by {noise * 1e3:.1f} mm from a plane, expected at most {accepted.max_noise * 1e3:.0f} mm; "
@@ -103,8 +103,9 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
         )
     height = valid[in_workspace] @ np.array([-plane[0], -plane[1], 1.0]) - plane[2]
     below = height < -max(accepted.under, DEVIATIONS * noise)
-    # Beside the table its floor may be in view; a reflection, and the floor of a bin, are seen through it.
-    under = float(np.mean(below & _surrounded(pixels[in_workspace], np.abs(height) < 3.0 * noise, sample.shape[:2])))
+    # The floor of the room may be in view beside the table; a reflection, and the floor of a bin, are seen inside it.
+    of_table = np.abs(height) < 3.0 * max(noise, 2e-4)
+    under = float(np.mean(below & _surrounded(pixels[in_workspace], of_table, sample.shape[:2])))
     if under > accepted.max_share_under:
         raise PerceptionError(
             f"{under:.0%} of the points in the workspace lie more than {accepted.under * 1e3:.0f} mm under the table, expected at most "
@@ -113,12 +114,12 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
     return TablePlane((float(plane[0]), float(plane[1])), float(plane[2]), max(noise, 1e-4))
 
 
-def _check_place(plane: Float64Array, accepted: TableSettings) -> None:
+def _check_place(plane: Float64Array, accepted: TableSettings, remedy: str) -> None:
     tilt = float(np.hypot(plane[0], plane[1]))
     if tilt > accepted.max_tilt or abs(plane[2]) > accepted.max_offset:
         raise PerceptionError(
             f"The table is tilted by {tilt:.3f} rad and {plane[2] * 1e3:.0f} mm from its place in the extrinsics, "
-            f"expected at most {accepted.max_tilt} rad and {accepted.max_offset * 1e3:.0f} mm; calibrate the camera."
+            f"expected at most {accepted.max_tilt} rad and {accepted.max_offset * 1e3:.0f} mm; {remedy}."
         )
 
 
@@ -128,7 +129,8 @@ def _check_that_it_is_nowhere_else(points: Float64Array, accepted: TableSettings
     design = np.column_stack([points[:, :2], np.ones(len(points))])
     on_plane = np.abs(points[:, 2] - design @ plane) < 0.01
     if np.mean(on_plane) > accepted.min_share and np.count_nonzero(on_plane) >= _MIN_POINTS:
-        _check_place(np.linalg.lstsq(design[on_plane], points[on_plane, 2], rcond=None)[0], accepted)
+        elsewhere = np.linalg.lstsq(design[on_plane], points[on_plane, 2], rcond=None)[0]
+        _check_place(elsewhere, accepted, "calibrate the camera, or clear the table where that plane is a thing on it")
 
 
 def _surrounded(pixels: NDArray[np.intp], of_table: BoolArray, shape: tuple[int, int]) -> BoolArray:

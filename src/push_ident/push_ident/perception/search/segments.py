@@ -51,7 +51,7 @@ def find_segments(view: FrameView) -> tuple[list[Segment], dict[str, int]]:
     shadowed, bridged = _bridged(depth[region], labels[region], focal, settings.min_step)
     surfaces[region] = _surfaces(bridged, on_object[region] | shadowed, focal, settings.min_step)
     surfaces[region][shadowed] = 0
-    surfaces[region] = _divided_by_tops(surfaces[region], view.points[region], focal / _median(depth, surfaces), settings.min_step)
+    surfaces[region] = _divided_by_tops(surfaces[region], view.points[region], focal / _median_depth(depth, surfaces), settings.min_step)
     counts = {"object_pixels": int(np.count_nonzero(on_object)), "segments": 0}
     segments = []
     for index, box in enumerate(_boxes(surfaces, region), start=1):
@@ -127,9 +127,9 @@ def _sees_it_on_another(view: FrameView, box: tuple[slice, slice], points: Float
     if sine < _SEES_WALLS:
         return False
     if np.count_nonzero(points[:, 2] < view.settings.min_step) < _SMALLEST_PATCH:
-        beside = np.isin(surfaces[box], surfaces[box][others & _grown(inside, _NEAR)])
+        of_touching = np.isin(surfaces[box], surfaces[box][others & _grown(inside, _NEAR)])
         outline = cv2.convexHull(points[:, :2].astype(np.float32))[:, 0].astype(np.float64)
-        further_out = ~points_in_polygon(view.points[box][beside][:, :2].astype(np.float64), outline)
+        further_out = ~points_in_polygon(view.points[box][of_touching][:, :2].astype(np.float64), outline)
         if np.count_nonzero(further_out) >= _SMALLEST_PATCH:  # else it may be a foot of its own
             return True
     columns, rows = np.rint(_NEAR * down / sine * (1.0, intrinsics.fy / intrinsics.fx)).astype(int)
@@ -172,7 +172,7 @@ def _bridged(depth: NDArray[np.float32], labels: NDArray[np.int8], focal: float,
     return between, np.where(between, behind, depth)
 
 
-def _median(depth: NDArray[np.float32], surfaces: NDArray[np.int32]) -> float:
+def _median_depth(depth: NDArray[np.float32], surfaces: NDArray[np.int32]) -> float:
     """Median depth of all surfaces [m]; infinite where there are none."""
     return float(np.median(depth[surfaces > 0])) if surfaces.any() else np.inf
 
