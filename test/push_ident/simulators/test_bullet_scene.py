@@ -131,6 +131,7 @@ def test_an_sdf_that_bullet_cannot_be_is_refused(tmp_path: Path) -> None:
         ("<sdf", "Cannot read"),
         (SDF.replace("1e-4", "much"), "Cannot read"),
         (SDF.replace("</link>", f"{second}</link>"), "collisions of the link `base`"),
+        (SDF.replace("</link></model>", "</link><model name='part'><link name='inner'/></model></model>"), "has the links"),
         (SDF.replace("<model", "<other").replace("</model", "</other"), "0 models"),
     ):
         (tmp_path / "block.sdf").write_text(text, encoding="utf-8")

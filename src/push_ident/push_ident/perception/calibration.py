@@ -219,7 +219,7 @@ def _level_above(heights: Float64Array) -> float | None:
     if len(higher) < _MIN_SHARE * len(heights):
         return None
     higher = np.sort(higher)
-    ends = np.searchsorted(higher, higher + _LEVEL)
+    ends = np.searchsorted(higher, higher + _LEVEL, side="right")
     first = int(np.argmax(ends - np.arange(len(higher))))
     return float(np.median(higher[first : ends[first]]))
 

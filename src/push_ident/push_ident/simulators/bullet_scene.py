@@ -252,7 +252,9 @@ def _load(client: Any, path: Path) -> int:
             return _load_sdf(client, path)
         return int(client.loadURDF(str(path), flags=bullet.URDF_USE_INERTIA_FROM_FILE))
     except bullet.error as error:
-        raise InputError(f"Bullet cannot read {path}: {error}. Give a URDF or SDF of the object, with mesh paths relative to it.") from None
+        raise InputError(
+            f"Bullet cannot read {path}: {error}. Give a URDF or SDF of the object, with inertias, and mesh paths relative to it."
+        ) from None
 
 
 def _is_sdf(path: Path) -> bool:
@@ -267,11 +269,14 @@ def _load_sdf(client: Any, path: Path) -> int:
     if len(bodies) != 1:
         raise InputError(f"{path} has {len(bodies)} models, expected one: the object alone.")
     body = int(bodies[0])
-    names = {-1: client.getBodyInfo(body)[0], **{k: client.getJointInfo(body, k)[12] for k in range(client.getNumJoints(body))}}
-    for number, name in names.items():
-        if (link := name.decode("utf-8")) not in links:
-            raise InputError(f"{path}: Bullet has a link `{link}` that is none of {sorted(links)}; give a model without models in it.")
-        friction, inertia = links[link]
+    names = [client.getBodyInfo(body)[0], *(client.getJointInfo(body, joint)[12] for joint in range(client.getNumJoints(body)))]
+    names = [name.decode("utf-8") for name in names]
+    if set(names) != set(links):
+        raise InputError(
+            f"{path} has the links {sorted(links)}, of which Bullet reads {sorted(names)}; give one model without models in it."
+        )
+    for number, name in enumerate(names, start=-1):
+        friction, inertia = links[name]
         client.changeDynamics(body, number, lateralFriction=friction)
         if inertia is not None:
             client.changeDynamics(body, number, localInertiaDiagonal=inertia)
