@@ -67,11 +67,12 @@ def test_what_was_traced_is_kept_and_files_of_earlier_versions_are_read(before: 
     rests = (np.array([[0.5, 0.1], [0.4, -0.2]]), np.array([[0.3, 0.2]]))
     hollow = np.zeros(known.traced.top.shape, dtype=bool)
     hollow[4:9, 3:7] = True
-    errors = {"displaced_std": 1e-3, "displaced_frame": (0.1, 0.2, 0.3), "frame_covariance": 1e-8 * np.eye(3)}
+    errors = {"displaced": 2e-3, "displaced_std": 1e-3, "displaced_frame": (0.1, 0.2, 0.3), "frame_covariance": 1e-8 * np.eye(3)}
     traced = replace(known.traced, camera_positions=rests, hollow=hollow, **errors)
     memory.keep("o1", replace(known, traced=traced))
     read = memory.load()["o1"].traced
-    assert read.displaced_frame == traced.displaced_frame and read.camera_positions is not None
+    assert (read.displaced, read.displaced_std, read.displaced_frame) == (2e-3, 1e-3, traced.displaced_frame)
+    assert read.camera_positions is not None
     np.testing.assert_array_equal(read.frame_covariance, traced.frame_covariance)
     np.testing.assert_array_equal(read.hollow, hollow)
     for ours, kept in zip(rests, read.camera_positions, strict=True):

@@ -37,12 +37,15 @@ def test_values_of_a_grid_are_those_of_the_field_inside_and_of_the_border_outsid
     assert interpolate(field, np.array([[9.0, 0.0]]))[0] == pytest.approx([0.03], abs=1e-4)
 
 
-def test_gradient_is_the_derivative_of_the_sum_of_squares(field):
+@pytest.mark.parametrize("displaced", [0.0, 2e-3])
+def test_gradient_is_the_derivative_of_the_sum_of_squares(field, displaced):
     rng = np.random.default_rng(0)
     ends, stopped = POSE[:2] + rng.uniform(-0.03, 0.03, size=(400, 2)), (rng.random(400) < 0.5).astype(np.float64)
 
     def compared(pose):  # both ends of a line at one position: where the other end comes to decide there is a jump
-        _, gradient, mean_square, *_ = compare_lines(field, ends, ends.copy(), stopped, pose, (0.006, 0.018, 0.003))
+        _, gradient, mean_square, *_ = compare_lines(
+            field, ends, ends.copy(), stopped, pose, (0.006, 0.018, 0.003), np.array([0.5, 0.2, displaced])
+        )
         return gradient, 0.5 * len(ends) * mean_square
 
     pose, h = POSE + np.array([0.002, -0.001, 0.01]), 1e-7

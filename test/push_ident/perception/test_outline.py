@@ -14,9 +14,9 @@ from push_ident.geometry.shape_check import crossing_edges
 from push_ident.perception.outline.edges import (
     EdgeLines,
     dense,
-    displaced_std,
+    depth_jumps,
+    displacement,
     edge_std,
-    hidden_walls,
     moved_apart,
     with_edges_moved,
     without_reversed,
@@ -42,17 +42,21 @@ def lines_of(scatter, n=20000, seed=0):
 
 @pytest.mark.parametrize("scatter", [0.0, 5e-4, 2e-3])
 def test_deviation_of_an_edge_follows_its_scatter(scatter):
-    hidden, seen = (edge_std(SQUARE, [lines_of(scatter)], SQUARE, [lines_of(scatter, seed=1)], np.array([[0.0, y]])) for y in (0.5, -0.5))
-    assert hidden[0] == pytest.approx(np.hypot(1.0, 1.8) * scatter, abs=3e-4)  # ragged, and displaced
+    hidden, seen = (
+        edge_std(SQUARE, [lines_of(scatter)], SQUARE, [lines_of(scatter, seed=1)], np.array([[0.0, y, 4.0]])) for y in (0.5, -0.5)
+    )
+    assert hidden[0] == pytest.approx(np.hypot(1.0, 0.5) * scatter, abs=3e-4)  # ragged, and displaced
     assert seen[0] == pytest.approx(scatter, abs=2.5e-4)
     assert np.all(hidden[1:] > 9e-4)  # no line of sight passes the others: the prior of 1 mm
 
 
-def test_walls_that_no_camera_sees_are_hidden():
-    assert hidden_walls(SQUARE, np.array([[0.0, -0.5]])).tolist() == [False, True, True, True]
-    assert hidden_walls(SQUARE, np.array([[0.0, -0.5], [0.4, 0.0]])).tolist() == [False, False, True, True]
-    for y, std in ((-0.5, 0.0), (0.5, 1.8e-3)):
-        assert displaced_std(SQUARE, np.array([[0.0, y]]), [lines_of(1e-3)]) == pytest.approx(std, abs=2.5e-4)
+def test_depth_jumps_where_a_wall_is_hidden_or_narrower_in_the_image_than_half_a_window():
+    sees = 4.0  # half of a window is filled where the camera is 25 cm in front of an edge
+    assert depth_jumps(SQUARE, np.array([[0.0, -0.5, sees]])).tolist() == [0.0, 1.0, 1.0, 1.0]
+    assert depth_jumps(SQUARE, np.array([[0.0, -0.5, sees], [0.4, 0.0, sees]])).tolist() == [0.0, 0.0, 1.0, 1.0]
+    assert depth_jumps(SQUARE, np.array([[0.0, -0.175, sees]]))[0] == pytest.approx(0.5)
+    for y, expected in ((-0.5, (0.0, 0.0)), (0.5, (1.9e-3, 0.5e-3))):
+        assert displacement(SQUARE, np.array([[0.0, y, sees]]), [lines_of(1e-3)]) == pytest.approx(expected, abs=2.5e-4)
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
 from helpers.random_pushes import CLASSES, DT, ENGINES, Case, fixed_seeds, random_case, steps_of
+from push_ident.physics.active_effects import NO_MODES
 from push_ident.physics.effect import OnTable
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.effects import CAUSES, EFFECTS
@@ -66,28 +68,40 @@ class Compared:
         self.worst = {"pose": 0.0, "impulse": 0.0, "adjoint": 0.0}
 
     def add(
-        self, case: Case, how: SimulationSettings, effects: EffectValues = NONE, *, between: bool = False, only_effects: bool = False
+        self,
+        case: Case,
+        how: SimulationSettings,
+        effects: EffectValues = NONE,
+        *,
+        between: bool = False,
+        only_effects: bool = False,
+        modes: Float64Array = NO_MODES,
     ) -> None:
-        """Compare all columns of a push, or those of the effects; `between` the steps' ends no latency has a kink."""
+        """Compare all columns of a push, or those of the effects and of the `modes` of the outline; `between` the steps' ends no latency
+        has a kink."""
         body, mu = case.body, case.model.pusher_friction
         n, ends = 8 + len(body.limit), case.pusher.time
         within = np.r_[ends[1:-1] + 0.4 * np.diff(ends[1:]), ends[-1]]
-        point = np.r_[case.pose, body.mass, body.centre, body.inertia, mu, body.limit, effects.values]
-        typical = [p.typical for p in effects.parameters]
+        point = np.r_[case.pose, body.mass, body.centre, body.inertia, mu, body.limit, effects.values, np.zeros(len(modes))]
+        m = n + len(effects)
+        typical = [*(p.typical for p in effects.parameters), *np.full(len(modes), 1e-3)]
         scale = np.r_[0.05, 0.05, 1.0, body.mass, 0.05, 0.05, body.inertia, 0.5, np.full(len(body.limit), body.limit.mean()), typical]
         # A small friction coefficient of the pusher leaves no room below it.
         low = [
             max(p.low, -mu) if label == "pusher_friction.excess" else p.low
             for label, p in zip(effects.labels, effects.parameters, strict=True)
         ]
-        low = np.r_[np.full(7, -np.inf), np.zeros(n - 7), low]
+        low = np.r_[np.full(7, -np.inf), np.zeros(n - 7), low, np.full(len(modes), -np.inf)]
 
         def arguments(q: Float64Array):  # type: ignore[no-untyped-def]
             scenario = PushScenario(case.pusher, q[:3], ends[:-1] + 0.4 * (ends[1] - ends[0]) if between else ends, ORDER, within)
-            return case.model.shape, BodyParameters(q[3], q[4:6], q[6], q[8:n]), q[7], scenario
+            shape = case.model.shape
+            if len(modes):
+                shape = replace(shape, outline=shape.outline + np.tensordot(q[m:], modes, axes=1))
+            return shape, BodyParameters(q[3], q[4:6], q[6], q[8:n], modes), q[7], scenario
 
         def simulated(q: Float64Array, *, jacobian: bool = False) -> Motion:
-            return simulate_body(*arguments(q), settings=how, effects=effects.with_values(q[n:]), jacobian=jacobian)
+            return simulate_body(*arguments(q), settings=how, effects=effects.with_values(q[n:m]), jacobian=jacobian)
 
         motion = simulated(point, jacobian=True)
         assert motion.status is not SolveStatus.SIMULATION_FAILED
@@ -161,6 +175,19 @@ def test_all_columns_are_exact_where_events_are_resolved_within_steps(names: tup
         how = SimulationSettings(step=0.4 * DT, resolve_events=True)
         compared.add(random_case(seed, 9 + seed, seed % 2 == 1, 5), how, some_values(names, seed), between=True)
     compared.check(1e-9, 0.2)
+
+
+@pytest.mark.parametrize("mode", ENGINES)
+@pytest.mark.parametrize("names", [(), ("outline_error", "pusher_friction", "restitution")], ids=["base model", "effects"])
+def test_columns_of_displaced_vertices_are_exact(mode: str, names: tuple[str, ...]) -> None:
+    names = tuple(name for name in names if not (EFFECTS[name].needs_inertia and mode == "quasi-static"))
+    compared = Compared()
+    for seed in range(12):
+        case = random_case(seed, 9 + seed % 7, seed % 2 == 1, 5)
+        modes = np.random.default_rng(seed).normal(size=(4, *case.model.shape.outline.shape))
+        compared.add(case, ENGINES[mode], some_values(names, seed), only_effects=True, modes=modes)
+    compared.check(max(ADJOINT[mode], 1e-9), 0.3)
+    assert all(compared.kinds[kind] >= 10 for kind in ("sticking", "sliding"))
 
 
 @pytest.mark.parametrize("name", CAUSES)

@@ -75,7 +75,7 @@ def identify(
     checked, solver, earlier = _checked(records), solver_of(method), earlier or Earlier()
     records = checked.records
     unknowns, options = _prepared(records, prior or Prior(), effects, solver, earlier, options or FitOptions())
-    meter, scalars = Meter(budget, on_progress), unknowns.equal_cells().with_effects(())
+    meter, scalars = Meter(budget, on_progress), unknowns.equal_cells().with_effects(()).as_traced()
     # Roughly: equal cells explain an uneven object badly, at a cost with many kinks. A candidate fits them to the end where it decides.
     problem = FitProblem(records, scalars, noise=options.noise, settings=options.numerics)
     warm = next((start.x for start in earlier.warm_starts if start.name == _SCALARS), np.empty(0))
@@ -120,7 +120,7 @@ def _prepared(
     """
     unknowns = _unknowns_of(records, prior, effects, solver, earlier)
     equal = unknowns.equal_cells()
-    without_effects = equal.with_effects(())
+    without_effects = equal.with_effects(()).as_traced()
     options = replace(options, noise=noise_at_rest(records, options.noise))
     for spec in (without_effects, equal) if equal.effects.names else (equal,):  # pushes with effects have kernels of their own
         problem = FitProblem(records[:1], spec, noise=options.noise, settings=options.numerics)
@@ -143,8 +143,10 @@ def _unknowns_of(records: Sequence[PushRecord], prior: Prior, effects: Sequence[
         prior = prior.with_force_offset(records)
     if can.cell_by_cell:
         return UnknownsSpec.of(shape, prior, maps=False).cell_by_cell()
-    modes = earlier.past.modes if earlier.past else None
-    return UnknownsSpec.of(shape, prior, modes=modes, effects=tuple(dict.fromkeys((*names, *nuisance_effects(shape, prior)))))
+    modes, names = earlier.past.modes if earlier.past else None, tuple(dict.fromkeys((*names, *nuisance_effects(shape, prior))))
+    unknowns = UnknownsSpec.of(shape, prior, modes=modes, effects=names, outline=can.takes_effects)
+    is_as_before = earlier.past is None or len(earlier.past.cost.point) == unknowns.size
+    return unknowns if is_as_before else unknowns.as_traced()
 
 
 def _checkpoints(problem: FitProblem) -> tuple[Checkpoint, ...]:

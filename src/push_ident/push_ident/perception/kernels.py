@@ -110,11 +110,22 @@ def _innermost(field: Any, upper: Any, lower: Any, pose: Any, cos: Any, sin: Any
 
 
 @_inline
-def _expected(field: Any, upper: Any, lower: Any, pose: Any, cos: Any, sin: Any, width: Any) -> Any:
-    """Innermost end of a line of sight, object frame, its distance from the outline [m], the expected, and the derivatives of that by the
-    pose."""
+def _jump(towards: Any, visibility: Any) -> Any:
+    """How far a camera takes an edge for a jump of depth, from 0 to 1, that is `towards` it along its outward normal [m]: wholly where its
+    wall is hidden, not at all where that fills half of a matcher's window; `visibility` is the share of it by metre [1/m]."""
+    return min(1.0, max(0.0, 1.0 - visibility * towards))
+
+
+@_inline
+def _expected(field: Any, upper: Any, lower: Any, pose: Any, cos: Any, sin: Any, width: Any, edges: Any) -> Any:
+    """Innermost end of a line of sight, object frame, its distance from where the camera shows the outline [m], the expected, and the
+    derivatives of that by the pose."""
     x, y, row, column = _innermost(field, upper, lower, pose, cos, sin)
     distance, along_x, along_y = _bilinear(field, row, column)
+    if edges[2] > 0.0:
+        camera_x = cos * (edges[0] - pose[0]) + sin * (edges[1] - pose[1])
+        camera_y = -sin * (edges[0] - pose[0]) + cos * (edges[1] - pose[1])
+        distance -= edges[2] * _jump(along_x * (camera_x - x) + along_y * (camera_y - y), edges[3])
     expected = 1.0 / (1.0 + math.exp(distance / width))
     steepness = expected * (1.0 - expected) / width
     by_x, by_y = steepness * (cos * along_x - sin * along_y), steepness * (sin * along_x + cos * along_y)
@@ -207,14 +218,16 @@ def intersect_object(field: Any, tops: Any, depth: Any, left_out: Any, rays: Any
     return upper[:n], lower[:n], point[:n], stopped[:n], informative[:n]
 
 
-@_kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, types.UniTuple(types.float64, 3))
-def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, widths: Any) -> Any:
+@_kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, types.UniTuple(types.float64, 3), _REALS)
+def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, widths: Any, edges: Any) -> Any:
     """Compare the observed lines of sight with those expected at `pose`.
 
     Args:
         upper, lower, stopped: As in `LinesOfSight`.
         widths: Width s of the expected step; distance from the outline within which residuals estimate the noise; distance beyond which
             a line with the opposite result contradicts the pose [m].
+        edges: Position of the camera, table frame, how far it displaces edges where depth jumps [m], and how well it sees walls [1/m], see
+            `wall_visibility`; shape (4,).
 
     Returns:
         J'J, shape (3, 3), and J'r, shape (3,), with J the derivative of the expected by the pose; mean square of all residuals and of
@@ -228,7 +241,7 @@ def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, w
     square, square_at_edge = 0.0, 0.0
     n_at_edge, n_off_edge, n_contradicting = 0, 0, 0
     for i in range(len(upper)):
-        _, _, distance, expected, by_x, by_y, by_turn = _expected(field, upper[i], lower[i], pose, cos, sin, width)
+        _, _, distance, expected, by_x, by_y, by_turn = _expected(field, upper[i], lower[i], pose, cos, sin, width, edges)
         residual = stopped[i] - expected
         square += residual**2
         near, far = abs(distance) < at_edge, abs(distance) > off_edge
@@ -259,26 +272,27 @@ def compare_lines(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, w
     )
 
 
-@_kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, _REAL, _REAL)
-def scores_of_squares(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, width: Any, cell: Any) -> Any:
+@_kernel(_GRID, _ROWS, _ROWS, _REALS, _REALS, types.UniTuple(types.float64, 2), _REALS)
+def scores_of_squares(field: Any, upper: Any, lower: Any, stopped: Any, pose: Any, widths: Any, edges: Any) -> Any:
     """The sums of `compare_lines` over squares of the object instead of over all lines of sight.
 
     Args:
         upper, lower, stopped: As in `LinesOfSight`.
-        width: Width s of the expected step [m].
-        cell: Edge of a square, object frame [m].
+        widths: Width s of the expected step, and edge of a square, object frame [m].
+        edges: As of `compare_lines`.
 
     Returns:
         J'J, shape (n_squares, 3, 3), and J'r, shape (n_squares, 3), of the lines in each square, J the derivative of the expected by the
         pose; zero in squares without lines.
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    width, cell = widths
     values, origin, edge = field
     rows, columns = int(values.shape[0] * edge / cell) + 1, int(values.shape[1] * edge / cell) + 1
     normal, gradient = np.zeros((rows * columns, 3, 3)), np.zeros((rows * columns, 3))
     slope = np.empty(3)
     for i in range(len(upper)):
-        x, y, _, expected, slope[0], slope[1], slope[2] = _expected(field, upper[i], lower[i], pose, cos, sin, width)
+        x, y, _, expected, slope[0], slope[1], slope[2] = _expected(field, upper[i], lower[i], pose, cos, sin, width, edges)
         u = min(max(int((x - origin[0]) / cell), 0), columns - 1)
         v = min(max(int((y - origin[1]) / cell), 0), rows - 1)
         for j in range(3):
@@ -289,13 +303,13 @@ def scores_of_squares(field: Any, upper: Any, lower: Any, stopped: Any, pose: An
 
 
 @_kernel(_GRID, _ROWS, _ROWS, _REALS, _REAL, _REALS, _read_only(types.float64, 3))
-def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, camera: Any, camera_positions: Any) -> Any:
-    """J'd of a camera that displaces by one metre every edge whose wall it does not see, in this image and in the outline.
+def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, edges: Any, camera_positions: Any) -> Any:
+    """J'd of a camera that displaces by one metre more every edge where depth jumps, in this image and in the outline.
 
     Args:
         upper, lower: As in `LinesOfSight`.
         width: Width s of the expected step [m].
-        camera: Position of the camera [m], shape (2,), table frame.
+        edges: As of `compare_lines`.
         camera_positions: Of the cameras that traced the outline in each rest [m], shape (n_rests, n_cameras, 2), object frame; NaN where
             a rest has fewer cameras.
 
@@ -304,21 +318,23 @@ def displaced_scores(field: Any, upper: Any, lower: Any, pose: Any, width: Any, 
         the share of the rests in which they were, which is their displacement in the outline.
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    camera_x = cos * (camera[0] - pose[0]) + sin * (camera[1] - pose[1])
-    camera_y = -sin * (camera[0] - pose[0]) + cos * (camera[1] - pose[1])
+    camera_x = cos * (edges[0] - pose[0]) + sin * (edges[1] - pose[1])
+    camera_y = -sin * (edges[0] - pose[0]) + cos * (edges[1] - pose[1])
     by_x_sum, by_y_sum, by_turn_sum = 0.0, 0.0, 0.0
     for i in range(len(upper)):
         x, y, row, column = _innermost(field, upper[i], lower[i], pose, cos, sin)
         distance, along_x, along_y = _bilinear(field, row, column)
+        change = _jump(along_x * (camera_x - x) + along_y * (camera_y - y), edges[3])
+        distance -= change * edges[2]
         if abs(distance) > 3.0 * width:
             continue  # its square of the steepness is 3 % of that at the edge
-        change = 0.0 if along_x * (camera_x - x) + along_y * (camera_y - y) > 0.0 else 1.0
         for j in range(len(camera_positions)):
-            is_visible = False
+            least = 1.0
             for k in range(camera_positions.shape[1]):
-                is_visible |= along_x * (camera_positions[j, k, 0] - x) + along_y * (camera_positions[j, k, 1] - y) > 0.0
-            if not is_visible:
-                change -= 1.0 / len(camera_positions)
+                towards = along_x * (camera_positions[j, k, 0] - x) + along_y * (camera_positions[j, k, 1] - y)
+                if not math.isnan(towards):
+                    least = min(least, _jump(towards, edges[3]))
+            change -= least / len(camera_positions)
         expected = 1.0 / (1.0 + math.exp(distance / width))
         steepness = expected * (1.0 - expected) / width
         by_x_sum += change * steepness**2 * (cos * along_x - sin * along_y)

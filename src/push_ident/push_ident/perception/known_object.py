@@ -99,8 +99,11 @@ class TracedObject:
     """Which cells of `top` lie over a hollow, same shape; `top` has the height of the rim there. None where nothing is hollow."""
     camera_positions: tuple[Float64Array, ...] | None = None
     """Of the cameras that traced it in each rest [m], shapes (n, 2), object frame; None: unknown."""
+    displaced: float = 0.0
+    """How far the camera is expected to displace edges whose wall it does not see, outwards and all of them alike [m]. The outline is
+    without it."""
     displaced_std: float = 0.0
-    """Standard deviation of how far the camera displaces edges whose wall it does not see, all of them alike [m]."""
+    """Standard deviation of that [m]."""
     displaced_frame: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Displacement (x, y, yaw) of the object frame by such edges, per metre of theirs [-, -, rad/m], object frame: 0 for the first view."""
     frame_covariance: Float64Array = field(default_factory=lambda: np.zeros((3, 3)))

@@ -52,7 +52,7 @@ class ActiveEffects(NamedTuple):
     """The active effects of a rollout, in the arrays that the kernels take."""
 
     values: Float64Array
-    """Of all parameters of the active effects, shape (n_values,)."""
+    """Of all parameters of the active effects, then zeros for the modes of `vertices`, shape (n_values,)."""
     on_table: BoolArray
     """Which values belong to effects that act on the table, shape (n_values,)."""
     pulled: BoolArray
@@ -89,9 +89,17 @@ class ActiveEffects(NamedTuple):
     """[m]"""
     order: float
     """Number of pushes made before this one."""
+    vertices: Float64Array
+    """Derivative of the vertices of the outline by the modes in which it may differ, object frame, shape (n_modes, n_vertices, 2)."""
 
 
-def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Array, cells: CellGrid, order: float) -> ActiveEffects:
+NO_MODES = np.zeros((0, 0, 2))
+"""Of an outline that is known exactly."""
+
+
+def active_effects(
+    effects: EffectValues, d_path: Float64Array, arms: Float64Array, cells: CellGrid, order: float, vertices: Float64Array = NO_MODES
+) -> ActiveEffects:
     """The effects in the arrays of the kernels.
 
     Args:
@@ -100,12 +108,24 @@ def active_effects(effects: EffectValues, d_path: Float64Array, arms: Float64Arr
         arms: cell centres from the centre of mass [m], shape (2, n_cells).
         cells: of the object.
         order: how many pushes went before.
+        vertices: see `ActiveEffects.vertices`; the outline itself is the one that the rollout has.
     """
-    kinds = _kinds_of(effects.names)
+    kinds, n_modes = _kinds_of(effects.names), len(vertices)
     (x, y), parts, size = arms, cells.parts, float(cells.size)
     mean_x, mean_y, mean_r2, mean_part = (float(np.average(values, weights=parts)) for values in (x, y, x * x + y * y, parts))
     spread = (mean_x, mean_y, mean_r2 + mean_part * size**2 / 6)
-    return kinds._replace(values=np.array(effects.values), d_path=d_path, spread=spread, cell_size=size, order=float(order))
+    if n_modes:
+        none, of_path = np.zeros(n_modes, dtype=np.bool_), np.zeros((n_modes, *d_path.shape[1:]))
+        on_table, pulled, moves = (np.append(kind, none) for kind in (kinds.on_table, kinds.pulled, kinds.moves))
+        kinds, d_path = kinds._replace(on_table=on_table, pulled=pulled, moves=moves), np.concatenate([d_path, of_path])
+    return kinds._replace(
+        values=np.append(effects.values, np.zeros(n_modes)),
+        d_path=d_path,
+        spread=spread,
+        cell_size=size,
+        order=float(order),
+        vertices=vertices,
+    )
 
 
 @cache
@@ -157,4 +177,5 @@ def _kinds_of(names: tuple[str, ...]) -> ActiveEffects:
         spread=(0.0, 0.0, 0.0),
         cell_size=0.0,
         order=0.0,
+        vertices=NO_MODES,
     )

@@ -5,12 +5,13 @@ M = sum m_i,   c = sum m_i r_i / M,   I = sum m_i (|r_i - c|^2 + a_i / 6),   f_i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
+from push_ident.physics.active_effects import NO_MODES
 from push_ident.physics.contact import count_inside
 from push_ident.physics.support import GRAVITY
 from push_ident.physics.tape import Param
@@ -29,6 +30,8 @@ class BodyParameters:
     """About the centre of mass [kg m^2]."""
     limit: Float64Array
     """Friction force of each cell when it slides [N], shape (n_cells,)."""
+    outline_modes: Float64Array = field(default_factory=lambda: NO_MODES)
+    """Displacements of the vertices of the outline by which derivatives are wanted, too, object frame, shape (n_modes, n_vertices, 2)."""
 
 
 def body_of_cells(shape: ObjectShape, mass: Float64Array, friction: Float64Array) -> BodyParameters:

@@ -39,7 +39,13 @@ class Field(IntEnum):
     """Point of the pusher's core that determines the gap x, y [m]."""
     OWNER = 9
     """Index of the pusher's corner, -1 for a side."""
-    WIDTH = 10
+    EDGE = 10
+    """Index of the edge of the outline that is touched, or of the one behind the corner."""
+    ALONG = 11
+    """Place of the nearest point on it, from 0 at its first vertex to 1."""
+    LENGTH = 12
+    """Of that edge [m]."""
+    WIDTH = 13
     """Number of columns."""
 
 
@@ -106,10 +112,10 @@ def _fill(contact: Float64Array, px: float, py: float, radius: float, outline: F
     """Contact of a corner of the pusher with the nearest point of edge i."""
     distance, qx, qy, s = _edge_feature(px, py, outline, i)
     sign = -1.0 if inside else 1.0
+    j = i + 1 if i + 1 < outline.shape[0] else 0
+    ex, ey = outline[j, 0] - outline[i, 0], outline[j, 1] - outline[i, 1]
+    length = math.hypot(ex, ey)
     if 0.0 < s < 1.0 or distance < 1e-9:
-        j = i + 1 if i + 1 < outline.shape[0] else 0
-        ex, ey = outline[j, 0] - outline[i, 0], outline[j, 1] - outline[i, 1]
-        length = math.hypot(ex, ey)
         # The outline runs counter-clockwise, so the outside lies to the right of each edge.
         contact[Field.NORMAL], contact[Field.NORMAL + 1] = ey / length, -ex / length
         contact[Field.CURVATURE], contact[Field.KIND] = 0.0, Kind.EDGE.value
@@ -120,6 +126,7 @@ def _fill(contact: Float64Array, px: float, py: float, radius: float, outline: F
     contact[Field.POINT], contact[Field.POINT + 1] = qx, qy
     contact[Field.TIP], contact[Field.TIP + 1] = px, py
     contact[Field.OWNER] = owner
+    contact[Field.EDGE], contact[Field.ALONG], contact[Field.LENGTH] = i, s, length
 
 
 @kernel
@@ -135,6 +142,8 @@ def _fill_edge(contact: Float64Array, px: float, py: float, radius: float, outli
     contact[Field.CURVATURE], contact[Field.KIND] = 0.0, Kind.EDGE.value
     contact[Field.TIP], contact[Field.TIP + 1] = px, py
     contact[Field.OWNER] = owner
+    along = (ex * (px - outline[i, 0]) + ey * (py - outline[i, 1])) / length
+    contact[Field.EDGE], contact[Field.ALONG], contact[Field.LENGTH] = i, along / length, length
 
 
 @kernel
@@ -237,6 +246,7 @@ def _side_candidates(tips: Float64Array, radius: float, outline: Float64Array, r
         contact[Field.CURVATURE], contact[Field.KIND] = 0.0, Kind.SIDE.value
         contact[Field.TIP], contact[Field.TIP + 1] = ox, oy
         contact[Field.OWNER] = -1
+        contact[Field.EDGE], contact[Field.ALONG], contact[Field.LENGTH] = i, 0.0, math.hypot(b[0] - ox, b[1] - oy)
         n += 1
     return n
 

@@ -76,6 +76,8 @@ class ContactEffects(NamedTuple):
     d_restitution: float
     d_twist: Float64Array
     """Of the twist of `Rebound`, shape (3,)."""
+    d_vertices: Float64Array
+    """Of the vertices of the outline, shape (n_vertices, 2); of no vertices where the outline stays."""
 
 
 @kernel
@@ -139,6 +141,21 @@ def add_rebound(contact: Float64Array, k: int, rebound: Rebound, dt: float, rows
 
 
 @kernel
+def _change_of_place(contact: Float64Array, is_edge: bool, d_vertices: Float64Array) -> tuple[float, float, float]:
+    """How the place that a contact touches moves with the vertices of the outline: x and y, for an edge along its normal only, and how much
+    an edge turns."""
+    i = int(contact[Field.EDGE])
+    j = i + 1 if i + 1 < d_vertices.shape[0] else 0
+    begin, end, along = d_vertices[i], d_vertices[j], contact[Field.ALONG]
+    x, y = begin[0] + along * (end[0] - begin[0]), begin[1] + along * (end[1] - begin[1])
+    if not is_edge:
+        return x, y, 0.0
+    nx, ny = contact[Field.NORMAL], contact[Field.NORMAL + 1]
+    outward = nx * x + ny * y
+    return outward * nx, outward * ny, -(nx * (end[0] - begin[0]) + ny * (end[1] - begin[1])) / contact[Field.LENGTH]
+
+
+@kernel
 def contact_rows_seed(
     contact: Float64Array,
     k: int,
@@ -148,7 +165,8 @@ def contact_rows_seed(
     effects: ContactEffects | None,
     d_rows: Float64Array,
 ) -> None:
-    """Derivative of `contact_rows` for a change of the pusher, of the centre of mass and, where effects act, of their values."""
+    """Derivative of `contact_rows` for a change of the pusher, of the centre of mass and, where effects act, of their values and of the
+    vertices of the outline."""
     centre, dt = geometry.centre, geometry.dt
     pusher, velocity, spin = relative.centre, relative.velocity, relative.spin[0]
     d_pusher, d_angle, d_centre, d_velocity = change.pusher, change.angle[0], change.centre, change.velocity
@@ -159,14 +177,25 @@ def contact_rows_seed(
     vx, vy = velocity[0] - spin * by, velocity[1] + spin * bx
     d_tip_x = d_pusher[0] - d_angle * (contact[Field.TIP + 1] - pusher[1])
     d_tip_y = d_pusher[1] + d_angle * (contact[Field.TIP] - pusher[0])
+    is_edge = contact[Field.KIND] == Kind.EDGE.value
+    d_place_x = d_place_y = d_heading = 0.0
+    if effects is not None and effects.d_vertices.shape[0] > 0:
+        d_place_x, d_place_y, d_heading = _change_of_place(contact, is_edge, effects.d_vertices)
+        # What matters is where the pusher is relative to the place that it touches.
+        d_tip_x -= d_place_x
+        d_tip_y -= d_place_y
     along = tx * d_tip_x + ty * d_tip_y
-    turn = d_angle if contact[Field.KIND] == Kind.SIDE.value else contact[Field.CURVATURE] * along
-    slide = along if contact[Field.KIND] == Kind.EDGE.value else 0.0
+    turn = d_angle if contact[Field.KIND] == Kind.SIDE.value else contact[Field.CURVATURE] * along + d_heading
+    slide = along if is_edge else 0.0
     dnx, dny = turn * tx, turn * ty
     dtx, dty = -dny, dnx
     d_point_x, d_point_y = slide * tx, slide * ty
     d_gap = nx * d_tip_x + ny * d_tip_y
     if effects is not None:
+        height = nx * (contact[Field.TIP] - contact[Field.POINT]) + ny * (contact[Field.TIP + 1] - contact[Field.POINT + 1])
+        height += effects.offset
+        d_point_x += d_place_x - height * d_heading * tx
+        d_point_y += d_place_y - height * d_heading * ty
         d_point_x += effects.offset * dnx + effects.d_offset * nx
         d_point_y += effects.offset * dny + effects.d_offset * ny
         d_gap -= effects.d_offset

@@ -139,15 +139,19 @@ class Measurement:
 
     @classmethod
     def of(
-        cls, effects: EffectValues, times: ReportTimes, pose: Float64Array, mu_by_value: Float64Array
+        cls, effects: EffectValues, times: ReportTimes, pose: Float64Array, mu_by_value: Float64Array, n_modes: int = 0
     ) -> tuple[Float64Array, Measurement]:
-        """Reported poses at the frames, shape (n_frames, 3), and their derivative, from poses at the frames that `times` wants."""
+        """Reported poses at the frames, shape (n_frames, 3), and their derivative, from poses at the frames that `times` wants.
+
+        The `n_modes` of the outline, which change nothing here, are values behind those of the effects.
+        """
         pose, velocity = times.split(pose)
         pose, by_pose, by_value = reported_poses(effects, pose)
         if times.is_moved:
             by_value += np.einsum("fij,fj,vf->vfi", by_pose, velocity, times.by_value)
         is_true = not any(isinstance(effect.acts, OnPoses) for effect in effects.effects)
-        return pose, cls(by_pose, np.moveaxis(by_value, 0, 2), mu_by_value, is_true)
+        by_value = np.concatenate([by_value, np.zeros((n_modes, *pose.shape))])
+        return pose, cls(by_pose, np.moveaxis(by_value, 0, 2), np.append(mu_by_value, np.zeros(n_modes)), is_true)
 
     def of_jacobian(self, jacobian: Float64Array) -> Float64Array:
         """That of the reported poses from that of the true ones."""

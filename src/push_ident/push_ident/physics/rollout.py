@@ -95,8 +95,8 @@ class EffectScratch(NamedTuple):
 def new_effect_scratch(n_cells: int, effects: ActiveEffects) -> EffectScratch:
     """Scratch space of the effects in `rollout`."""
     n_memory, n_values, on_table = effects.n_memory, len(effects.values), bool(np.any(effects.on_table))
-    drive = new_effect_drive(n_memory, n_values, N_SUMS if effects.shifts else 0)
-    drive.touches[n_memory : n_memory + n_values] = effects.moves
+    drive = new_effect_drive(n_memory, n_values, N_SUMS if effects.shifts else 0, effects.vertices)
+    drive.touches[n_memory : n_memory + n_values] |= effects.moves
     if effects.offset >= 0:
         drive.touches[n_memory + effects.offset] = True
     if effects.restitution >= 0:
@@ -168,7 +168,7 @@ def _drive_contacts(effects: ActiveEffects, rebound: Rebound, n: int, geometry: 
         drive.twist[at + 2, 2] = 1.0
     return EffectDrive(
         offset, rebound, drive.pusher, drive.angle, drive.velocity, drive.spin, drive.by_offset, drive.restitution, drive.twist,
-        drive.seeds, drive.touches,
+        drive.seeds, drive.touches, drive.vertices, drive.no_vertices,
     )  # fmt: skip
 
 

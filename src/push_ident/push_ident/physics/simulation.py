@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.physics.active_effects import N_SUMS, ActiveEffects, active_effects
+from push_ident.physics.active_effects import N_SUMS, NO_MODES, ActiveEffects, active_effects
 from push_ident.physics.body import BodyParameters, body_of_cells, cell_gradient, check_body, owned
 from push_ident.physics.chain import Chain, chain_backward, chain_forward, chain_response
 from push_ident.physics.effect import OnTable
@@ -84,9 +84,9 @@ class Motion:
     pose: Float64Array
     """Of the object frame in the table frame, shape (n_frames, 3), yaw not wrapped. NaN where the simulation failed."""
     jacobian: Float64Array
-    """d pose / d (first pose (3), mass, centre of mass (2), inertia, pusher friction, limit of each cell, values of the active effects),
-    shape (n_frames, 3, 8 + n_cells + n_values), the values in the order of `EffectValues.labels`; (n_frames, 3, 0)
-    without it. NaN where the simulation failed."""
+    """d pose / d (first pose (3), mass, centre of mass (2), inertia, pusher friction, limit of each cell, values of the active effects,
+    modes of the outline), shape (n_frames, 3, 8 + n_cells + n_values + n_modes), the values in the order of `EffectValues.labels`;
+    (n_frames, 3, 0) without it. NaN where the simulation failed."""
     force_time: Float64Array
     """Middle of each step [s], shape (n_steps,)."""
     force: Float64Array
@@ -216,7 +216,7 @@ def simulate_body(
     run = _run(shape, body, pusher_friction, scenario, settings or SimulationSettings(), acting, jacobian, timeline)
     if not jacobian:
         return run.motion
-    n_columns = N_BODY_PARAMETERS + len(shape.cells) + len(acting)
+    n_columns = N_BODY_PARAMETERS + len(shape.cells) + run.n_values
     by_pose = np.full((len(run.motion.time), 3, n_columns), np.nan)
     by_impulse = np.full((len(scenario.force_time), 2, n_columns), np.nan)
     if run.motion.status is not SolveStatus.SIMULATION_FAILED:
@@ -413,16 +413,17 @@ def _run(
     clock, path = timeline.clock, timeline.path
     arms = owned((shape.cells.centres - owned(body.centre)).T)
     active = None
-    if len(effects) > 0:
+    modes = owned(body.outline_modes) if derive else NO_MODES
+    if len(effects) + len(modes) > 0:
         path, d_path = driven_path(effects, clock.dt, path, scenario.order)
-        active = active_effects(effects, d_path, arms, shape.cells, scenario.order)
+        active = active_effects(effects, d_path, arms, shape.cells, scenario.order, modes)
     times = timeline.times.with_effects(scenario.time, effects)
     push = _push(shape, body, mu, scenario, path, arms)
     impulses = timeline.impulses
     pose, force, tape, status = _roll(push, settings, clock, active, times.simulated, derive, len(scenario.force_time) > 0)
     measurement = None
     if len(effects) > 0:
-        pose, measurement = Measurement.of(effects, times, pose, mu_by_value)
+        pose, measurement = Measurement.of(effects, times, pose, mu_by_value, len(modes))
     impulse = np.full((len(scenario.force_time), 2), np.nan)
     if len(impulse) > 0 and status is not SolveStatus.SIMULATION_FAILED:
         # A step counts as far as it has gone.
@@ -434,7 +435,7 @@ def _run(
     diamond = settings.friction_cone == "pyramid"
     eps = FINAL_NU if diamond else settings.smoothing_speed
     chain = Chain(tape, push.centre, push.arms, diamond, eps, clock.lengths, times.frames, force)
-    return _Run(motion, chain, len(effects), measurement, impulses)
+    return _Run(motion, chain, len(effects) + len(modes), measurement, impulses)
 
 
 def _pusher_friction(coefficient: float, settings: SimulationSettings, effects: EffectValues) -> tuple[float, Float64Array]:

@@ -72,6 +72,10 @@ class EffectDrive(NamedTuple):
     """Impulse that effects on the table add, by the columns of the block [N s, N s, N m s], shape (3, n_columns)."""
     touches: BoolArray
     """Which act on the contacts at all, shape (n,)."""
+    vertices: Float64Array
+    """Of the vertices of the outline, object frame, shape (n, n_vertices, 2); of no rows where the outline stays."""
+    no_vertices: Float64Array
+    """Shape (0, 2)."""
 
 
 class SensitivityScratch(NamedTuple):
@@ -97,12 +101,16 @@ def new_sensitivity_scratch(n_columns: int, mode: ModeScratch) -> SensitivityScr
     return SensitivityScratch(np.zeros((3, 3)), np.zeros((len(mode.matrix), n_columns)), np.zeros((3, n_columns)), d_rows, change, mode)
 
 
-def new_effect_drive(n_memory: int, n_values: int, n_sums: int) -> EffectDrive:
-    """Drive of no effect that acts on the contacts."""
-    n = n_memory + n_values + n_sums
+def new_effect_drive(n_memory: int, n_values: int, n_sums: int, vertices: Float64Array) -> EffectDrive:
+    """Drive of no effect that acts on the contacts, but for the outline: `vertices` are their derivative by the last values, shape
+    (n_modes, n_vertices, 2)."""
+    n, n_modes = n_memory + n_values + n_sums, len(vertices)
+    moved = np.zeros((n if n_modes else 0, vertices.shape[1], 2))
+    moved[n_memory + n_values - n_modes : n_memory + n_values] = vertices
     return EffectDrive(
         0.0, Rebound(False, 0.0, np.zeros(3)), np.zeros((n, 2)), np.zeros(n), np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.zeros(n),
-        np.zeros((n, 3)), np.zeros((3, Block.EFFECTS + n)), np.zeros(n, dtype=np.bool_),
+        np.zeros((n, 3)), np.zeros((3, Block.EFFECTS + n)), np.any(moved, axis=(1, 2)) if n_modes else np.zeros(n, dtype=np.bool_), moved,
+        np.zeros((0, 2)),
     )  # fmt: skip
 
 
@@ -114,10 +122,11 @@ def _contact_effects(drive: EffectDrive, column: int, d_pusher: Float64Array, d_
         d_twist = np.zeros(3)
         if column == Block.YAW:
             d_twist[0], d_twist[1] = rebound.twist[1], -rebound.twist[0]
-        return ContactEffects(drive.offset, rebound, 0.0, 0.0, 0.0, d_twist)
+        return ContactEffects(drive.offset, rebound, 0.0, 0.0, 0.0, d_twist, drive.no_vertices)
     e = column - Block.EFFECTS
     d_pusher[:], d_velocity[:] = drive.pusher[e], drive.velocity[e]
-    return ContactEffects(drive.offset, rebound, drive.spin[e], drive.by_offset[e], drive.restitution[e], drive.twist[e])
+    vertices = drive.vertices[e] if drive.vertices.shape[0] > 0 else drive.no_vertices
+    return ContactEffects(drive.offset, rebound, drive.spin[e], drive.by_offset[e], drive.restitution[e], drive.twist[e], vertices)
 
 
 @kernel

@@ -20,6 +20,7 @@ from push_ident.identification.results.known_effects import KnownEffect, with_kn
 from push_ident.identification.results.posterior import ModelPosterior, prior_posterior
 from push_ident.identification.results.result import Identification, WarmStart
 from push_ident.identification.solvers import DEFAULT_SOLVER, solver_of
+from push_ident.identification.unknowns.outline import outline_modes
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.identification.unknowns.quadratic import Quadratic
 from push_ident.physics.accuracy import quick_steps
@@ -149,8 +150,9 @@ class OnlineIdentifier:
 
         Only while every push is simulated anew: what is summed up counts from the outline before.
         """
+        starts = self.state.warm_starts if len(outline_modes(shape)) == len(outline_modes(self.state.shape)) else ()
         self.state = replace(self.state, shape=shape)
-        return self._solve(tuple(replace(record, shape=shape) for record in self.state.records), None, self.state.warm_starts)
+        return self._solve(tuple(replace(record, shape=shape) for record in self.state.records), None, starts)
 
     def solve_again(self) -> Identification | None:
         """Fit the latest pushes of the state anew; None where there are none."""

@@ -221,7 +221,8 @@ def _check_same_unknowns(prior: Prior, unknowns: UnknownsSpec) -> None:
     """Raise InputError where a prior has other unknowns than the estimate under it: pushes that are summed up count in these."""
     stored = unknowns.prior
     same = replace(prior.on_feet(stored.feet), pressure_map_std=prior.pressure_map_std if stored.pressure_map_std > 0 else 0.0)
-    n = UnknownsSpec.of(unknowns.shape, same, modes=unknowns.modes, effects=unknowns.effects.names).size
+    outline = len(unknowns.outline_modes) > 0
+    n = UnknownsSpec.of(unknowns.shape, same, modes=unknowns.modes, effects=unknowns.effects.names, outline=outline).size
     if n != unknowns.size:
         raise InputError(f"Its prior has {n} unknowns, expected the {unknowns.size} of its estimate.")
 

@@ -62,6 +62,8 @@ class ModelContent(CheckedContent):
     total_mass_identifiable: bool
     pose_noise_factor: float | None = None
     """On the stated noise of poses that no other frame checks, where the pushes set it."""
+    touched_outline: Points | None = None
+    """The outline as the pushes show it, where it is an unknown; it follows from the other fields, as the last three do."""
     mass: Numbers
     friction: Numbers
     pusher_friction: float
@@ -93,6 +95,7 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
         total_mass_std=posterior.total_mass.std,
         total_mass_identifiable=posterior.total_mass_identifiable,
         pose_noise_factor=posterior.pose_noise_factor,
+        touched_outline=[(float(x), float(y)) for x, y in model.shape.outline] if len(posterior.unknowns.outline_modes) else None,
         mass=model.mass.tolist(),
         friction=model.friction.tolist(),
         pusher_friction=model.pusher_friction,
@@ -189,7 +192,9 @@ def _posterior(content: ModelContent) -> ModelPosterior:
             raise InputError("`cells` are not the centroids of `squares` within `outline`, expected those that were written with them.")
     modes = array_of(content.modes, "modes")
     return ModelPosterior(
-        unknowns=UnknownsSpec.of(shape, prior_of(content.prior), modes=modes, effects=content.effects),
+        unknowns=UnknownsSpec.of(
+            shape, prior_of(content.prior), modes=modes, effects=content.effects, outline=content.touched_outline is not None
+        ),
         z=np.array(content.z),
         covariance=array_of(content.covariance, "covariance"),
         total_mass=Estimate(content.total_mass, content.total_mass_std),

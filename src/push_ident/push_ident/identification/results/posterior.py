@@ -137,7 +137,7 @@ class ModelPosterior:
 def prior_posterior(shape: ObjectShape, prior: Prior | None = None) -> ModelPosterior:
     """The posterior of an object that was never pushed: its prior."""
     prior = prior or Prior()
-    return ModelPosterior.of_prior(UnknownsSpec.of(shape, prior, effects=nuisance_effects(shape, prior)))
+    return ModelPosterior.of_prior(UnknownsSpec.of(shape, prior, effects=nuisance_effects(shape, prior), outline=True))
 
 
 def with_total_mass(posterior: ModelPosterior) -> ModelPosterior:

@@ -13,6 +13,8 @@ The friction of a cell is that of its whole limit, mu_i m_i g, on its own weight
 The scale s belongs to the friction of the whole object, mu_0 exp(s) M g, whatever the maps are. Without this separation a heavy end with
 more friction would change the friction of the whole object.
 
+Where a camera traced the outline, the displacements of its vertices are sum_k o_k d_k, with the modes d_k of `outline`.
+
 Effects that the base model leaves out (`physics/effects/`) may be unknowns too: each parameter is its nominal value plus z_e times its
 prior standard deviation.
 
@@ -22,7 +24,7 @@ simulated at M_0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -51,8 +53,8 @@ class Mechanics:
     effects: EffectValues
     """Those that poses show."""
     derivative: Float64Array
-    """d(body parameters, limits of the cells, values of the effects) / dz, shape (8 + n_cells + n_values, size), rows as the columns of
-    `Motion.jacobian`."""
+    """d(body parameters, limits of the cells, values of the effects, modes of the outline) / dz, shape (8 + n_cells + n_values + n_modes,
+    size), rows as the columns of `Motion.jacobian`."""
     all_effects: EffectValues = field(default_factory=lambda: effect_values(()))
     """With those that only measured forces show."""
     mass_factor: float = 1.0
@@ -76,7 +78,7 @@ class Mechanics:
 def mechanics_at(spec: UnknownsSpec, z: Float64Array, *, of_reference: bool = False) -> Mechanics:
     """The moving body at `z`, shape (size,), and its derivative by `z`; `of_reference`: as pushes of a reference moved it."""
     model = model_at(spec, z)
-    body = body_of_cells(spec.shape, model.mass, model.friction)
+    body = replace(body_of_cells(spec.shape, model.mass, model.friction), outline_modes=spec.outline_modes)
     weight = model.mass / body.mass
     arms = spec.shape.cells.centres - body.centre
     moment = np.sum(arms**2, axis=1) + spec.shape.cells.areas / 6
@@ -84,14 +86,15 @@ def mechanics_at(spec: UnknownsSpec, z: Float64Array, *, of_reference: bool = Fa
     mass_factor = float(np.exp(spec.blocks["total_mass"].std @ z[spec.slices["total_mass"]]))
     d_mass, d_friction = log_derivatives_at(spec, z, model)
     shown = np.array([not effect.needs_forces for effect in effects.effects for _ in effect.parameters], dtype=bool)
-    n_cells, n_values = len(weight), int(np.sum(shown))
-    derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values, spec.size))
+    n_cells, n_values, n_modes = len(weight), int(np.sum(shown)), len(spec.outline_modes)
+    derivative = np.zeros((N_BODY_PARAMETERS + n_cells + n_values + n_modes, spec.size))
     derivative[Param.CENTRE : Param.CENTRE + 2] = (weight[:, None] * arms).T @ d_mass
     derivative[Param.INERTIA] = body.mass * ((weight * moment) @ d_mass)
     derivative[Param.LIMIT : Param.LIMIT + n_cells] = body.limit[:, None] * (d_mass + d_friction)
     derivative[Param.MU, spec.slices["pusher_friction"]] = model.pusher_friction * spec.prior.pusher_friction_std
-    derivative[Param.LIMIT + n_cells :] = d_values[shown]
-    return Mechanics(spec.shape, body, model.pusher_friction, effects.of_poses, derivative, effects, mass_factor)
+    derivative[Param.LIMIT + n_cells : Param.LIMIT + n_cells + n_values] = d_values[shown]
+    derivative[Param.LIMIT + n_cells + n_values :, spec.slices["outline"]] = np.eye(n_modes)
+    return Mechanics(model.shape, body, model.pusher_friction, effects.of_poses, derivative, effects, mass_factor)
 
 
 def model_at(spec: UnknownsSpec, z: Float64Array) -> ObjectModel:
@@ -103,7 +106,7 @@ def model_at(spec: UnknownsSpec, z: Float64Array) -> ObjectModel:
         roughness *= _load(spec, z, weight) / weight
     scale = float(np.exp(prior.friction_std * _scalar(spec, z, "friction_scale")))
     return ObjectModel(
-        shape=spec.shape,
+        shape=spec.shape_at(z),
         mass=prior.total_mass * weight,
         friction=prior.friction * scale * roughness / float(weight @ roughness),
         pusher_friction=float(prior.pusher_friction * np.exp(prior.pusher_friction_std * _scalar(spec, z, "pusher_friction"))),

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError
+from push_ident.identification.unknowns.outline import outline_modes
 from push_ident.identification.unknowns.prior import GIVEN_STD, MAP_STDS, Prior
+from push_ident.physics.active_effects import NO_MODES
 from push_ident.physics.effect_values import EffectValues, effect_values
 from push_ident.physics.effects import CAMERA_ERRORS, EFFECTS, SENSOR_ERRORS
 from push_ident.types import Float64Array, ObjectShape
@@ -67,8 +69,9 @@ _SHARED = "shared_effects"
 @dataclass(frozen=True, slots=True, eq=False)
 class UnknownsSpec:
     """The unknowns of one object, in the blocks `mass_map`, `pressure_map`, `friction_map`, `foot_positions`, `foot_width`,
-    `foot_preferences`, `effects`, `friction_scale`, `pusher_friction` and `total_mass`. The `pressure_map` is empty where its prior
-    standard deviation is 0 or the object stands on feet; the blocks of feet where it does not; `total_mass` without measured forces.
+    `foot_preferences`, `effects`, `outline`, `friction_scale`, `pusher_friction` and `total_mass`. The `pressure_map` is empty where its
+    prior standard deviation is 0 or the object stands on feet; the blocks of feet where it does not; the `outline` where that is exact or
+    taken as it was traced; `total_mass` without measured forces.
 
     Made by `UnknownsSpec.of`.
     """
@@ -87,6 +90,8 @@ class UnknownsSpec:
     shared: EffectValues | None = None
     """Effects that pushes of a reference have, too, at their nominal values: unknowns in the block `shared_effects`. `effects` add to them
     and are changes since, which pushes of the reference do not have. None where there is no reference."""
+    outline_modes: Float64Array = field(default_factory=lambda: NO_MODES)
+    """Displacements of the vertices of the outline by its unknowns [m], shape (n_modes, n_vertices, 2)."""
     layout: Layout = field(init=False)
     """Position of each block."""
     blocks: Mapping[str, Block] = field(init=False)
@@ -111,6 +116,7 @@ class UnknownsSpec:
                 Block("foot_preferences", np.full(feet, preference_std)),
                 *([] if self.shared is None else [Block(_SHARED, self._effect_std(self.shared))]),
                 Block("effects", self._effect_std(self.effects)),
+                Block("outline", np.ones(len(self.outline_modes))),
                 Block("friction_scale", np.array([prior.friction_std])),
                 Block("pusher_friction", np.array([prior.pusher_friction_std])),
                 Block("total_mass", np.full(int(prior.force_offset_std > 0), max(prior.total_mass_std, GIVEN_STD))),
@@ -138,15 +144,18 @@ class UnknownsSpec:
         modes: Float64Array | None = None,
         effects: Sequence[str] = (),
         effect_std: Mapping[str, ArrayLike] | None = None,
+        outline: bool = False,
     ) -> UnknownsSpec:
         """The unknowns of an object, with the parameters of effects among them.
 
         Without `maps` cells are equal, with only the scales free; `modes`: of a map, where they are known already (from a file), shape
-        (n_cells, n_modes); `effect_std`: see `given_effect_std`.
+        (n_cells, n_modes); `effect_std`: see `given_effect_std`; `outline`: whether that is unknown where a camera traced it.
         """
         if modes is None:
             modes = leading_modes(shape, prior) if maps else np.zeros((len(shape.cells), 0))
-        return cls(shape, prior, modes, effect_values(effects), dict(effect_std or {}))
+        return cls(
+            shape, prior, modes, effect_values(effects), dict(effect_std or {}), outline_modes=outline_modes(shape) if outline else NO_MODES
+        )
 
     def _effect_std(self, effects: EffectValues) -> Float64Array:
         std = np.array([parameter.scale for parameter in effects.parameters], dtype=np.float64)
@@ -166,6 +175,10 @@ class UnknownsSpec:
         """Without maps: only the scales and the effects are free."""
         return replace(self, modes=np.zeros((len(self.shape.cells), 0)))
 
+    def as_traced(self) -> UnknownsSpec:
+        """With the outline as it was traced."""
+        return replace(self, outline_modes=NO_MODES)
+
     def cell_by_cell(self) -> UnknownsSpec:
         """Each cell with an unknown mass and friction of its own. It bears its own weight: one map fewer, and the same products of both."""
         return replace(self, prior=self.prior.without_pressure(), modes=np.eye(len(self.shape.cells)))
@@ -178,6 +191,12 @@ class UnknownsSpec:
         """Position of the parameters of one effect in `z`. Raises InputError for an effect that is no unknown."""
         start, at = self.slices["effects"].start, self.effects.slice_of(name)
         return slice(start + at.start, start + at.stop)
+
+    def shape_at(self, z: Float64Array) -> ObjectShape:
+        """The object with its outline at `z`, shape (size,)."""
+        if len(self.outline_modes) == 0:
+            return self.shape
+        return replace(self.shape, outline=self.shape.outline + np.tensordot(z[self.slices["outline"]], self.outline_modes, axes=1))
 
     @property
     def shared_names(self) -> tuple[str, ...]:

@@ -43,6 +43,7 @@ class _Object(CheckedContent):
     hollow: Listed[Listed[bool]] | None = None
     seen_from: Listed[Points] | Points | None = None
     """Positions of the cameras."""
+    displaced: float = 0.0
     displaced_std: float = 0.0
     displaced_frame: tuple[float, float, float] = (0.0, 0.0, 0.0)
     frame_covariance: Rows | None = None
@@ -88,6 +89,7 @@ class ObjectMemory:
             top_resolution=float(traced.top_resolution),
             hollow=None if traced.hollow is None else traced.hollow.tolist(),
             seen_from=None if traced.camera_positions is None else [positions.tolist() for positions in traced.camera_positions],
+            displaced=float(traced.displaced),
             displaced_std=float(traced.displaced_std),
             displaced_frame=traced.displaced_frame,
             frame_covariance=traced.frame_covariance.tolist(),
@@ -143,8 +145,9 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
         raise ModelFileError(f"{path} has heights of shape {top.shape}, expected two dimensions; {_REMEDY}.")
     if hollow is not None and hollow.shape != top.shape:
         raise ModelFileError(f"{path} has a hollow of shape {hollow.shape}, expected {top.shape} as its heights; {_REMEDY}.")
-    if content.displaced_std < 0:
-        raise ModelFileError(f"{path} has a displaced_std of {content.displaced_std} m, expected 0 or more; {_REMEDY}.")
+    for name in ("displaced", "displaced_std"):
+        if (value := getattr(content, name)) < 0:
+            raise ModelFileError(f"{path} has {name} = {value} m, expected 0 or more; {_REMEDY}.")
     frame_covariance = np.zeros((3, 3)) if content.frame_covariance is None else np.array(content.frame_covariance)
     if frame_covariance.shape != (3, 3) or np.any(np.linalg.eigvalsh(frame_covariance) < -1e-12):
         raise ModelFileError(f"{path} has a frame_covariance that is none of shape (3, 3); {_REMEDY}.")
@@ -160,6 +163,7 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
         content.top_resolution,
         hollow,
         camera_positions,
+        content.displaced,
         content.displaced_std,
         content.displaced_frame,
         frame_covariance,

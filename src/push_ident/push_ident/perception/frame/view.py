@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from push_ident.errors import FrameError
 from push_ident.geometry.outline import points_in_polygon
+from push_ident.geometry.se2 import transform_points
 from push_ident.perception.frame.depth_image import check_intrinsics, check_size
 from push_ident.perception.frame.robot import Cylinder, RobotPart
 from push_ident.perception.kernels import label_heights, place_points, points_in_rods, sort_columns
@@ -29,6 +30,8 @@ STRIDE: Final = 4
 
 UNKNOWN, TABLE, OBJECT, ROBOT = -1, 0, 1, 2
 """Labels of pixels."""
+MATCHER_PIXELS: Final = 8.0
+"""Edge of the window of a matcher: 7 px (Keselman) to 9 px (Konolige) [px]."""
 DEVIATIONS: Final = 4.0
 """Heights that differ by so many standard deviations of the noise are different: one pixel in 16,000 of a flat table is further off [-]."""
 
@@ -162,6 +165,30 @@ def median_frame(frames: Sequence[DepthFrame]) -> DepthFrame:
         low, high = stack[last // 2, column], stack[(last + 1) // 2, column]
         median[at : at + block] = np.where(2 * n_valid >= len(stack), 0.5 * (low + high), np.float32(np.nan))
     return replace(frames[-1], depth=median.reshape(frames[0].depth.shape))
+
+
+def pixel_at(view: FrameView, pose: Float64Array) -> float:
+    """Width of a pixel of a view where a pose (x, y, yaw), table frame, is on the table [m]."""
+    distance = float(np.linalg.norm(view.camera_in_table[:3, 3] - (pose[0], pose[1], 0.0)))
+    return distance / view.frame.intrinsics.fx
+
+
+def windows_along(view: FrameView, pose: Float64Array, outline: Float64Array, height: float) -> Float64Array:
+    """Length of the edges of an outline, shape (n, 2), at a pose and a height [m], in windows of a matcher [-], shape (n,)."""
+    k, camera = view.frame.intrinsics, view.camera_in_table
+    points = np.column_stack([transform_points(pose, outline), np.full(len(outline), height)])
+    in_camera = (points - camera[:3, 3]) @ camera[:3, :3]
+    pixels = in_camera[:, :2] * (k.fx, k.fy) / in_camera[:, 2:]
+    return np.asarray(np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1) / MATCHER_PIXELS)
+
+
+def wall_visibility(view: FrameView, pose: Float64Array, height: float) -> float:
+    """How well the camera of a view sees the walls of an object at a pose (x, y, yaw), table frame, of this height [m].
+
+    The share of half the window of a matcher that the wall below an edge fills, by metre of the camera's distance along the outward normal
+    of the edge [1/m]: a wall of height h fills h d / H beside its upper edge, d metres in front of which the camera is, H above the table.
+    """
+    return height / (float(view.camera_in_table[2, 3]) * 0.5 * MATCHER_PIXELS * pixel_at(view, pose))
 
 
 def unmeasured_areas(measured: BoolArray) -> NDArray[np.uint8]:

@@ -6,8 +6,10 @@ A line of sight that passes an edge at the distance d outside it is expected to 
 - of the number of lines: the curvature of the sum of squares by the offset of the edge;
 - of the camera: a matcher of windows makes edges ragged, and displaces those where depth jumps, by about a pixel (Nguyen et al., "Modeling
   Kinect Sensor Noise", 2012: 0.8 px). Depth does not jump where the camera sees the wall below the edge: the upper side only folds there.
-  The lines show how far edges scatter about their mean position, not how far the mean is displaced. Both have the same cause, so the
-  deviation of the mean is taken to be `_DISPLACED` times the scatter about an outline without teeth of about a pixel.
+  A wall that fills less than half of a window in the image is a jump in part (`depth_jumps`). The lines show how far edges scatter about
+  their mean position, not how far the mean is displaced. Both have the same cause, so the mean is taken to lie outside the surface, as
+  matchers widen what is nearer, by `_DISPLACED` times the scatter about an outline without teeth of about a pixel. It is taken out of the
+  outline, and is part of what is expected of lines of sight in later frames.
 
 Tracing finds form and corners from one view; its edges have errors of a few tenths of a millimetre that differ between the near and the far
 side. `fuse_views` gives each edge one unknown, its offset along its normal, estimated from that comparison in one or several views. Views
@@ -30,26 +32,32 @@ from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.geometry.outline import dense, edge_normals, polygon_centroid
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.geometry.shape_check import crossing_edges
-from push_ident.perception.frame.view import FrameView
+from push_ident.perception.frame.view import FrameView, pixel_at, wall_visibility, windows_along
 from push_ident.perception.kernels import edges_nearest
 from push_ident.perception.known_object import Template, TracedObject, TrackStatus
+from push_ident.perception.outline.fewest_pieces import with_fewest_pieces
 from push_ident.perception.outline.tracing import straighten
 from push_ident.perception.tracking.pose_fit import EDGE_WIDTH, fit_pose, lines_of_sight
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
 _BAND: Final = 0.005
 """Lines of sight within this distance of an edge are used [m]."""
+_LEAST_SINE2: Final = 0.12
+"""Two edges whose angle has a smaller squared sine meet too far away: their corner moves by the mean offset."""
+LEAST_SCATTER: Final = 0.00015
+"""Least scatter of edges [m]: of an exact camera, from folds and corners that the model of lines of sight does not have."""
+_JUMPS: Final = 0.5
+"""An edge of which more is a jump of depth counts as one [-]."""
 _PRIOR: Final = 0.001
 """Prior standard deviation of the offset of an edge [m]."""
 VARIANCE: Final = 0.05
 """Variance of the measured (stopped 1, passing 0) about the expected near an edge."""
 SAME_CURVE: Final = 0.35
 """Neighbouring edges whose headings differ by less belong to one curve and share their lines of sight [rad]."""
-_DISPLACED: Final = 1.8
-"""Deviation of the mean position of an edge where depth jumps, in units of the scatter about it [-]: the root mean square over the models
-of a Kinect (2.3), a D435 (1.3 and 1.5) and a D415 (1.5). The displacement in these models is an estimate itself."""
-_LEAST_SINE2: Final = 0.12
-"""Two edges whose angle has a smaller squared sine meet too far away: their corner moves by the mean offset."""
+_DISPLACED: Final = (1.9, 0.5)
+"""How far an edge where depth jumps lies outside the surface, in units of the scatter about it [-], and the deviation of that: mean and
+standard deviation over the models of a Kinect (2.5), a D435 (1.9) and a D415 (1.5). The displacement in these models is an estimate itself,
+of about a pixel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +95,9 @@ def lines_near_edges(template: Template, outline: Float64Array, view: FrameView,
     distance, _ = template.distance(points)
     expected = 1.0 / (1.0 + np.exp(np.clip(distance / EDGE_WIDTH, -30.0, 30.0)))
     edge, clear = _nearest_edge(points, outline)
+    if template.traced.displaced > 0.0:
+        distance = distance - template.traced.displaced * depth_jumps(outline, cameras_of(template.traced, [(view, pose)]))[edge]
+        expected = 1.0 / (1.0 + np.exp(np.clip(distance / EDGE_WIDTH, -30.0, 30.0)))
     clear &= np.abs(distance) < _BAND
     slope = expected * (1.0 - expected) / EDGE_WIDTH
     return EdgeLines(edge[clear], slope[clear], (lines.stopped - expected)[clear], points[clear])
@@ -117,25 +128,40 @@ def without_teeth(outline: Float64Array, pixel: float) -> Float64Array:
     return simple if len(simple) >= 3 else outline
 
 
-def hidden_walls(outline: Float64Array, camera_positions: Float64Array) -> BoolArray:
-    """Edges whose wall none of the cameras at these positions sees, so that depth jumps there, shape (n_edges,).
+def cameras_of(traced: TracedObject, views: Sequence[PosedView]) -> Float64Array:
+    """Position of the camera of each view, object frame [m, m], and how well it sees walls [1/m] (`wall_visibility`), shape
+    (n_views, 3)."""
+    height = float(0.5 * (traced.top.min() + traced.top.max()))
+    return np.array(
+        [
+            [*transform_points(inverse(pose), view.camera_in_table[None, :2, 3])[0], wall_visibility(view, pose, height)]
+            for view, pose in views
+        ]
+    )
+
+
+def depth_jumps(outline: Float64Array, cameras: Float64Array) -> Float64Array:
+    """How far each edge is a jump of depth for all cameras, shape (n_edges,): 1 where none sees its wall, 0 where one sees it well.
 
     Args:
-        outline: Counter-clockwise [m], shape (n_edges, 2).
-        camera_positions: [m], shape (n_cameras, 2), in the same frame.
+        outline: Counter-clockwise [m], shape (n_edges, 2), object frame.
+        cameras: As of `cameras_of`.
     """
-    to_camera = camera_positions[:, None] - 0.5 * (outline + np.roll(outline, -1, axis=0))
-    return np.asarray(np.all(np.sum(to_camera * edge_normals(outline), axis=2) <= 0.0, axis=0))
+    to_camera = cameras[:, None, :2] - 0.5 * (outline + np.roll(outline, -1, axis=0))
+    towards = np.sum(to_camera * edge_normals(outline), axis=2)
+    return np.asarray(np.min(np.clip(1.0 - cameras[:, 2:] * towards, 0.0, 1.0), axis=0))
 
 
-def displaced_std(outline: Float64Array, camera_positions: Float64Array, lines: Sequence[EdgeLines]) -> float:
-    """Standard deviation of how far the camera displaces edges where depth jumps, all of them alike [m].
+def displacement(outline: Float64Array, cameras: Float64Array, lines: Sequence[EdgeLines]) -> tuple[float, float]:
+    """How far the camera displaces edges where depth jumps, all of them alike, and the standard deviation of that [m].
 
     Args:
         outline, lines: Outline without teeth, and lines near its edges.
-        camera_positions: As of `hidden_walls`.
+        cameras: As of `cameras_of`.
     """
-    return _DISPLACED * scatter_of([view.of_edges(hidden_walls(outline, camera_positions)) for view in lines])
+    scatter = scatter_of([view.of_edges(depth_jumps(outline, cameras) > _JUMPS) for view in lines])
+    mean, std = _DISPLACED
+    return mean * scatter, std * scatter
 
 
 def edge_std(
@@ -143,21 +169,26 @@ def edge_std(
     views: Sequence[EdgeLines],
     simple: Float64Array,
     simple_views: Sequence[EdgeLines],
-    camera_positions: Float64Array,
+    cameras: Float64Array,
 ) -> Float64Array:
     """Standard deviation of the position of each edge along its normal [m], shape (n_edges,); that of the prior where no line passes it.
 
     Args:
         outline, views: The traced outline, and lines near its edges.
         simple, simple_views: The outline without teeth, and lines near its edges.
-        camera_positions: As of `hidden_walls`.
+        cameras: As of `cameras_of`.
     """
     n = len(outline)
     curvature = same_curve(outline) @ (np.full(n, VARIANCE / _PRIOR**2) + sum(view.derivatives(n)[1] for view in views))
-    hidden, simple_hidden = hidden_walls(outline, camera_positions), hidden_walls(simple, camera_positions)
-    ragged = [scatter_of([view.of_edges(chosen) for view in simple_views]) for chosen in (~simple_hidden, simple_hidden)]
-    displaced = np.where(hidden, displaced_std(simple, camera_positions, simple_views), 0.0)
-    return np.sqrt(VARIANCE / curvature + np.where(hidden, ragged[1], ragged[0]) ** 2 + displaced**2)
+    displaced = depth_jumps(outline, cameras) * displacement(simple, cameras, simple_views)[1]
+    return np.sqrt(VARIANCE / curvature + _raggedness(outline, simple, simple_views, cameras) ** 2 + displaced**2)
+
+
+def _raggedness(outline: Float64Array, simple: Float64Array, simple_views: Sequence[EdgeLines], cameras: Float64Array) -> Float64Array:
+    """Scatter of the edges of an outline [m], shape (n_edges,): that of all where depth jumps, or of all others. As of `edge_std`."""
+    jumps = depth_jumps(simple, cameras) > _JUMPS
+    seen, hidden = (scatter_of([view.of_edges(chosen) for view in simple_views]) for chosen in (~jumps, jumps))
+    return np.where(depth_jumps(outline, cameras) > _JUMPS, hidden, seen)
 
 
 def scatter_of(views: Sequence[EdgeLines]) -> float:
@@ -204,21 +235,19 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject
         traced: The object from one view.
         views: The view in which the object was traced, then others, with poses to about a centimetre and ten degrees.
     """
-    moved = np.zeros(len(traced.shape.outline))
-    outline = np.array(traced.shape.outline)
-    for _ in range(3):
-        template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, outline)))
-        fitted = _fitted(template, views)
-        gradient, curvature = _derivatives(template, outline, fitted)
-        shared = same_curve(outline)
-        step = np.clip(moved + (shared @ gradient) / (shared @ curvature), -0.003, 0.003) - moved
-        outline, moved = moved_apart(outline, moved, step)
+    outline, fitted = _fitted_edges(traced, traced.shape.outline, views)
     straight = straighten(dense(outline))
-    outline = straight if len(straight) >= 3 else outline
-    cameras = np.array([transform_points(inverse(pose), view.camera_in_table[None, :2, 3])[0] for view, pose in fitted])
-    used = [view for view, _ in fitted]
-    to_camera = [(view, view.camera_in_table[:3, 3] - (*pose[:2], 0.0)) for view, pose in views if view in used]
-    pixel = min(float(np.linalg.norm(distance)) / view.frame.intrinsics.fx for view, distance in to_camera)
+    outline, cameras = straight if len(straight) >= 3 else outline, cameras_of(traced, fitted)
+    pixel = min(pixel_at(view, pose) for view, pose in fitted)
+    simple = without_teeth(outline, pixel)
+    simple_lines = _lines_of(traced, simple, fitted)
+    traced = replace(traced, displaced=displacement(simple, cameras, simple_lines)[0])
+    noise = np.maximum(_raggedness(outline, simple, simple_lines, cameras), LEAST_SCATTER)
+    height = float(traced.top.mean())
+    windows = np.mean([windows_along(view, pose, outline, height) for view, pose in fitted], axis=0)
+    straight = with_fewest_pieces(outline, noise, windows)
+    without, _ = moved_apart(straight, np.zeros(len(straight)), -traced.displaced * depth_jumps(straight, cameras))
+    outline, fitted = _fitted_edges(traced, without, views)
     simple = without_teeth(outline, pixel)
     lines, simple_lines = (_lines_of(traced, edges, fitted) for edges in (outline, simple))
     std = edge_std(outline, lines, simple, simple_lines, cameras)
@@ -226,7 +255,20 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject
     shape = ObjectShape(cells_in_outline(outline - (x, y), traced.shape.cells.size), outline - (x, y), std)
     pose = np.array([*transform_points(traced.pose, [(x, y)])[0], traced.pose[2]])
     fused = replace(traced, shape=shape, pose=pose, top_origin=traced.top_origin - (x, y))
-    return replace(fused, camera_positions=(cameras - (x, y),), displaced_std=displaced_std(simple, cameras, simple_lines))
+    return replace(fused, camera_positions=(cameras[:, :2] - (x, y),), displaced_std=displacement(simple, cameras, simple_lines)[1])
+
+
+def _fitted_edges(traced: TracedObject, outline: Float64Array, views: Sequence[PosedView]) -> tuple[Float64Array, list[PosedView]]:
+    """The outline whose edges fit all views best, and the views with their poses."""
+    outline, moved = np.array(outline), np.zeros(len(outline))
+    for _ in range(3):
+        template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, outline)))
+        fitted = _fitted(template, views)
+        gradient, curvature = _derivatives(template, outline, fitted)
+        shared = same_curve(outline)
+        step = np.clip(moved + (shared @ gradient) / (shared @ curvature), -0.003, 0.003) - moved
+        outline, moved = moved_apart(outline, moved, step)
+    return outline, fitted
 
 
 def moved_apart(outline: Float64Array, moved: Float64Array, step: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -274,7 +316,7 @@ def relative_size(view: FrameView, traced: TracedObject) -> float:
 
 
 def with_edges_moved(outline: Float64Array, offset: Float64Array) -> Float64Array:
-    """Every edge moved outwards by its offset; corners where the moved edges meet."""
+    """Every edge moved outwards by its offset [m], shape (n_vertices,); corners where the moved edges meet. Linear in the offsets."""
     normal = edge_normals(outline)
     before, offset_before = np.roll(normal, 1, axis=0), np.roll(offset, 1)
     cosine = np.sum(normal * before, axis=1)

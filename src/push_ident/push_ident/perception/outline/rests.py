@@ -29,9 +29,10 @@ from push_ident.geometry.cut_cells import cells_in_outline, cut_at_outline
 from push_ident.geometry.outline import edge_normals, signed_distance
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.geometry.shape_check import check_shape
-from push_ident.perception.frame.view import FrameView, median_frame
+from push_ident.perception.frame.view import FrameView, median_frame, windows_along
 from push_ident.perception.known_object import ON_OBJECT, PoseFit, Refined, Segment, SegmentedView, Template, TracedObject, TrackStatus
 from push_ident.perception.outline.edges import (
+    LEAST_SCATTER,
     SAME_CURVE,
     VARIANCE,
     EdgeLines,
@@ -41,6 +42,7 @@ from push_ident.perception.outline.edges import (
     with_edges_moved,
     without_reversed,
 )
+from push_ident.perception.outline.fewest_pieces import with_fewest_pieces
 from push_ident.perception.outline.tracing import InParts, straighten, trace_in_parts
 from push_ident.perception.tracking.pose_fit import MATCHER_WINDOW, displaced_by_camera, fit_pose, frame_step
 from push_ident.perception.tracking.tracker import KnownObjects
@@ -55,21 +57,12 @@ _NEW: Final = (0.02, 0.1)
 anew, and other lines of sight pass them."""
 _KEPT_RESTS: Final = 6
 """Rests that are kept of an object: what bounds the time of a refinement."""
-_BETTER: Final = 0.9
-"""An outline is replaced where the latest rest scatters less about the new one, by this factor [-]. Of 59 outlines in the check of
-decision 13 none ended worse; of exact cameras the ratio is mostly nearer to 1."""
-_DISPLACED: Final = 1.5
-"""Deviation of the mean position of edges that were measured from several headings, in units of the scatter about it [-]. In models of a
-Kinect and of two RealSense the displacement is 1.2 to 1.4 of them; that of the models is an estimate itself."""
-
 _PRIOR_FROM_MEAN: Final = 0.002
 """Prior standard deviation of the offset of an edge from the mean offset [m]: a pixel on the table."""
 _PRIOR_POSE: Final = np.array([0.003, 0.003, 0.03])
 """Prior standard deviations of the pose in a view about the tracked one [m, m, rad]: tracked with an outline of that error."""
 _SMOOTH: Final = 0.0005
 """Standard deviation of the difference of the offsets of neighbouring edges of one curve [m]."""
-_LEAST_SCATTER: Final = 0.00015
-"""Least scatter of edges [m]: of an exact camera, from folds and corners that the model of lines of sight does not have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +153,7 @@ class _RestHistory:
         better = yield from refine(resting.template.traced, self.views, min_height=min_height)
         error = better.traced.shape.outline_error
         # The latest rest speaks for the new outline, and enough lines of sight pass its edges to know it better than the old one.
-        if better.misfit >= _BETTER * better.misfit_before or error is None or error >= _DISPLACED * better.misfit_before:
+        if better.misfit >= better.misfit_before or error is None or error >= better.misfit_before:
             return None
         yield
         better = yield from _held(better, resting.template, view)
@@ -419,12 +412,20 @@ def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float
     origin = again.pose[:2]
     again = replace(again, pose=traced.pose, top_origin=again.top_origin + origin)
     state = _begin(again.shape.outline + origin, state.poses)
+    again = replace(again, displaced=traced.displaced)
     yield from _fit(state, again, views)
     straight = straighten(dense(state.outline))
-    state = _begin(straight if len(straight) >= 3 else state.outline, state.poses)
+    straight, height = straight if len(straight) >= 3 else state.outline, float(again.top.mean())
+    # Each rest shows an edge with other teeth.
+    noise = np.full(len(straight), state.scatter / np.sqrt(len(set(_rests(views)))))
+    seen = [windows_along(view.segmented.view, pose, straight, height) for view, pose in zip(views, state.poses, strict=True)]
+    outline = with_fewest_pieces(straight, noise, np.mean(seen, axis=0))
+    state = _begin(outline, state.poses)
+    yield from _fit(state, again, views)
+    state = _begin(state.outline, state.poses)
     # The first turn moves no edge, so that the deviations are those of the edges that remain.
     yield from _fit(state, again, views, moves_edges=False)
-    std = np.hypot(state.std, _DISPLACED * state.scatter)
+    std = np.hypot(state.std, traced.displaced_std)
     shape = ObjectShape(traced.shape.cells, state.outline, std)
     again = replace(again, shape=shape, camera_positions=_camera_positions(views, state.poses), displaced_std=traced.displaced_std)
     return Refined(again, tuple(state.poses), views[-1].segmented.segment.area, state.misfit, before)
@@ -443,9 +444,9 @@ def _fit(state: _State, traced: TracedObject, views: Sequence[RestView], *, move
         for view, pose in zip(views, state.poses, strict=True):
             yield
             lines.append(lines_near_edges(template, state.outline, view.segmented.view, pose))
-        state.scatter = float(np.hypot(scatter_of(lines), _LEAST_SCATTER))
+        state.scatter = float(np.hypot(scatter_of(lines), LEAST_SCATTER))
         latest = [near for near, view in zip(lines, views, strict=True) if view.rest == views[-1].rest]
-        state.misfit = float(np.hypot(scatter_of(latest), _LEAST_SCATTER))
+        state.misfit = float(np.hypot(scatter_of(latest), LEAST_SCATTER))
         normal, gradient = _sums(state, lines, views)
         if not moves_edges:
             free = slice(n, None)

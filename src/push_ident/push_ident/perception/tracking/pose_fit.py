@@ -13,8 +13,9 @@ bias the pose.
 Some errors are the same in all frames at one pose, so that no residual shows them. The object frame is that of the first detection: they
 are zero there, and grow as the object turns and moves:
 
-- A camera displaces edges where depth jumps (`outline.edges`), that is, where the object hides its wall. Those of the first view are
-  displaced in the outline; in each later view others are. A pose settles between both. With the displacement h of all such edges, the
+- A camera displaces edges where depth jumps (`outline.edges`), that is, where the object hides its wall. The displacement that is expected
+  of it is part of the expected lines of sight; what is not known of it is displaced in the outline by the first view, and in each later
+  view at others. A pose settles between both. With the unknown displacement h of all such edges, the
   pose is wrong by h N^-1 J'd, N = J'J, J the derivative of the expected lines of sight by the pose, and d that of the measured by h. An
   outline of several rests has each edge displaced by h times the share of the rests that hide its wall. It is put into the frame in
   which the pose at the last of them stays the same, with the error that it has there; that error f h then turns with the object.
@@ -38,7 +39,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
-from push_ident.perception.frame.view import DEVIATIONS, FrameView, unmeasured_areas
+from push_ident.perception.frame.view import DEVIATIONS, FrameView, unmeasured_areas, wall_visibility
 from push_ident.perception.kernels import (
     compare_lines,
     displaced_scores,
@@ -115,14 +116,14 @@ def fit_pose(template: Template, view: FrameView, start: ArrayLike, others: Sequ
             return _failed(TrackStatus.OUT_OF_VIEW, pose)
         if len(lines.stopped) < accepted.min_pixels / stride**2:
             return _failed(TrackStatus.HIDDEN, pose, lines)
-        pose = _gauss_newton(template, lines, pose, width, iterations, enough)
+        pose = _gauss_newton(template, view, lines, pose, (width, enough), iterations)
     assert lines is not None
-    comparison = _compare(template, lines, pose, width)
+    comparison = _compare(template, view, lines, pose, width)
     share_visible = len(lines.stopped) / (len(lines.stopped) + lines.n_uninformative)
     share_contradicting = comparison.share_contradicting
     normal = comparison.normal + 1e-6 * np.diag(_DAMPING)
     covariance = comparison.edge_variance * np.linalg.inv(normal) + np.diag(np.square(accepted.min_deviation))
-    residual_covariance = _at_least(covariance, _jackknife(template, lines, pose, normal))
+    residual_covariance = _at_least(covariance, _jackknife(template, view, lines, pose, normal))
     covariance = residual_covariance + _covariance_shared_by_frames(template, view, lines, pose, normal)
     unsure = np.diag(covariance) > np.square(accepted.max_deviation)
     if not template.has_heading:
@@ -155,7 +156,7 @@ def relocate(
     lines = lines_of_sight(template, view, starts[0], everywhere, 4, others)
     if lines is None or len(lines.stopped) == 0:
         return _failed(TrackStatus.OUT_OF_VIEW, starts[0])
-    mean_square = np.array([_compare(template, lines, start, 2 * _LEVELS[0][0]).mean_square for start in starts])
+    mean_square = np.array([_compare(template, view, lines, start, 2 * _LEVELS[0][0]).mean_square for start in starts])
     minima = np.flatnonzero((mean_square <= np.roll(mean_square, 1)) & (mean_square <= np.roll(mean_square, -1)))
     tried = [starts[index] for index in minima[np.argsort(mean_square[minima])][:3]]
     tried += [] if last_yaw is None else [np.array([*starts[0][:2], last_yaw])]
@@ -326,16 +327,25 @@ class _Comparison:
     """Fraction of the lines clearly inside or outside that contradict the pose."""
 
 
-def _compare(template: Template, lines: LinesOfSight, pose: Float64Array, width: float) -> _Comparison:
-    return _Comparison(*compare_lines(template.field, lines.upper, lines.lower, lines.stopped, pose, (width, 3.0 * width, _CLEAR)))
+def _edges(template: Template, view: FrameView, pose: Float64Array) -> Float64Array:
+    """What a camera does to the edges of an object at a pose, as the kernels take it, shape (4,)."""
+    return np.array(
+        [*view.camera_in_table[:2, 3], template.traced.displaced, wall_visibility(view, pose, float(np.mean(template.top_range)))]
+    )
+
+
+def _compare(template: Template, view: FrameView, lines: LinesOfSight, pose: Float64Array, width: float) -> _Comparison:
+    edges, widths = _edges(template, view, pose), (width, 3.0 * width, _CLEAR)
+    return _Comparison(*compare_lines(template.field, lines.upper, lines.lower, lines.stopped, pose, widths, edges))
 
 
 def _gauss_newton(
-    template: Template, lines: LinesOfSight, pose: Float64Array, width: float, iterations: int, enough: float
+    template: Template, view: FrameView, lines: LinesOfSight, pose: Float64Array, widths: tuple[float, float], iterations: int
 ) -> Float64Array:
-    """Fitted pose, after so many iterations or a step shorter than `enough` [m]."""
+    """Fitted pose, after so many iterations or a step shorter than the second of `widths` [m]; the first is that of the expected step."""
+    width, enough = widths
     for _ in range(iterations):
-        now = _compare(template, lines, pose, width)
+        now = _compare(template, view, lines, pose, width)
         diagonal = np.diag(now.normal)
         damped = now.normal.copy()
         damped.flat[:: len(damped) + 1] = diagonal + (1e-3 * diagonal + _DAMPING)
@@ -359,13 +369,15 @@ def _with_any_heading(covariance: Float64Array) -> Float64Array:
     return result
 
 
-def _jackknife(template: Template, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
+def _jackknife(template: Template, view: FrameView, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
     """Covariance of the pose from fits without one square of the object each, shape (3, 3).
 
     Residuals within a square may be correlated in any way: those of an edge that a sensor displaces over a whole window, and of errors of
     the outline, are. Delete-a-group jackknife, linear in the residuals (Efron & Stein, "The jackknife estimate of variance", 1981).
     """
-    squares, gradient = scores_of_squares(template.field, lines.upper, lines.lower, lines.stopped, pose, EDGE_WIDTH, MATCHER_WINDOW)
+    squares, gradient = scores_of_squares(
+        template.field, lines.upper, lines.lower, lines.stopped, pose, (EDGE_WIDTH, MATCHER_WINDOW), _edges(template, view, pose)
+    )
     used = np.trace(squares, axis1=1, axis2=2) > 0
     n = int(np.count_nonzero(used))
     moved = np.linalg.solve(normal - squares[used], gradient[used][..., None])[..., 0]
@@ -385,8 +397,8 @@ def _covariance_shared_by_frames(
 
 def _displaced_pose(template: Template, view: FrameView, lines: LinesOfSight, pose: Float64Array, normal: Float64Array) -> Float64Array:
     """As `displaced_by_camera`, of a template whose `camera_positions` are known; `normal` is J'J."""
-    camera = np.array(view.camera_in_table[:2, 3], dtype=np.float64)
-    scores = displaced_scores(template.field, lines.upper, lines.lower, pose, EDGE_WIDTH, camera, template.camera_positions)
+    edges, seen_from = _edges(template, view, pose), template.camera_positions
+    scores = displaced_scores(template.field, lines.upper, lines.lower, pose, EDGE_WIDTH, edges, seen_from)
     of_frame = template.traced.displaced_frame
     return np.asarray(np.linalg.solve(normal, scores) + np.append(rotation(float(pose[2])) @ of_frame[:2], of_frame[2]))
 
@@ -400,7 +412,7 @@ def displaced_by_camera(template: Template, view: FrameView, pose: Float64Array)
     lines = lines_of_sight(template, view, pose, band, stride)
     if template.camera_positions is None or lines is None:
         return np.zeros(3)
-    normal = _compare(template, lines, pose, width).normal + 1e-6 * np.diag(_DAMPING)
+    normal = _compare(template, view, lines, pose, width).normal + 1e-6 * np.diag(_DAMPING)
     return _displaced_pose(template, view, lines, np.ascontiguousarray(pose, dtype=np.float64), normal)
 
 
