@@ -41,8 +41,8 @@ def seen_by_a_camera() -> FitProblem:
     shape = replace(TRUTH.shape, outline_std=np.full(len(TRUTH.shape.outline), 1.5e-3))
     records = [replace(r, shape=shape, poses=replace(r.poses, camera=CameraAccuracy(4e-3, 1e-2))) for r in RECORDS]
     prior = Prior(max_modes=4).with_camera_accuracy(record.poses.camera for record in records)
-    problem = FitProblem(records, UnknownsSpec.of(shape, prior, effects=nuisance_effects(shape, prior)))
-    assert problem.unknowns_of_push == unknowns_of_push(shape) == 5
+    problem = FitProblem(records, UnknownsSpec.of(shape, prior, effects=nuisance_effects(shape, prior), outline=True))
+    assert problem.unknowns_of_push == unknowns_of_push(shape) == 5 and problem.unknowns.blocks["outline"].size > 4
     return problem
 
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from helpers.objects import hammer, random_records, with_forces
+from helpers.objects import hammer, random_records, square, uniform, with_forces
+from push_ident.geometry.outline import dense, signed_distance
 from push_ident.geometry.se2 import compose
 from push_ident.identification.identify import identify
 from push_ident.identification.observing.observation import NoiseModel, observe_forces
 from push_ident.identification.online.identifier import OnlineIdentifier
 from push_ident.identification.predicting.next_push import PlannedPush, RankingOptions, rank_pushes
 from push_ident.identification.predicting.prediction import held_out_errors, predict
+from push_ident.identification.results.model_file import load_model, save_model
 from push_ident.identification.results.posterior import ModelPosterior, prior_posterior
 from push_ident.identification.unknowns.prior import Prior
 from push_ident.physics.scenario import PushScenario
@@ -156,3 +160,24 @@ def test_a_push_of_a_traced_outline_is_expected_to_say_less() -> None:
         information[std] = -0.5 * sum(np.linalg.slogdet(value.covariance)[1] for value in ranked.values)
     assert information[1e-6] == pytest.approx(information[0.0], rel=0.05)
     assert information[2e-3] < 0.9 * information[0.0]
+
+
+def test_pushes_show_how_a_traced_face_is_inclined(tmp_path: Path) -> None:
+    """A bulge of 4 mm in the middle of a face, as a matcher of windows leaves it: it inclines both halves by 4 degrees."""
+    truth = uniform(square(11, 0.012))
+    x = truth.shape.outline[:, 0]
+    left = int(np.flatnonzero((x < 0.0) & (np.roll(x, -1) < 0.0))[0])
+    bulged = np.insert(truth.shape.outline, left + 1, (x.min() - 0.004, 0.0), axis=0)
+    seen = ObjectShape(truth.shape.cells, bulged, np.full(len(bulged), 1.5e-3))
+    off: dict[object, float] = {}
+    for seed in (5, 6):
+        touched = identify([replace(record, shape=seen) for record in random_records(truth, 8, seed)]).posterior
+        for name, outline in (("traced", bulged), (seed, touched.model.shape.outline)):
+            off[name] = np.sqrt(np.mean(signed_distance(dense(outline, 1e-3), truth.shape.outline) ** 2))
+    assert max(off[5], off[6]) < 0.7 * off["traced"]
+    save_model(tmp_path / "o1.json", touched, object_id="o1")
+    _, read = load_model(tmp_path / "o1.json")
+    assert read.model.shape.outline == pytest.approx(touched.model.shape.outline)
+    file = json.loads((tmp_path / "o1.json").read_text())
+    assert np.array(file["outline"]) == pytest.approx(bulged)
+    assert np.array(file["touched_outline"]) == pytest.approx(touched.model.shape.outline)

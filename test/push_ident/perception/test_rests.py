@@ -100,7 +100,7 @@ def filmed():
 
 def test_a_rest_in_another_heading_shows_the_form_better(filmed):
     (first, last), watched = filmed.in_form, filmed.watched
-    assert watched.ids == {"o1"} and len(watched.shapes) > 1 and last < 0.85 * first
+    assert watched.ids == {"o1"} and len(watched.shapes) > 1 and last < 0.95 * first
     np.testing.assert_array_equal(watched.shapes[-1].cells.squares, watched.shapes[0].cells.squares)
     assert len(watched.shapes[-1].outline_std) == len(watched.shapes[-1].outline)
 

@@ -235,7 +235,13 @@ def draw_maps(posterior: ModelPosterior) -> list[tuple[str, str]]:
         ("Relative standard deviation of mass × friction", 100 * posterior.mass_friction_std / product, "%"),
     )
     region, cells, centres, outline = _centre_ellipse(posterior), cell_polygons(model.shape), model.shape.cells.centres, model.shape.outline
-    return [(title, cell_panel(CellPanel(title, centres, cells, outline, values, unit, region=region))) for title, values, unit in panels]
+    drawn = [(title, cell_panel(CellPanel(title, centres, cells, outline, values, unit, region=region))) for title, values, unit in panels]
+    traced = posterior.unknowns.shape.outline
+    if len(posterior.unknowns.outline_modes):
+        moved = float(np.sqrt(np.mean(np.sum((outline - traced) ** 2, axis=1))))
+        title = f"Outline as pushes show it, and as the camera traced it (thin): vertices {1e3 * moved:.1f} mm apart"
+        drawn.append((title, cell_panel(CellPanel(title, centres[:0], [], outline, np.zeros(0), "", region=traced))))
+    return drawn
 
 
 def _centre_ellipse(posterior: ModelPosterior) -> Float64Array:

@@ -164,30 +164,29 @@ def displacement(outline: Float64Array, cameras: Float64Array, lines: Sequence[E
     return mean * scatter, std * scatter
 
 
-def edge_std(
-    outline: Float64Array,
-    views: Sequence[EdgeLines],
-    simple: Float64Array,
-    simple_views: Sequence[EdgeLines],
-    cameras: Float64Array,
-) -> Float64Array:
+def edge_std(outline: Float64Array, views: Sequence[EdgeLines], cameras: Float64Array) -> Float64Array:
     """Standard deviation of the position of each edge along its normal [m], shape (n_edges,); that of the prior where no line passes it.
 
     Args:
-        outline, views: The traced outline, and lines near its edges.
-        simple, simple_views: The outline without teeth, and lines near its edges.
+        outline, views: Outline without teeth, and lines near its edges.
         cameras: As of `cameras_of`.
     """
     n = len(outline)
     curvature = same_curve(outline) @ (np.full(n, VARIANCE / _PRIOR**2) + sum(view.derivatives(n)[1] for view in views))
-    displaced = depth_jumps(outline, cameras) * displacement(simple, cameras, simple_views)[1]
-    return np.sqrt(VARIANCE / curvature + _raggedness(outline, simple, simple_views, cameras) ** 2 + displaced**2)
+    displaced = depth_jumps(outline, cameras) * displacement(outline, cameras, views)[1]
+    return np.sqrt(VARIANCE / curvature + raggedness(outline, outline, views, cameras) ** 2 + displaced**2)
 
 
-def _raggedness(outline: Float64Array, simple: Float64Array, simple_views: Sequence[EdgeLines], cameras: Float64Array) -> Float64Array:
-    """Scatter of the edges of an outline [m], shape (n_edges,): that of all where depth jumps, or of all others. As of `edge_std`."""
-    jumps = depth_jumps(simple, cameras) > _JUMPS
-    seen, hidden = (scatter_of([view.of_edges(chosen) for view in simple_views]) for chosen in (~jumps, jumps))
+def raggedness(outline: Float64Array, smooth: Float64Array, views: Sequence[EdgeLines], cameras: Float64Array) -> Float64Array:
+    """Scatter of the edges of an outline about another one without teeth [m], shape (n_edges,): that of all where depth jumps, or of all
+    others.
+
+    Args:
+        smooth, views: The other one, and lines near its edges.
+        cameras: As of `cameras_of`.
+    """
+    jumps = depth_jumps(smooth, cameras) > _JUMPS
+    seen, hidden = (scatter_of([view.of_edges(chosen) for view in views]) for chosen in (~jumps, jumps))
     return np.where(depth_jumps(outline, cameras) > _JUMPS, hidden, seen)
 
 
@@ -239,23 +238,24 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject
     straight = straighten(dense(outline))
     outline, cameras = straight if len(straight) >= 3 else outline, cameras_of(traced, fitted)
     pixel = min(pixel_at(view, pose) for view, pose in fitted)
-    simple = without_teeth(outline, pixel)
-    simple_lines = _lines_of(traced, simple, fitted)
-    traced = replace(traced, displaced=displacement(simple, cameras, simple_lines)[0])
-    noise = np.maximum(_raggedness(outline, simple, simple_lines, cameras), LEAST_SCATTER)
+    smooth = without_teeth(outline, pixel)
     height = float(traced.top.mean())
     windows = np.mean([windows_along(view, pose, outline, height) for view, pose in fitted], axis=0)
-    straight = with_fewest_pieces(outline, noise, windows)
+    # Once more about the pieces: a polygon without teeth is coarser than a curve.
+    for _ in range(2):
+        lines = _lines_of(traced, smooth, fitted)
+        displaced = displacement(smooth, cameras, lines)[0]
+        smooth = with_fewest_pieces(outline, np.maximum(raggedness(outline, smooth, lines, cameras), LEAST_SCATTER), windows)
+    traced, straight = replace(traced, displaced=displaced), smooth
     without, _ = moved_apart(straight, np.zeros(len(straight)), -traced.displaced * depth_jumps(straight, cameras))
     outline, fitted = _fitted_edges(traced, without, views)
-    simple = without_teeth(outline, pixel)
-    lines, simple_lines = (_lines_of(traced, edges, fitted) for edges in (outline, simple))
-    std = edge_std(outline, lines, simple, simple_lines, cameras)
+    lines = _lines_of(traced, outline, fitted)
+    std = edge_std(outline, lines, cameras)
     x, y = polygon_centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), traced.shape.cells.size), outline - (x, y), std)
     pose = np.array([*transform_points(traced.pose, [(x, y)])[0], traced.pose[2]])
     fused = replace(traced, shape=shape, pose=pose, top_origin=traced.top_origin - (x, y))
-    return replace(fused, camera_positions=(cameras[:, :2] - (x, y),), displaced_std=displacement(simple, cameras, simple_lines)[1])
+    return replace(fused, camera_positions=(cameras[:, :2] - (x, y),), displaced_std=displacement(outline, cameras, lines)[1])
 
 
 def _fitted_edges(traced: TracedObject, outline: Float64Array, views: Sequence[PosedView]) -> tuple[Float64Array, list[PosedView]]:

@@ -401,7 +401,7 @@ def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float
     Raises PerceptionError: No outline can be traced from the views.
     """
     state = _begin(np.array(traced.shape.outline), [view.pose for view in views])
-    yield from _fit(state, traced, views, moves_edges=False)
+    yield from _fit(state, traced, views, n_steps=2, moves_edges=False)
     before = state.misfit
     yield from _fit(state, traced, views)
     again = yield from trace_in_parts(
@@ -413,7 +413,7 @@ def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float
     again = replace(again, pose=traced.pose, top_origin=again.top_origin + origin)
     state = _begin(again.shape.outline + origin, state.poses)
     again = replace(again, displaced=traced.displaced)
-    yield from _fit(state, again, views)
+    yield from _fit(state, again, views, n_steps=2)
     straight = straighten(dense(state.outline))
     straight, height = straight if len(straight) >= 3 else state.outline, float(again.top.mean())
     # Each rest shows an edge with other teeth.
@@ -421,10 +421,10 @@ def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float
     seen = [windows_along(view.segmented.view, pose, straight, height) for view, pose in zip(views, state.poses, strict=True)]
     outline = with_fewest_pieces(straight, noise, np.mean(seen, axis=0))
     state = _begin(outline, state.poses)
-    yield from _fit(state, again, views)
+    yield from _fit(state, again, views, n_steps=2)
     state = _begin(state.outline, state.poses)
     # The first turn moves no edge, so that the deviations are those of the edges that remain.
-    yield from _fit(state, again, views, moves_edges=False)
+    yield from _fit(state, again, views, n_steps=2, moves_edges=False)
     std = np.hypot(state.std, traced.displaced_std)
     shape = ObjectShape(traced.shape.cells, state.outline, std)
     again = replace(again, shape=shape, camera_positions=_camera_positions(views, state.poses), displaced_std=traced.displaced_std)
@@ -435,9 +435,9 @@ def _begin(outline: Float64Array, poses: Sequence[Float64Array]) -> _State:
     return _State(outline, np.zeros(len(outline)), list(poses), np.zeros(len(outline)))
 
 
-def _fit(state: _State, traced: TracedObject, views: Sequence[RestView], *, moves_edges: bool = True) -> InParts[None]:
+def _fit(state: _State, traced: TracedObject, views: Sequence[RestView], *, n_steps: int = 4, moves_edges: bool = True) -> InParts[None]:
     """Gauss-Newton for the offsets of the edges and the poses of all rests but the first one."""
-    for _ in range(4 if moves_edges else 2):
+    for _ in range(n_steps):
         n = len(state.outline)
         template = Template(replace(traced, shape=ObjectShape(traced.shape.cells, state.outline)))
         lines = []

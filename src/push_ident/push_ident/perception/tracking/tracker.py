@@ -42,7 +42,7 @@ _MAX_AGE: Final = 0.2
 _OPEN: Final = (0.1, 0.6)
 """Where no pose fits, a fraction of open border between these shows parts that moved against each other [-]: below, nothing is missing;
 above, the object is gone."""
-_CROWDED: Final = (0.1, 0.7)
+_CROWDED: Final = (0.1, 0.9)
 """A fraction of crowded border between these, with none of it open, shows a thing that touches the object [-]."""
 _TOGETHER: Final = (0.75, 1.4)
 """Area of parts that still touch, relative to that of the object [-]: one may stand on the other in part."""
