@@ -220,15 +220,14 @@ class Template:
 
     @cached_property
     def has_heading(self) -> bool:
-        """Whether the outline turned about its centroid differs from itself by more than two tracings of it do, of which the camera displaces
-        other edges; else yaw means nothing."""
+        """Whether the outline turned about its centroid differs from itself by more than two tracings of it do; else yaw means nothing."""
         std = self.traced.shape.outline_std
         if std is None:
             return True
         points = dense(self.outline, ON_OBJECT / 2.0)
         turned = [points @ rotation(angle).T for angle in np.linspace(0.0, np.pi, _TURNS + 1)[1:]]
         most = max(float(np.mean(np.square(self.distance(one)[0]))) for one in turned)
-        return most > 2.0 * (float(np.mean(np.square(std))) + self.traced.displaced**2)
+        return most > 2.0 * float(np.mean(np.square(std)))
 
     def distance(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Signed distance [m], shape (n,), and its gradient, shape (n, 2), at points (n, 2) in the object frame."""
