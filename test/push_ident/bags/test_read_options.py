@@ -216,7 +216,8 @@ def test_another_unit_of_the_depth_is_named_and_mended(tmp_path: Path, frame: De
     with pytest.raises(PerceptionError, match=f"--depth-unit {unit:g}"):
         pi.load(tmp_path / "bag")
     done = run_here("look", tmp_path / "bag", "--depth-unit", unit, "--out", tmp_path)
-    assert done.returncode == 0 and ("o1: 20" if unit < 0.01 else "o1: 19") in done.stdout and "corrects the given pose" in done.stderr, done.stderr
+    size = "o1: 20" if unit < 0.01 else "o1: 19"  # [cm]
+    assert done.returncode == 0 and size in done.stdout and "corrects the given pose" in done.stderr, done.stderr
     (first, _) = read_bag(tmp_path / "bag", ReadOptions(depth_unit=unit)).depth_frames()
     np.testing.assert_allclose(first.depth, frame.depth, atol=0.51 * min(unit, 1e-2))
 
