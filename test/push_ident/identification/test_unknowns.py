@@ -99,3 +99,12 @@ def test_pushes_tell_an_even_object_from_an_uneven_one() -> None:
     spread = [max(c.maps.mass_std + c.maps.friction_std for c in found if c.maps) for found in (of_even, of_uneven)]
     assert spread[0] < spread[1]
     assert sum(c.probability for c in of_even) == pytest.approx(1.0)
+
+
+def test_a_linear_minimum_far_beyond_the_prior_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A push at the middle of a face, where its derivative is huge, once started the next round at values that are not finite."""
+    records = random_records(hammer(1), 2, 3)
+    minimum = LinearEvidence.minimum
+    monkeypatch.setattr(LinearEvidence, "minimum", lambda self, logs: 1e8 * np.ones_like(minimum(self, logs)))
+    result = identify(records, PRIOR)
+    assert not result.status.is_failure and np.isfinite(result.posterior.model.friction).all()

@@ -40,6 +40,16 @@ def edge_normals(polygon: Float64Array) -> Float64Array:
     return np.asarray(normal if polygon_area(polygon) > 0 else -normal)
 
 
+def line_crossing(p: Float64Array, u: Float64Array, q: Float64Array, v: Float64Array) -> Float64Array | None:
+    """Where the line through p along u crosses the one through q along v, shape (2,); None where they are nearly parallel: at a sine below
+    0.25 noise displaces the crossing by four times its size and more. `u` and `v` have unit length."""
+    sine = u[0] * v[1] - u[1] * v[0]
+    if abs(sine) < 0.25:
+        return None
+    between = q - p
+    return np.asarray(p + (between[0] * v[1] - between[1] * v[0]) / sine * u)
+
+
 def points_in_polygon(points: ArrayLike, polygon: ArrayLike) -> BoolArray:
     """Which of `points` (n, 2) lie inside, shape (n,), by the even-odd rule; points on the boundary may count as either."""
     start = np.asarray(polygon, dtype=np.float64)

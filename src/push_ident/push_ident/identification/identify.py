@@ -145,6 +145,7 @@ def _unknowns_of(records: Sequence[PushRecord], prior: Prior, effects: Sequence[
         return UnknownsSpec.of(shape, prior, maps=False).cell_by_cell()
     modes, names = earlier.past.modes if earlier.past else None, tuple(dict.fromkeys((*names, *nuisance_effects(shape, prior))))
     unknowns = UnknownsSpec.of(shape, prior, modes=modes, effects=names, outline=can.takes_effects)
+    # What is summed up of pushes before there was an outline among the unknowns has none.
     is_as_before = earlier.past is None or len(earlier.past.cost.point) == unknowns.size
     return unknowns if is_as_before else unknowns.as_traced()
 

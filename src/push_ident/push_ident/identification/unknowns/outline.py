@@ -28,8 +28,8 @@ def outline_modes(shape: ObjectShape) -> Float64Array:
         return NO_MODES
     std = np.sqrt(0.5 * (shape.outline_std**2 + np.roll(shape.outline_std, 1) ** 2))
     length = np.linalg.norm(np.roll(shape.outline, -1, axis=0) - shape.outline, axis=1)
-    place = np.cumsum(length) - length
-    apart = np.abs(place[:, None] - place)
+    arc_length = np.cumsum(length) - length
+    apart = np.abs(arc_length[:, None] - arc_length)
     apart = np.minimum(apart, length.sum() - apart)
     value, vector = np.linalg.eigh(np.exp(-apart / _ALIKE) * np.outer(std, std))
     value, vector = value[::-1], vector[:, ::-1]

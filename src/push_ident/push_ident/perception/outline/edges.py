@@ -174,10 +174,10 @@ def edge_std(outline: Float64Array, views: Sequence[EdgeLines], cameras: Float64
     n = len(outline)
     curvature = same_curve(outline) @ (np.full(n, VARIANCE / _PRIOR**2) + sum(view.derivatives(n)[1] for view in views))
     displaced = depth_jumps(outline, cameras) * displacement(outline, cameras, views)[1]
-    return np.sqrt(VARIANCE / curvature + raggedness(outline, outline, views, cameras) ** 2 + displaced**2)
+    return np.sqrt(VARIANCE / curvature + _raggedness(outline, outline, views, cameras) ** 2 + displaced**2)
 
 
-def raggedness(outline: Float64Array, smooth: Float64Array, views: Sequence[EdgeLines], cameras: Float64Array) -> Float64Array:
+def _raggedness(outline: Float64Array, smooth: Float64Array, views: Sequence[EdgeLines], cameras: Float64Array) -> Float64Array:
     """Scatter of the edges of an outline about another one without teeth [m], shape (n_edges,): that of all where depth jumps, or of all
     others.
 
@@ -245,7 +245,7 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject
     for _ in range(2):
         lines = _lines_of(traced, smooth, fitted)
         displaced = displacement(smooth, cameras, lines)[0]
-        smooth = with_fewest_pieces(outline, np.maximum(raggedness(outline, smooth, lines, cameras), LEAST_SCATTER), windows)
+        smooth = with_fewest_pieces(outline, np.maximum(_raggedness(outline, smooth, lines, cameras), LEAST_SCATTER), windows)
     traced, straight = replace(traced, displaced=displaced), smooth
     without, _ = moved_apart(straight, np.zeros(len(straight)), -traced.displaced * depth_jumps(straight, cameras))
     outline, fitted = _fitted_edges(traced, without, views)

@@ -16,13 +16,12 @@ from typing import Final
 
 import numpy as np
 
+from push_ident.geometry.outline import line_crossing
 from push_ident.geometry.shape_check import crossing_edges
 from push_ident.types import Float64Array
 
 _STEP: Final = 5e-4
 """Distance of the points of the contour [m]."""
-_PARALLEL: Final = 0.25
-"""Sine of the angle below which noise displaces the corner of two lines too far along them [-]."""
 _TURN: Final = 0.1
 """Turn from edge to edge of an arc [rad]: a pusher takes it for round."""
 
@@ -94,8 +93,8 @@ def with_fewest_pieces(outline: Float64Array, noise: Float64Array, windows: Floa
         del joined[i]
         for k in {i - 1, i % len(pieces)} if len(pieces) > 1 else ():
             joined[k] = _joined(pieces[k], pieces[(k + 1) % len(pieces)], price)
-    found = _outline_of(pieces, float(np.median(noise)))
-    return found if len(found) >= 3 and crossing_edges(found) is None else outline
+    polygon = _outline_of(pieces, float(np.median(noise)))
+    return polygon if len(polygon) >= 3 and crossing_edges(polygon) is None else outline
 
 
 def _points_of(a: Float64Array, b: Float64Array) -> Float64Array:
@@ -143,10 +142,10 @@ def _outline_of(pieces: list[_Piece], noise: float) -> Float64Array:
 def _corner(before: _Piece, after: _Piece, noise: float) -> Float64Array:
     """Where two pieces meet, shape (1, 2): where two lines cross, else between their points nearest to the end that they share; both of
     these, shape (2, 2), where they are further apart than noise puts them."""
+    if before.radius == after.radius == 0.0:
+        corner = line_crossing(before.centre, before.direction, after.centre, after.direction)
+        if corner is not None:
+            return corner[None]
     end = after.points[0]
-    (u, p), (v, q) = (before.direction, before.centre), (after.direction, after.centre)
-    sine = float(u[0] * v[1] - u[1] * v[0])
-    if before.radius > 0.0 or after.radius > 0.0 or abs(sine) < _PARALLEL:
-        both = np.array([before.nearest(end), after.nearest(end)])
-        return both if np.linalg.norm(both[1] - both[0]) > 2.0 * noise else both.mean(axis=0, keepdims=True)
-    return np.asarray(p + ((q - p)[0] * v[1] - (q - p)[1] * v[0]) / sine * u)[None]
+    both = np.array([before.nearest(end), after.nearest(end)])
+    return both if np.linalg.norm(both[1] - both[0]) > 2.0 * noise else both.mean(axis=0, keepdims=True)

@@ -418,8 +418,8 @@ def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float
     straight, height = straight if len(straight) >= 3 else state.outline, float(again.top.mean())
     # Each rest shows an edge with other teeth.
     noise = np.full(len(straight), state.scatter / np.sqrt(len(set(_rests(views)))))
-    seen = [windows_along(view.segmented.view, pose, straight, height) for view, pose in zip(views, state.poses, strict=True)]
-    outline = with_fewest_pieces(straight, noise, np.mean(seen, axis=0))
+    windows = [windows_along(view.segmented.view, pose, straight, height) for view, pose in zip(views, state.poses, strict=True)]
+    outline = with_fewest_pieces(straight, noise, np.mean(windows, axis=0))
     state = _begin(outline, state.poses)
     yield from _fit(state, again, views, n_steps=2)
     state = _begin(state.outline, state.poses)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from push_ident.errors import PerceptionError
 from push_ident.geometry.cut_cells import cells_in_outline
-from push_ident.geometry.outline import edge_normals, polygon_area, polygon_centroid
+from push_ident.geometry.outline import edge_normals, line_crossing, polygon_area, polygon_centroid
 from push_ident.geometry.shape_check import crossing_edges
 from push_ident.perception.frame.view import unmeasured_areas
 from push_ident.perception.kernels import outline_distances
@@ -416,8 +416,4 @@ def _crossing(a: _Straight | None, b: _Straight | None) -> Float64Array | None:
     """Where two lines cross; None where they are nearly parallel."""
     if a is None or b is None:
         return None
-    sine = a.direction[0] * b.direction[1] - a.direction[1] * b.direction[0]
-    if abs(sine) < 0.25:
-        return None
-    between = b.point - a.point
-    return np.asarray(a.point + (between[0] * b.direction[1] - between[1] * b.direction[0]) / sine * a.direction)
+    return line_crossing(a.point, a.direction, b.point, b.direction)
