@@ -44,7 +44,7 @@ def test_gradient_is_the_derivative_of_the_sum_of_squares(field, displaced):
 
     def compared(pose):  # both ends of a line at one position: where the other end comes to decide there is a jump
         _, gradient, mean_square, *_ = compare_lines(
-            field, ends, ends.copy(), stopped, pose, (0.006, 0.018, 0.003), np.array([0.5, 0.2, displaced])
+            field, ends, ends.copy(), stopped, pose, (0.006, 0.018, 0.003), np.array([0.5, 0.2, displaced, 1e9])
         )
         return gradient, 0.5 * len(ends) * mean_square
 
