@@ -107,7 +107,7 @@ def test_arm_stands_soon_after_the_client_was_killed(cell: Cell, domain: int) ->
     def said() -> list[str]:
         return [value.value for msg in list(cell.diagnostics) for value in msg.status[0].values]
 
-    wait_for(lambda: any("CANCELED: its client has been silent for " in value for value in said()), why=lambda: f"last said: {said()[-20:]}")
+    wait_for(lambda: any("CANCELED: its client has been silent for " in value for value in said()), why=lambda: f"said {said()[-20:]}")
 
 
 def test_message_that_cannot_be_used_does_not_keep_a_client_from_its_end(cell: Cell, domain: int) -> None:

@@ -27,7 +27,7 @@ from push_ident.perception.search import search
 from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking import tracker
-from push_ident.perception.tracking.pose_fit import fit_pose
+from push_ident.perception.tracking.pose_fit import fit_pose, keeps_heading
 from push_ident.types import DepthFrame
 
 SETTINGS = PerceptionSettings(rest_frames=3)
@@ -100,6 +100,14 @@ def test_a_round_thing_has_no_heading_and_keeps_its_place():
     for i in range(60, 80):
         seen = perception.observe(render(elsewhere, rng=rng, stamp=i / 30))
     assert [(known.object_id, known.status) for known in seen.objects] == [("o1", TrackStatus.TRACKED)]
+
+
+@pytest.mark.parametrize(("outline", "kept"), [(circle(0.04, 48), False), (rectangle(-0.05, -0.03, 0.05, 0.03), True)])
+def test_a_heading_is_kept_where_fits_from_both_sides_meet(outline, kept):
+    view = FrameView(render([Prism(outline, 0.06)], rng=np.random.default_rng(0)), CAMERA)
+    traced = trace_object([SegmentedView(view, find_segments(view)[0][0])], min_height=0.008, cell_count=80)
+    assert keeps_heading(Template(traced), view, traced.pose) == kept
+    assert not Template(replace(traced, keeps_heading=False)).has_heading
 
 
 @pytest.mark.parametrize("outline", [rectangle(-0.03, -0.03, 0.03, 0.03), circle(0.04, 6), HAMMER_OUTLINE])

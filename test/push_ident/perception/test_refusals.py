@@ -14,12 +14,13 @@ from push_ident.geometry.outline import polygon_area, signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.perception.frame.robot import Cylinder
 from push_ident.perception.frame.table import fit_table
-from push_ident.perception.frame.view import points_in_table
+from push_ident.perception.frame.view import OBJECT, FrameView, points_in_table
 from push_ident.perception.known_object import TrackStatus
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.recording import observe_offline
 from push_ident.perception.refusals import Reason
 from push_ident.perception.search import search
+from push_ident.perception.search.hollows import cover_hollows
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking.pose_fit import UpperSide
 from push_ident.survey.survey import survey_frames
@@ -27,6 +28,7 @@ from push_ident.types import CameraIntrinsics, DepthFrame
 
 POSE = np.array([0.03, -0.02, 0.4])
 BOX = rectangle(-0.06, -0.04, 0.06, 0.04)
+MUG = hollow(circle(0.06, 48), circle(0.056, 48), 0.08)
 REST = 3
 SETTINGS = PerceptionSettings(rest_frames=REST)
 
@@ -43,6 +45,12 @@ def observe(prisms, n=REST, *, settings=SETTINGS, robot=(), change=lambda depth:
         shapes |= observation.new_shapes
         doubts += observation.doubts.values()
     return observation, shapes, doubts
+
+
+def beside_the_middle(points, opening):
+    """Which points, shape (..., 2 or 3), are seen from the origin across the view of the camera, within `opening` [rad] on each side."""
+    ahead = CAMERA[:2, 3] / np.linalg.norm(CAMERA[:2, 3])
+    return np.abs(points[..., :2] @ ahead) < np.tan(opening / 2.0) * np.abs(points[..., :2] @ (-ahead[1], ahead[0]))
 
 
 def of(reason, observation):
@@ -370,3 +378,25 @@ def test_a_hollow_thing_is_one_object_with_the_outline_of_its_rim(outer, inner, 
 def test_things_around_a_lower_one_are_no_rim():
     walls = [box(-0.09, 0, 0.04, 0.20, 0.06), box(0, 0.11, 0.10, 0.04, 0.06), box(0, -0.11, 0.10, 0.04, 0.06)]
     assert all(area < 100 for area in Watched().see([*walls, box(0, 0, 0.06, 0.06, 0.02)], REST).areas.values())
+
+
+def test_a_round_rim_may_be_torn_where_it_runs_along_the_line_of_sight():
+    def tear(depth):
+        at = points_in_table(DepthFrame(0.0, depth, INTRINSICS), CAMERA)
+        depth[beside_the_middle(at, 0.6) & (at[..., 2] > 0.06)] = np.nan
+
+    _, shapes, _ = observe(MUG, change=tear)
+    assert [polygon_area(shape.outline) for shape in shapes.values()] == [pytest.approx(np.pi * 0.06**2, rel=0.05)]
+
+
+def test_a_hook_has_no_rim():
+    hook = [wall for wall in MUG[1:] if not beside_the_middle(wall.polygon.mean(axis=0), 2.2) or wall.polygon[0, 1] < 0]
+    view = FrameView(render(hook, rng=np.random.default_rng(0)), CAMERA)
+    assert np.count_nonzero(view.labels == OBJECT) > 1000 and cover_hollows(view).lid is None
+
+
+def test_a_thing_on_which_another_one_stands_is_refused_too():
+    """What is seen of the lower one beside the upper one is no outline."""
+    lower, upper = Prism(circle(0.07), 0.07), Prism(np.add(circle(0.09), (-0.06, 0.0)), 0.25, 0.07)
+    observation, shapes, _ = observe([lower, upper])
+    assert not shapes and len(of(Reason.STACKED, observation)) == 2

@@ -108,6 +108,8 @@ class TracedObject:
     """Displacement (x, y, yaw) of the object frame by such edges, per metre of theirs [-, -, rad/m], object frame: 0 for the first view."""
     frame_covariance: Float64Array = field(default_factory=lambda: np.zeros((3, 3)))
     """Covariance of the object frame by single edges of earlier outlines, shape (3, 3), object frame: 0 for the first view."""
+    keeps_heading: bool = True
+    """Whether pose fits that start at headings on both sides of it end near each other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,10 +222,11 @@ class Template:
 
     @cached_property
     def has_heading(self) -> bool:
-        """Whether the outline turned about its centroid differs from itself by more than two tracings of it do; else yaw means nothing."""
+        """Whether yaw means anything: fits keep it, and the outline turned about its centroid differs from itself by more than two
+        tracings of it do."""
         std = self.traced.shape.outline_std
-        if std is None:
-            return True
+        if std is None or not self.traced.keeps_heading:
+            return self.traced.keeps_heading
         points = dense(self.outline, ON_OBJECT / 2.0)
         turned = [points @ rotation(angle).T for angle in np.linspace(0.0, np.pi, _TURNS + 1)[1:]]
         most = max(float(np.mean(np.square(self.distance(one)[0]))) for one in turned)

@@ -22,6 +22,7 @@ class Reason(Enum):
     STACKED = "stacked or leaning: a thing that rests on another one; put each on the table itself"
     TOUCHES_KNOWN = "touches a known object, so where it ends cannot be seen; move them apart"
     TOO_SMALL = "smaller than min_object_area"
+    TOO_LOW = "no higher than the noise of the table at its distance: it may be none; move it nearer to the camera"
     NOT_AT_REST = "not at rest yet"
     NO_SHAPE = "its shape cannot be traced"
 

@@ -68,7 +68,7 @@ def draw_survey(survey: Survey) -> SurveyFigure:
 
 def is_small(refusal: Refusal) -> bool:
     """Whether it is one of the many small patches that are not listed one by one."""
-    return refusal.reason is Reason.TOO_SMALL
+    return refusal.reason in (Reason.TOO_SMALL, Reason.TOO_LOW)
 
 
 def size_text(one: SurveyedObject) -> str:

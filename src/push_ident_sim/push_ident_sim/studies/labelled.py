@@ -44,6 +44,8 @@ _HIDDEN: Final = 0.04
 """Least fraction of its surroundings that hides a thing which counts as partly hidden."""
 _LEAST: Final = (100, 0.012)
 """Points and height [m] of a labelled thing that counts: parts of the table are labelled, too."""
+_OF_A_THING: Final = 10
+"""Labels of each thing, and of the table, one for each of its parts."""
 _CELL: Final = 0.002
 """Of the grid in which overlaps are counted [m]."""
 
@@ -62,7 +64,8 @@ class Labelled:
 
 
 def _read(path: Path) -> tuple[DepthFrame, NDArray[np.int64]]:
-    """The depth, and the number of the thing that each pixel shows, 0 for none.
+    """The depth, and the number of the thing that each pixel shows, 0 for none: labels 30 and 31 are parts of the same thing, as the inside
+    and the outside of a bowl are; those below 10 are of the table.
 
     Raises InputError for a cloud that is not organised, or has no labels.
     """
@@ -72,8 +75,8 @@ def _read(path: Path) -> tuple[DepthFrame, NDArray[np.int64]]:
     frame = next(DepthImages(path).frames())
     cloud = open3d.t.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
     if "label" not in cloud.point:
-        raise InputError(f"{path} has no field `label`, expected the number of the thing that each point belongs to.")
-    return frame, cloud.point["label"].numpy().reshape(frame.depth.shape).astype(np.int64)
+        raise InputError(f"{path} has no field `label`, expected the number of the part that each point belongs to.")
+    return frame, cloud.point["label"].numpy().reshape(frame.depth.shape).astype(np.int64) // _OF_A_THING
 
 
 def labelled_things(frame: DepthFrame, labels: NDArray[np.int64], camera: Float64Array, settings: PerceptionSettings) -> list[Labelled]:

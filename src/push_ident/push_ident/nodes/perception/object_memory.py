@@ -47,6 +47,7 @@ class _Object(CheckedContent):
     displaced_std: float = 0.0
     displaced_frame: tuple[float, float, float] = (0.0, 0.0, 0.0)
     frame_covariance: Rows | None = None
+    keeps_heading: bool = True
     area: float
 
 
@@ -93,6 +94,7 @@ class ObjectMemory:
             displaced_std=float(traced.displaced_std),
             displaced_frame=traced.displaced_frame,
             frame_covariance=traced.frame_covariance.tolist(),
+            keeps_heading=bool(traced.keeps_heading),
             area=float(known.area),
         )
         write_whole(path, content.model_dump_json(), "a known object", private=True, error=ModelFileError)
@@ -167,5 +169,6 @@ def _read(path: Path) -> tuple[str, TracedObject, float]:
         content.displaced_std,
         content.displaced_frame,
         frame_covariance,
+        content.keeps_heading,
     )
     return content.object_id, traced, content.area

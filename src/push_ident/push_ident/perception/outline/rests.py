@@ -412,7 +412,7 @@ def refine(traced: TracedObject, views: Sequence[RestView], *, min_height: float
     origin = again.pose[:2]
     again = replace(again, pose=traced.pose, top_origin=again.top_origin + origin)
     state = _begin(again.shape.outline + origin, state.poses)
-    again = replace(again, displaced=traced.displaced)
+    again = replace(again, displaced=traced.displaced, keeps_heading=traced.keeps_heading)
     yield from _fit(state, again, views, n_steps=2)
     straight = straighten(dense(state.outline))
     straight, height = straight if len(straight) >= 3 else state.outline, float(again.top.mean())

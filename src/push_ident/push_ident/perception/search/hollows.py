@@ -26,6 +26,14 @@ _BESIDE_OPENING: Final = np.ones((7, 7), np.uint8)
 """Window in which the cells beside an opening give the height of its rim [cells]."""
 _TORN: Final = np.ones((7, 7), np.uint8)
 """Pieces of a patch so near to each other belong together [px]."""
+_TRIPLES: Final = 100
+"""Of cells, by which circles are drawn through a rim: of 100 all miss one that is half of the cells once in 6e5 [-]."""
+_MOST_CELLS: Final = 300
+"""Of a rim by which circles are compared: more do not change which one most of them lie on."""
+_DIRECTIONS: Final = 72
+"""In which a round rim is looked for from its middle."""
+_SEEN_RIM: Final = 0.75
+"""Least fraction of them in which it is seen [-]: a hook or a bracket is open for more."""
 _INSIDE_RIM: Final = 1.5
 """Lines of sight that enter or end so far inside the outer edge of the rim have passed it [cells]: points of the outer wall scatter about
 the edge."""
@@ -110,7 +118,8 @@ def cover_hollows(view: FrameView) -> Covered:
 def _openings(points: NDArray[np.float32], pixel: float, settings: PerceptionSettings) -> Iterator[_Opening]:
     """Rims among the points of a patch, shape (n, 3), the highest first; `pixel`: the size of a pixel there [m].
 
-    A rim may have gaps of two pixels; wider ones, as between the handles of pliers, are no part of a rim.
+    A rim may have gaps of two pixels; wider ones, as between the handles of pliers, are no part of a rim, unless it is round: where a rim
+    runs along the line of sight, it is a pixel wide and torn.
     """
     highest = float(np.quantile(points[:, 2], TOP_QUANTILE)) if len(points) else 0.0
     if highest < settings.min_step:
@@ -125,7 +134,7 @@ def _openings(points: NDArray[np.float32], pixel: float, settings: PerceptionSet
     np.maximum.at(heights, (row, column), points[:, 2])
     known = np.zeros((rows, columns), dtype=bool)
     for level in np.arange(highest - NOISE_STEP, settings.min_step, -0.01):
-        high = cv2.morphologyEx((heights > level).astype(np.uint8), cv2.MORPH_CLOSE, gap)
+        high = _closed_where_round(cv2.morphologyEx((heights > level).astype(np.uint8), cv2.MORPH_CLOSE, gap), 1 + reach, settings)
         contours, tree = cv2.findContours(high, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
         for i, contour in enumerate(contours):
             outer = int(tree[0, i, 3])
@@ -140,6 +149,58 @@ def _openings(points: NDArray[np.float32], pixel: float, settings: PerceptionSet
             beside = (cv2.dilate(hole.astype(np.uint8), _BESIDE_OPENING) > 0) & (heights > level)
             known |= hole
             yield _Opening(cv2.distanceTransform(filled, cv2.DIST_L2, 3), origin, float(np.median(heights[beside])))
+
+
+def _closed_where_round(high: NDArray[np.uint8], width: int, settings: PerceptionSettings) -> NDArray[np.uint8]:
+    """The cells of a rim, with the whole circle on which most of it lies, if there is one and the rim does not fill it.
+
+    Args:
+        high: 1 in the cells of the rim, shape (rows, columns).
+        width: Of the circle, and largest distance from it of a cell on it [cells].
+    """
+    cells = np.argwhere(high)[:, ::-1].astype(np.float64)
+    least = settings.min_object_area / _CELL_FROM_ABOVE**2
+    hull = cv2.convexHull(cells.astype(np.float32)) if len(cells) > 2 else None
+    if hull is None or cv2.contourArea(hull) - len(cells) < least:
+        return high
+    some = cells[:: 1 + len(cells) // _MOST_CELLS]
+    middles, radii = _circles_through(some[np.random.default_rng(0).integers(len(some), size=(_TRIPLES, 3))])
+    if len(radii) == 0:
+        return high
+    distance = np.abs(np.linalg.norm(some - middles[:, None], axis=2) - radii[:, None])
+    near = distance[np.argmax(np.count_nonzero(distance < width, axis=1))] < width
+    if np.count_nonzero(near) < 0.5 * len(some):
+        return high
+    middle, radius = _circle(some[near])
+    if np.pi * radius**2 < least or _seen(cells, middle, radius, width) < _SEEN_RIM:
+        return high
+    x, y = (round(float(value)) for value in middle)
+    return cv2.circle(high, (x, y), round(radius), 1, width)
+
+
+def _circles_through(triples: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Middles, shape (n, 2), and radii, shape (n,), of the circles through triples of points (m, 3, 2), without those on a line."""
+    a, b = triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0]
+    area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    a, b, area, origin = (values[np.abs(area) > 0] for values in (a, b, area, triples[:, 0]))
+    square_a, square_b = np.sum(a * a, axis=1), np.sum(b * b, axis=1)
+    away = np.column_stack([b[:, 1] * square_a - a[:, 1] * square_b, a[:, 0] * square_b - b[:, 0] * square_a]) / (2.0 * area[:, None])
+    return origin + away, np.linalg.norm(away, axis=1)
+
+
+def _circle(points: Float64Array) -> tuple[Float64Array, float]:
+    """Middle, shape (2,), and radius of the circle nearest to points (n, 2) by least squares (Kasa, 1976)."""
+    design = np.column_stack([points, np.ones(len(points))])
+    a, b, c = np.linalg.lstsq(design, np.sum(np.square(points), axis=1), rcond=None)[0]
+    return np.array([a, b]) / 2.0, float(np.sqrt(max(c + (a * a + b * b) / 4.0, 0.0)))
+
+
+def _seen(cells: Float64Array, middle: Float64Array, radius: float, width: int) -> float:
+    """In which fraction of the directions from its middle cells (n, 2) lie on a circle, give or take `width`."""
+    away = cells - middle
+    on_it = away[np.abs(np.hypot(*away.T) - radius) < width]
+    direction = np.floor((np.arctan2(on_it[:, 1], on_it[:, 0]) / (2.0 * np.pi) + 0.5) * _DIRECTIONS)
+    return len(np.unique(direction)) / _DIRECTIONS
 
 
 def with_hollow(traced: TracedObject, lid: Float64Array) -> TracedObject:

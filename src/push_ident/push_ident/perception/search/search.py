@@ -44,7 +44,7 @@ from push_ident.perception.refusals import Reason, Refusal, Removal
 from push_ident.perception.search.hollows import Covered, cover_hollows, with_hollow
 from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.tracking.pose_fit import MISSING, compare_upper_side, fit_pose
+from push_ident.perception.tracking.pose_fit import MISSING, compare_upper_side, fit_pose, keeps_heading
 from push_ident.perception.tracking.tracker import KnownObjects, Tracker
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
@@ -336,7 +336,7 @@ class Registration:
                     traced, views = self._shape_of(candidate, _lid_of(segment, covered), view)
                     check_covered(traced, segment, view)
                     if view.settings.segments.must_fit:
-                        _check_tracked(traced, latest, others)
+                        traced = _checked(traced, latest, others)
                     measured = segment.measured_in(view.points).astype(np.float64)
                     new.append(NewObject(traced, segment.area, tuple(views), _contact_doubt(traced, measured, view.settings.tool_reach)))
                     continue
@@ -421,8 +421,9 @@ def check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> No
         )
 
 
-def _check_tracked(traced: TracedObject, view: FrameView, others: Sequence[Placed]) -> None:
-    """Raises PerceptionError unless a pose fit in a frame of the same rest finds the object where it was traced."""
+def _checked(traced: TracedObject, view: FrameView, others: Sequence[Placed]) -> TracedObject:
+    """The object, with whether it keeps its heading. Raises PerceptionError unless a pose fit in a frame of the same rest finds it where it
+    was traced."""
     template, accepted = Template(traced), view.settings.tracking
     max_step, max_turn = accepted.max_jump
     fit = fit_pose(template, view, traced.pose, others)
@@ -440,6 +441,7 @@ def _check_tracked(traced: TracedObject, view: FrameView, others: Sequence[Place
         raise PerceptionError(
             f"{1e4 * missing:.0f} cm^2 within its outline are lower than its upper side; it may be hollow, or several things that touch"
         )
+    return replace(traced, keeps_heading=keeps_heading(template, view, fit.pose, others)) if template.has_heading else traced
 
 
 def _contact_doubt(traced: TracedObject, points: Float64Array, tool_reach: tuple[float, float]) -> str:

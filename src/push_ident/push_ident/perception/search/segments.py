@@ -9,6 +9,8 @@ hammer is higher than its handle), so both count only above a size. Objects of t
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import cv2
@@ -17,10 +19,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from push_ident.geometry.outline import points_in_polygon
-from push_ident.perception.frame.view import OBJECT, ROBOT, TABLE, UNKNOWN, FrameView
+from push_ident.geometry.outline import points_in_polygon, signed_distance
+from push_ident.perception.frame.view import DEVIATIONS, OBJECT, ROBOT, TABLE, UNKNOWN, FrameView
 from push_ident.perception.kernels import grow_surfaces, mark_folds, mark_jumps
-from push_ident.perception.known_object import Segment, area_from_above
+from push_ident.perception.known_object import ON_OBJECT, TOP_QUANTILE, Segment, area_from_above
 from push_ident.perception.refusals import Reason
 from push_ident.types import BoolArray, Float64Array
 
@@ -53,18 +55,36 @@ def find_segments(view: FrameView) -> tuple[list[Segment], dict[str, int]]:
     surfaces[region][shadowed] = 0
     surfaces[region] = _divided_by_tops(surfaces[region], view.points[region], focal / _median_depth(depth, surfaces), settings.min_step)
     counts = {"object_pixels": int(np.count_nonzero(on_object)), "segments": 0}
-    segments = []
+    segments, noise = [], _noise_at(view)
     for index, box in enumerate(_boxes(surfaces, region), start=1):
         if box is None:
             continue
         mask = surfaces[box] == index
         points = view.points[box][mask].astype(np.float64)
         area = area_from_above(points)
-        small = area < settings.min_object_area
-        fault = Reason.TOO_SMALL if small else _fault(view, surfaces, index, box, points)
-        counts["segments"] += not small
+        fault = _no_thing(points, area, settings.min_object_area, noise(float(np.nanmedian(depth[box][mask]))))
+        counts["segments"] += fault is None
+        fault = fault or _fault(view, surfaces, index, box, points)
         segments.append(Segment(*box, mask, points[:, :2].mean(axis=0), area, fault))
+    stacked = [segment for segment in segments if segment.fault is Reason.STACKED]
+    for i, segment in enumerate(segments):
+        if segment.whole and any(_carries(segment, other, view) for other in stacked):
+            segments[i] = replace(segment, fault=Reason.STACKED)
     return sorted(segments, key=lambda segment: -segment.area), counts
+
+
+def _noise_at(view: FrameView) -> Callable[[float], float]:
+    """Noise of the height of a point by its depth [m]: by triangulation it grows with the square of the depth. `view.noise` is that in the
+    middle of the table."""
+    middle = float(np.nanmedian(view.frame.depth[view.labels == TABLE])) if np.any(view.labels == TABLE) else np.inf
+    return lambda depth: view.noise * (depth / middle) ** 2
+
+
+def _no_thing(points: Float64Array, area: float, least_area: float, noise: float) -> Reason | None:
+    """Why a surface with points (n, 3) and an area [m^2] may be nothing at all, with a noise of heights [m]; None where it is something."""
+    if area < least_area:
+        return Reason.TOO_SMALL
+    return Reason.TOO_LOW if np.nanquantile(points[:, 2], TOP_QUANTILE) < DEVIATIONS * noise else None
 
 
 def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[slice, slice], points: Float64Array) -> Reason | None:
@@ -95,6 +115,20 @@ def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[
     if _beside_unmeasured(view, box, inside, around, at != UNKNOWN):
         return Reason.BESIDE_UNMEASURED
     return None
+
+
+def _carries(segment: Segment, other: Segment, view: FrameView) -> bool:
+    """Whether another segment, which rests on something, rests on this one: it stands within its convex outline, where this one ends.
+
+    One that stands behind it, so that it hides its foot, is outside.
+    """
+    begins, ends = (measured.measured_in(view.points).astype(np.float64) for measured in (other, segment))
+    top = float(np.quantile(ends[:, 2], TOP_QUANTILE))
+    if np.quantile(begins[:, 2], 1.0 - TOP_QUANTILE) < top - view.settings.min_step:
+        return False
+    foot = begins[begins[:, 2] < top + view.settings.min_step]
+    outline = cv2.convexHull(ends[:, :2].astype(np.float32))[:, 0].astype(np.float64)
+    return bool(np.count_nonzero(signed_distance(foot[:, :2], outline) < -ON_OBJECT) >= _SMALLEST_PATCH)
 
 
 def _pixel(view: FrameView, box: tuple[slice, slice]) -> float:

@@ -141,6 +141,20 @@ def fit_pose(template: Template, view: FrameView, start: ArrayLike, others: Sequ
     return PoseFit(status, pose, covariance, len(lines.stopped), share_visible, share_contradicting, residual_covariance)
 
 
+def keeps_heading(template: Template, view: FrameView, pose: Float64Array, others: Sequence[Placed] = ()) -> bool:
+    """Whether fits that start at headings on both sides of a pose end nearer to each other than they began.
+
+    The edges of round things, with the noise that they have in one frame, fit at many headings. Each frame has other noise, or another
+    prediction to start from, so that such a heading would wander from one minimum to the next though nothing moves.
+
+    Args:
+        others: As in `fit_pose`.
+    """
+    turn = np.array([0.0, 0.0, view.settings.tracking.max_jump[1]])
+    below, above = (float(fit_pose(template, view, pose + side * turn, others).pose[2]) for side in (-1.0, 1.0))
+    return abs(above - below) < turn[2]
+
+
 def relocate(
     template: Template, view: FrameView, centre: ArrayLike, *, others: Sequence[Placed] = (), last_yaw: float | None = None
 ) -> PoseFit:

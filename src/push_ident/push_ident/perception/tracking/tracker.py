@@ -217,7 +217,11 @@ class Separation:
         for name, suspect in list(self._suspects.items()):
             if suspect.reason is None:
                 continue
-            near = [segment for segment in segments if suspect.is_near(segment.centre) and segment.fault is not Reason.TOO_SMALL]
+            near = [
+                segment
+                for segment in segments
+                if suspect.is_near(segment.centre) and segment.fault not in (Reason.TOO_SMALL, Reason.TOO_LOW)
+            ]
             if not near:
                 self._note_empty(name, suspect, rest_frames)
                 continue
