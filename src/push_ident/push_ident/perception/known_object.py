@@ -52,6 +52,11 @@ class Segment:
     """Why it cannot be registered in this frame; None where all of it is visible."""
 
     @property
+    def box(self) -> tuple[slice, slice]:
+        """Rows and columns."""
+        return self.rows, self.columns
+
+    @property
     def whole(self) -> bool:
         """Whether all of it is visible."""
         return self.fault is None
@@ -109,7 +114,7 @@ class TracedObject:
     frame_covariance: Float64Array = field(default_factory=lambda: np.zeros((3, 3)))
     """Covariance of the object frame by single edges of earlier outlines, shape (3, 3), object frame: 0 for the first view."""
     keeps_heading: bool = True
-    """Whether pose fits that start at headings on both sides of it end near each other."""
+    """Whether pose fits that start at headings on both sides of the true one end near it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,10 +64,11 @@ class _Opening:
         """`within` at points [m], shape (n, 2); those not measured are outside."""
         rows, columns = self.within.shape
         with np.errstate(invalid="ignore"):
-            cell = np.floor((points - self.origin) / _CELL_FROM_ABOVE)
-            inside = np.all((cell >= 0) & (cell < (columns, rows)), axis=1)
-        index = np.where(inside[:, None], cell, 0).astype(np.int64)
-        return np.where(inside, self.within[index[:, 1], index[:, 0]], 0.0)
+            x, y = ((points[:, k] - np.float32(self.origin[k])) / np.float32(_CELL_FROM_ABOVE) for k in (0, 1))
+            inside = np.flatnonzero((x >= 0) & (x < columns) & (y >= 0) & (y < rows))
+        depth = np.zeros(len(points))
+        depth[inside] = self.within[y[inside].astype(np.intp), x[inside].astype(np.intp)]
+        return depth
 
 
 def cover_hollows(view: FrameView) -> Covered:
@@ -158,11 +159,11 @@ def _closed_where_round(high: NDArray[np.uint8], width: int, settings: Perceptio
         high: 1 in the cells of the rim, shape (rows, columns).
         width: Of the circle, and largest distance from it of a cell on it [cells].
     """
-    cells = np.argwhere(high)[:, ::-1].astype(np.float64)
     least = settings.min_object_area / _CELL_FROM_ABOVE**2
-    hull = cv2.convexHull(cells.astype(np.float32)) if len(cells) > 2 else None
-    if hull is None or cv2.contourArea(hull) - len(cells) < least:
+    contours, _ = cv2.findContours(high, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    if not contours or cv2.contourArea(cv2.convexHull(np.vstack(contours))) - np.count_nonzero(high) < least:
         return high
+    cells = np.argwhere(high)[:, ::-1].astype(np.float64)
     some = cells[:: 1 + len(cells) // _MOST_CELLS]
     middles, radii = _circles_through(some[np.random.default_rng(0).integers(len(some), size=(_TRIPLES, 3))])
     if len(radii) == 0:

@@ -441,7 +441,7 @@ def _checked(traced: TracedObject, view: FrameView, others: Sequence[Placed]) ->
         raise PerceptionError(
             f"{1e4 * missing:.0f} cm^2 within its outline are lower than its upper side; it may be hollow, or several things that touch"
         )
-    return replace(traced, keeps_heading=keeps_heading(template, view, fit.pose, others)) if template.has_heading else traced
+    return replace(traced, keeps_heading=keeps_heading(template, view, traced.pose, others)) if template.has_heading else traced
 
 
 def _contact_doubt(traced: TracedObject, points: Float64Array, tool_reach: tuple[float, float]) -> str:

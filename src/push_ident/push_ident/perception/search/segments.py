@@ -9,8 +9,9 @@ hammer is higher than its handle), so both count only above a size. Objects of t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import permutations
 from typing import Final
 
 import cv2
@@ -55,7 +56,7 @@ def find_segments(view: FrameView) -> tuple[list[Segment], dict[str, int]]:
     surfaces[region][shadowed] = 0
     surfaces[region] = _divided_by_tops(surfaces[region], view.points[region], focal / _median_depth(depth, surfaces), settings.min_step)
     counts = {"object_pixels": int(np.count_nonzero(on_object)), "segments": 0}
-    segments, noise = [], _noise_at(view)
+    segments, noise = dict[int, Segment](), _noise_at(view)
     for index, box in enumerate(_boxes(surfaces, region), start=1):
         if box is None:
             continue
@@ -65,12 +66,13 @@ def find_segments(view: FrameView) -> tuple[list[Segment], dict[str, int]]:
         fault = _no_thing(points, area, settings.min_object_area, noise(float(np.nanmedian(depth[box][mask]))))
         counts["segments"] += fault is None
         fault = fault or _fault(view, surfaces, index, box, points)
-        segments.append(Segment(*box, mask, points[:, :2].mean(axis=0), area, fault))
-    stacked = [segment for segment in segments if segment.fault is Reason.STACKED]
-    for i, segment in enumerate(segments):
-        if segment.whole and any(_carries(segment, other, view) for other in stacked):
-            segments[i] = replace(segment, fault=Reason.STACKED)
-    return sorted(segments, key=lambda segment: -segment.area), counts
+        segments[index] = Segment(*box, mask, points[:, :2].mean(axis=0), area, fault)
+    in_stacks = set[int]()
+    for pair in permutations([i for i, one in segments.items() if one.fault not in (Reason.TOO_SMALL, Reason.TOO_LOW)], 2):
+        if _carries(view, surfaces, segments, *pair):
+            in_stacks.update(pair)
+    found = [replace(one, fault=Reason.STACKED) if one.whole and i in in_stacks else one for i, one in segments.items()]
+    return sorted(found, key=lambda segment: -segment.area), counts
 
 
 def _noise_at(view: FrameView) -> Callable[[float], float]:
@@ -117,18 +119,31 @@ def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[
     return None
 
 
-def _carries(segment: Segment, other: Segment, view: FrameView) -> bool:
-    """Whether another segment, which rests on something, rests on this one: it stands within its convex outline, where this one ends.
+def _carries(view: FrameView, surfaces: NDArray[np.int32], segments: Mapping[int, Segment], number: int, other_number: int) -> bool:
+    """Whether another segment rests on this one: where this one ends, it begins beside it, within its convex outline.
 
-    One that stands behind it, so that it hides its foot, is outside.
+    One that stands behind it, so that it hides its foot, is outside. `surfaces`: of each pixel, shape (height, width).
     """
-    begins, ends = (measured.measured_in(view.points).astype(np.float64) for measured in (other, segment))
-    top = float(np.quantile(ends[:, 2], TOP_QUANTILE))
-    if np.quantile(begins[:, 2], 1.0 - TOP_QUANTILE) < top - view.settings.min_step:
+    segment, other = segments[number], segments[other_number]
+    reach = 3 * _NEAR
+    if any(one.start >= two.stop + reach or two.start >= one.stop + reach for one, two in zip(segment.box, other.box, strict=True)):
         return False
-    foot = begins[begins[:, 2] < top + view.settings.min_step]
+    box = tuple(slice(max(0, one.start - reach), one.stop + reach) for one in segment.box)
+    inside, beside = surfaces[box] == number, surfaces[box] == other_number
+    near = beside & _grown(inside, reach)
+    if not near.any():
+        return False
+    contact = view.points[box][near & ~_grown(inside, _NEAR)].astype(np.float64)  # nearer, edges are smeared
+    ends, step = segment.measured_in(view.points), view.settings.min_step
+    top = float(np.quantile(ends[:, 2], TOP_QUANTILE))
+    foot = contact[np.abs(contact[:, 2] - top) < step]
+    low, high = np.quantile(other.measured_in(view.points)[:, 2], [1.0 - TOP_QUANTILE, TOP_QUANTILE])
+    if len(foot) < _SMALLEST_PATCH or high < top + step:
+        return False
     outline = cv2.convexHull(ends[:, :2].astype(np.float32))[:, 0].astype(np.float64)
-    return bool(np.count_nonzero(signed_distance(foot[:, :2], outline) < -ON_OBJECT) >= _SMALLEST_PATCH)
+    # One of which a wall reaches the table may stand beside it: noise of walls is less than a step.
+    within = ON_OBJECT if low > top - step else step
+    return bool(np.count_nonzero(signed_distance(foot[:, :2], outline) < -within) >= _SMALLEST_PATCH)
 
 
 def _pixel(view: FrameView, box: tuple[slice, slice]) -> float:

@@ -142,7 +142,7 @@ def fit_pose(template: Template, view: FrameView, start: ArrayLike, others: Sequ
 
 
 def keeps_heading(template: Template, view: FrameView, pose: Float64Array, others: Sequence[Placed] = ()) -> bool:
-    """Whether fits that start at headings on both sides of a pose end nearer to each other than they began.
+    """Whether fits that start at headings on both sides of the true pose halve the error of heading at least.
 
     The edges of round things, with the noise that they have in one frame, fit at many headings. Each frame has other noise, or another
     prediction to start from, so that such a heading would wander from one minimum to the next though nothing moves.
@@ -150,9 +150,9 @@ def keeps_heading(template: Template, view: FrameView, pose: Float64Array, other
     Args:
         others: As in `fit_pose`.
     """
-    turn = np.array([0.0, 0.0, view.settings.tracking.max_jump[1]])
-    below, above = (float(fit_pose(template, view, pose + side * turn, others).pose[2]) for side in (-1.0, 1.0))
-    return abs(above - below) < turn[2]
+    turn = view.settings.tracking.max_jump[1]
+    fits = [fit_pose(template, view, pose + np.array([0.0, 0.0, side * turn]), others) for side in (-1.0, 1.0)]
+    return all(abs(float(wrap_angle(fit.pose[2] - pose[2]))) < 0.5 * turn for fit in fits)
 
 
 def relocate(
