@@ -40,6 +40,9 @@ _STEP: Final = 0.02
 """What is nearer to the camera by more hides what is beside it [m]."""
 _FOOT: Final = 0.15
 """Of the height of a thing that stands on the table its lowest points are at most so much [1]: few of a tall one are near its foot."""
+_SUPPORTED: Final = 0.25
+"""Of its lower border, or of its footprint, lies so much over another thing on which a thing stands [1]. What lies on its round side has no
+points near the table either."""
 _HIDDEN: Final = 0.04
 """Least fraction of its surroundings that hides a thing which counts as partly hidden."""
 _LEAST: Final = (100, 0.012)
@@ -61,6 +64,8 @@ class Labelled:
     """Heights of its lowest and highest points [m]."""
     hidden: bool
     """Whether something nearer is beside it, or the border of the image or of the workspace."""
+    above_others: float
+    """Fraction of its lower border in the image below which other things are seen."""
 
 
 def _read(path: Path) -> tuple[DepthFrame, NDArray[np.int64]]:
@@ -93,7 +98,9 @@ def labelled_things(frame: DepthFrame, labels: NDArray[np.int64], camera: Float6
         at_border = mask[:_BESIDE].any() or mask[-_BESIDE:].any() or mask[:, :_BESIDE].any() or mask[:, -_BESIDE:].any()
         hidden = bool(at_border or not inside or _is_hidden(frame.depth, mask, (labels > 0) & (labels != label)))
         lowest, highest = np.quantile(surface[:, 2], [0.02, 0.98])
-        things.append(Labelled(_hull(surface[:, :2]), float(lowest), float(highest), hidden))
+        below = labels[_BESIDE:][mask[:-_BESIDE] & ~mask[_BESIDE:]]  # the table is below each image
+        above_others = float(np.mean((below > 0) & (below != label))) if len(below) else 0.0
+        things.append(Labelled(_hull(surface[:, :2]), float(lowest), float(highest), hidden, above_others))
     return things
 
 
@@ -105,10 +112,11 @@ def _is_hidden(depth: NDArray[np.float32], mask: BoolArray, others: BoolArray) -
 
 
 def _stands_on_another(thing: Labelled, things: Sequence[Labelled]) -> bool:
-    """Whether it ends above the table, or a quarter of its footprint lies over that of another thing and it begins where that ends."""
+    """Whether it ends above the table and other things are seen below a quarter of it, or a quarter of its footprint lies over that of
+    another thing and it begins where that ends."""
     area = cv2.contourArea(thing.hull.astype(np.float32))
-    return thing.low > max(_STEP, _FOOT * thing.high) or any(
-        other is not thing and thing.low > max(_STEP, 0.6 * other.high) and _common(thing.hull, other.hull)[0] > 0.25 * area
+    return (thing.low > max(_STEP, _FOOT * thing.high) and thing.above_others > _SUPPORTED) or any(
+        other is not thing and thing.low > max(_STEP, 0.6 * other.high) and _common(thing.hull, other.hull)[0] > _SUPPORTED * area
         for other in things
     )
 

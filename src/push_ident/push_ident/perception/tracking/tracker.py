@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.geometry.se2 import rotation
-from push_ident.perception.frame.view import FrameView
+from push_ident.perception.frame.view import DEVIATIONS, FrameView
 from push_ident.perception.known_object import (
     NOISE_STEP,
     ON_OBJECT,
@@ -90,8 +90,10 @@ class TrackedObject:
         if not fit.can_start_next:
             self.velocity = np.zeros(3)
             return
-        age = stamp - self.stamp
-        self.velocity = (fit.pose - self.pose) / age if 0 < age < _MAX_AGE else np.zeros(3)
+        age, step = stamp - self.stamp, fit.pose - self.pose
+        # The noise of two poses is no velocity: started from where it leads to, the next fit would be further off.
+        moved = np.abs(step) > DEVIATIONS * np.sqrt(2.0 * np.diag(fit.residual_covariance))
+        self.velocity = np.where(moved, step / age, 0.0) if 0 < age < _MAX_AGE else np.zeros(3)
         self.pose, self.stamp = fit.pose, stamp
 
 
@@ -293,12 +295,13 @@ class Tracker:
     def find_again(self, view: FrameView, name: str, segments: Sequence[Segment]) -> PoseFit | None:
         """Fit of a lost object at the one place where it fits as a whole, beside a segment of similar area; None where there is none.
 
-        One of several places is taken where it is less than half as far from the last place of the object as the next.
+        One of several places is taken where it is less than half as far from the last place of the object as the next; as long as something
+        is at that place, no other one is.
         """
         known, others = self._objects[name], self._objects.others_near(name)
         (low, high), (same_place, _) = view.settings.tracking.same_area, view.settings.tracking.max_jump
         fits = list[PoseFit]()
-        for segment in segments:
+        for segment in [one for one in segments if _covers(one, view.points, known.pose)] or segments:
             if low * known.area < segment.area < high * known.area:
                 fit = relocate(known.template, view, segment.centre, others=others, last_yaw=float(known.pose[2]))
                 if fit.status is TrackStatus.TRACKED and not compare_upper_side(known.template, view, fit.pose, others).is_part_missing:
