@@ -26,6 +26,7 @@ from push_ident.perception.frame.table import fit_table
 from push_ident.perception.frame.view import ROBOT, TABLE, FrameView, median_frame, points_in_table
 from push_ident.perception.kernels import outline_distances
 from push_ident.perception.known_object import (
+    NOISE_STEP,
     ON_OBJECT,
     THIN,
     NewObject,
@@ -334,8 +335,8 @@ class Registration:
             if candidate.waited >= candidate.wait * view.settings.rest_frames:
                 try:
                     traced, views = self._shape_of(candidate, _lid_of(segment, covered), view)
-                    check_covered(traced, segment, view)
                     if view.settings.segments.must_fit:
+                        check_covered(traced, segment, view)
                         traced = _checked(traced, latest, others)
                     measured = segment.measured_in(view.points).astype(np.float64)
                     new.append(NewObject(traced, segment.area, tuple(views), _contact_doubt(traced, measured, view.settings.tool_reach)))
@@ -410,14 +411,14 @@ def _lid_of(segment: Segment, covered: Covered) -> Float64Array:
 
 
 def check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> None:
-    """Raises PerceptionError unless the outline covers the points of its segment, with 10 mm around it: those of walls scatter."""
+    """Raises PerceptionError unless the outline covers the points of its segment, but for noise: those of walls scatter."""
     points = _thinned(segment.measured_in(view.points)[:, :2].astype(np.float64))
-    covered = float(np.mean(signed_distance(points, transform_points(traced.pose, traced.shape.outline)) < 0.01))
+    covered = float(np.mean(signed_distance(points, transform_points(traced.pose, traced.shape.outline)) < NOISE_STEP))
     least = view.settings.segments.min_covered
     if covered < least:
         raise PerceptionError(
             f"the traced outline covers {covered:.0%} of what was seen of it, expected at least {least:.0%}; "
-            "it may be hollow, leaning or several things"
+            "it may be hollow, leaning, wider below its top, or several things"
         )
 
 
