@@ -241,7 +241,8 @@ STUDY = Experiment(
         "beside it, it stands on the table, and inside image and workspace. Found: tracked at the end, and its outline overlaps with the "
         "footprint of the labelled thing by half (intersection over union of the convex hulls). Wrong: an outline of no labelled thing, of "
         "one that is partly hidden or stands on another, or a pose more than 10 mm or 10 degrees from the first one though nothing moved. "
-        "Labels and hulls are of what the camera sees. Groups are the letters with which names begin."
+        "Labels and hulls are of what the camera sees; labels 30 and 31 are parts of one thing. Groups are the letters with which names "
+        "begin."
     ),
     objects=(),
     find_objects=lambda folder: tuple(find_frames(folder)),
