@@ -21,6 +21,7 @@ from push_ident.perception.recording import observe_offline
 from push_ident.perception.refusals import Reason
 from push_ident.perception.search import search
 from push_ident.perception.search.hollows import cover_hollows
+from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.perception.tracking.pose_fit import UpperSide
 from push_ident.survey.survey import survey_frames
@@ -393,6 +394,14 @@ def test_a_hook_has_no_rim():
     hook = [wall for wall in MUG[1:] if not beside_the_middle(wall.polygon.mean(axis=0), 2.2) or wall.polygon[0, 1] < 0]
     view = FrameView(render(hook, rng=np.random.default_rng(0)), CAMERA)
     assert np.count_nonzero(view.labels == OBJECT) > 1000 and cover_hollows(view).lid is None
+
+
+def test_what_is_no_higher_than_the_noise_at_its_distance_may_be_nothing():
+    """Noise grows with the square of the depth: the same plate is a thing near the camera, and none far away."""
+    plates = [box(0.3, 0.0, 0.06, 0.06, 0.007), box(-0.35, 0.0, 0.06, 0.06, 0.007)]
+    segments, counts = find_segments(FrameView(render(plates), CAMERA, noise=0.0015))
+    assert {segment.centre[0] > 0: segment.fault for segment in segments} == {True: None, False: Reason.TOO_LOW}
+    assert counts["segments"] == 1
 
 
 def test_a_thing_on_which_another_one_stands_is_refused_too():

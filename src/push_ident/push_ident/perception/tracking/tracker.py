@@ -402,5 +402,5 @@ def _is_part(suspect: _Suspect, thing: NewObject) -> bool:
 
 def _covers(segment: Segment, points: NDArray[np.float32], position: Float64Array) -> bool:
     """Whether a position (x, y) [m] lies on a segment, within 10 mm."""
-    on_segment = segment.points_in(points)[:, :2]
-    return bool(np.min(np.hypot(*(on_segment - position[:2]).T)) < 0.01)
+    on_segment = segment.measured_in(points)[:, :2]
+    return bool(np.any(np.hypot(*(on_segment - position[:2]).T) < 0.01))
