@@ -78,7 +78,8 @@ def find_segments(view: FrameView) -> tuple[list[Segment], dict[str, int]]:
 def _noise_at(view: FrameView) -> Callable[[float], float]:
     """Noise of the height of a point by its depth [m]: by triangulation it grows with the square of the depth. `view.noise` is that in the
     middle of the table."""
-    middle = float(np.nanmedian(view.frame.depth[view.labels == TABLE])) if np.any(view.labels == TABLE) else np.inf
+    of_table = view.frame.depth[::8, ::8][view.labels[::8, ::8] == TABLE]  # one pixel of 64 is enough for a median
+    middle = float(np.median(of_table)) if len(of_table) else np.inf
     return lambda depth: view.noise * (depth / middle) ** 2
 
 
