@@ -267,7 +267,7 @@ def test_a_lost_object_that_is_beside_two_segments_is_in_one_place():
 def test_a_lost_object_is_not_looked_for_elsewhere_while_something_is_at_its_place():
     """Another one like it is there as well; when its place is empty, that is where it went."""
     first, elsewhere = box(*FIRST[:2], 0.12, 0.06, 0.05, FIRST[2]), box(FIRST[0], FIRST[1] + 0.16, 0.12, 0.06, 0.05, FIRST[2])
-    tipped = box(*FIRST[:2], 0.05, 0.06, 0.12, FIRST[2])
+    tipped = box(*FIRST[:2], 0.07, 0.06, 0.12, FIRST[2])
     _, seen = observed([[first]] * 4 + [[tipped, elsewhere]] * 3 + [[elsewhere]] * 3, rest_frames=3)
     assert seen[3].objects[0].pose is not None
     assert all(one.objects[0].pose is None for one in seen[4:7]) and seen[-1].objects[0].pose is not None
@@ -276,9 +276,9 @@ def test_a_lost_object_is_not_looked_for_elsewhere_while_something_is_at_its_pla
 def test_noise_of_poses_is_no_velocity():
     """A prediction along it would start each fit from somewhere else."""
     known = tracker.TrackedObject(None, 0.01, np.zeros(3), 0.0)
-    fit = PoseFit(TrackStatus.TRACKED, np.array([1e-3, 1e-3, 0.1]), np.eye(3), 999, 1.0, 0.0, np.diag(np.square([1e-4, 5e-4, 0.05])))
+    fit = PoseFit(TrackStatus.TRACKED, np.array([1e-3, 1e-3, 0.1]), np.eye(3), 999, 1.0, 0.0, np.diag(np.square([1e-4, 8e-4, 0.05])))
     known.accept(fit, 0.1)
-    assert known.velocity == pytest.approx((0.01, 0.0, 0.0))
+    assert known.velocity == pytest.approx((0.0098, 0.0, 0.5))
 
 
 def test_a_thing_of_another_height_is_not_the_lost_object():

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from push_ident.geometry.se2 import rotation
-from push_ident.perception.frame.view import DEVIATIONS, FrameView
+from push_ident.perception.frame.view import FrameView
 from push_ident.perception.known_object import (
     NOISE_STEP,
     ON_OBJECT,
@@ -92,8 +92,8 @@ class TrackedObject:
             return
         age, step = stamp - self.stamp, fit.pose - self.pose
         # The noise of two poses is no velocity: started from where it leads to, the next fit would be further off.
-        moved = np.abs(step) > DEVIATIONS * np.sqrt(2.0 * np.diag(fit.residual_covariance))
-        self.velocity = np.where(moved, step / age, 0.0) if 0 < age < _MAX_AGE else np.zeros(3)
+        noise = 2.0 * np.diag(fit.residual_covariance) / np.maximum(np.square(step), 1e-18)
+        self.velocity = np.maximum(1.0 - noise, 0.0) * step / age if 0 < age < _MAX_AGE else np.zeros(3)
         self.pose, self.stamp = fit.pose, stamp
 
 
@@ -296,16 +296,18 @@ class Tracker:
         """Fit of a lost object at the one place where it fits as a whole, beside a segment of similar area; None where there is none.
 
         One of several places is taken where it is less than half as far from the last place of the object as the next; as long as something
-        is at that place, no other one is.
+        of that size is there, none that is further away than its radius.
         """
         known, others = self._objects[name], self._objects.others_near(name)
         (low, high), (same_place, _) = view.settings.tracking.same_area, view.settings.tracking.max_jump
         fits = list[PoseFit]()
-        for segment in [one for one in segments if _covers(one, view.points, known.pose)] or segments:
-            if low * known.area < segment.area < high * known.area:
-                fit = relocate(known.template, view, segment.centre, others=others, last_yaw=float(known.pose[2]))
-                if fit.status is TrackStatus.TRACKED and not compare_upper_side(known.template, view, fit.pose, others).is_part_missing:
-                    fits.append(fit)
+        alike = [segment for segment in segments if low * known.area < segment.area < high * known.area]
+        reach = known.template.radius if any(_covers(segment, view.points, known.pose) for segment in alike) else np.inf
+        for segment in alike:
+            fit = relocate(known.template, view, segment.centre, others=others, last_yaw=float(known.pose[2]))
+            is_there = fit.status is TrackStatus.TRACKED and _apart(fit.pose, known.pose) < reach
+            if is_there and not compare_upper_side(known.template, view, fit.pose, others).is_part_missing:
+                fits.append(fit)
         nearest = min(fits, key=lambda fit: _apart(fit.pose, known.pose), default=None)
         # Several segments, as on both sides of an arm, may show the object in one place.
         elsewhere = [fit for fit in fits if nearest is not None and _apart(fit.pose, nearest.pose) > same_place]
