@@ -168,6 +168,7 @@ def test_reference_that_cannot_be_trusted_is_refused() -> None:
         diagnose(simulated_pushes(6, 12), QUICK, against=simulated_pushes(2, 11))
 
 
+@pytest.mark.long  # 15 s of the processor
 def test_small_error_of_a_traced_outline_joins_the_base_model_and_a_large_one_is_named() -> None:
     small = diagnose(traced_by_camera(simulated_pushes(5, 1, {"outline_error": [5e-4]})), QUICK)
     assert small.verdict is Verdict.NO_GAP

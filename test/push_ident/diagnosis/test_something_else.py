@@ -86,6 +86,7 @@ def test_tool_that_slipped_in_one_push_is_no_cause_but_a_push_to_look_at(plain: 
     assert not departing_pushes(np.array(fit_base(plain, DiagnosisSettings()).problem.precisions), 0.05)
 
 
+@pytest.mark.long  # 10 s of the processor
 def test_friction_that_rises_with_a_push_is_found_by_forces_where_poses_do_not_change(plain: list[PushRecord]) -> None:
     rougher = replace(TRUTH, friction=1.6 * TRUTH.friction)
     felt = [with_forces(record, TRUTH if push < FIRST else rougher) for push, record in enumerate(plain)]
