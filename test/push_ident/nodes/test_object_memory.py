@@ -68,11 +68,11 @@ def test_what_was_traced_is_kept_and_files_of_earlier_versions_are_read(before: 
     hollow = np.zeros(known.traced.top.shape, dtype=bool)
     hollow[4:9, 3:7] = True
     errors = {"displaced": 2e-3, "displaced_std": 1e-3, "displaced_frame": (0.1, 0.2, 0.3), "frame_covariance": 1e-8 * np.eye(3)}
-    traced = replace(known.traced, camera_positions=rests, hollow=hollow, **errors)
+    traced = replace(known.traced, camera_positions=rests, hollow=hollow, keeps_heading=False, **errors)
     memory.keep("o1", replace(known, traced=traced))
     read = memory.load()["o1"].traced
     assert (read.displaced, read.displaced_std, read.displaced_frame) == (2e-3, 1e-3, traced.displaced_frame)
-    assert read.camera_positions is not None
+    assert read.camera_positions is not None and not read.keeps_heading
     np.testing.assert_array_equal(read.frame_covariance, traced.frame_covariance)
     np.testing.assert_array_equal(read.hollow, hollow)
     for ours, kept in zip(rests, read.camera_positions, strict=True):

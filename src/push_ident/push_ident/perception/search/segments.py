@@ -9,7 +9,7 @@ hammer is higher than its handle), so both count only above a size. Objects of t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import permutations
 from typing import Final
@@ -56,31 +56,33 @@ def find_segments(view: FrameView) -> tuple[list[Segment], dict[str, int]]:
     surfaces[region][shadowed] = 0
     surfaces[region] = _divided_by_tops(surfaces[region], view.points[region], focal / _median_depth(depth, surfaces), settings.min_step)
     counts = {"object_pixels": int(np.count_nonzero(on_object)), "segments": 0}
-    segments, noise = dict[int, Segment](), _noise_at(view)
+    segments, noise_by_depth = dict[int, Segment](), _noise_by_depth(view)
     for index, box in enumerate(_boxes(surfaces, region), start=1):
         if box is None:
             continue
         mask = surfaces[box] == index
         points = view.points[box][mask].astype(np.float64)
         area = area_from_above(points)
-        fault = _no_thing(points, area, settings.min_object_area, noise(float(np.nanmedian(depth[box][mask]))))
+        noise = noise_by_depth * float(np.nanmedian(depth[box][mask])) ** 2
+        fault = _no_thing(points, area, settings.min_object_area, noise)
         counts["segments"] += fault is None
         fault = fault or _fault(view, surfaces, index, box, points)
         segments[index] = Segment(*box, mask, points[:, :2].mean(axis=0), area, fault)
-    in_stacks = set[int]()
+    stacked = set[int]()
     for pair in permutations([i for i, one in segments.items() if one.fault not in (Reason.TOO_SMALL, Reason.TOO_LOW)], 2):
         if _carries(view, surfaces, segments, *pair):
-            in_stacks.update(pair)
-    found = [replace(one, fault=Reason.STACKED) if one.whole and i in in_stacks else one for i, one in segments.items()]
-    return sorted(found, key=lambda segment: -segment.area), counts
+            stacked.update(pair)
+    for index in stacked:
+        if segments[index].whole:
+            segments[index] = replace(segments[index], fault=Reason.STACKED)
+    return sorted(segments.values(), key=lambda segment: -segment.area), counts
 
 
-def _noise_at(view: FrameView) -> Callable[[float], float]:
-    """Noise of the height of a point by its depth [m]: by triangulation it grows with the square of the depth. `view.noise` is that in the
-    middle of the table."""
+def _noise_by_depth(view: FrameView) -> float:
+    """Noise of the height of a point over the square of its depth [1/m], as triangulation has it; `view.noise` is that in the middle of the
+    table."""
     of_table = view.frame.depth[::8, ::8][view.labels[::8, ::8] == TABLE]  # one pixel of 64 is enough for a median
-    middle = float(np.median(of_table)) if len(of_table) else np.inf
-    return lambda depth: view.noise * (depth / middle) ** 2
+    return view.noise / float(np.median(of_table)) ** 2 if len(of_table) else 0.0
 
 
 def _no_thing(points: Float64Array, area: float, least_area: float, noise: float) -> Reason | None:
@@ -130,11 +132,11 @@ def _carries(view: FrameView, surfaces: NDArray[np.int32], segments: Mapping[int
     if any(one.start >= two.stop + reach or two.start >= one.stop + reach for one, two in zip(segment.box, other.box, strict=True)):
         return False
     box = tuple(slice(max(0, one.start - reach), one.stop + reach) for one in segment.box)
-    inside, beside = surfaces[box] == number, surfaces[box] == other_number
-    near = beside & _grown(inside, reach)
+    on_segment, on_other = surfaces[box] == number, surfaces[box] == other_number
+    near = on_other & _grown(on_segment, reach)
     if not near.any():
         return False
-    contact = view.points[box][near & ~_grown(inside, _NEAR)].astype(np.float64)  # nearer, edges are smeared
+    contact = view.points[box][near & ~_grown(on_segment, _NEAR)].astype(np.float64)  # nearer, edges are smeared
     ends, step = segment.measured_in(view.points), view.settings.min_step
     top = float(np.quantile(ends[:, 2], TOP_QUANTILE))
     foot = contact[np.abs(contact[:, 2] - top) < step]
