@@ -204,6 +204,6 @@ def _show(survey: Survey, check: ScaleCheck | None) -> None:
     for number, refusal in enumerate(listed, start=1):
         say(f"{number}, {millimetres(refusal.height)} high, is no object: {refusal.why}")
     if n_small := len(survey.refused) - len(listed):
-        say(f"{n_small} {'patch' if n_small == 1 else 'patches'} smaller than min_object_area")
+        say(f"{n_small} {'patch' if n_small == 1 else 'patches'} smaller than min_object_area, or no higher than the noise there")
     if check is not None:
         say(check.sentence)

@@ -181,6 +181,6 @@ def _legend(survey: Survey, share_on_robot: float, least: float = 1e-3) -> tuple
         ),
         (bool(survey.objects), _OBJECT_COLOUR, "object"),
         (len(survey.refused) > n_small, _REFUSED_COLOUR, "not taken in, numbered as below"),
-        (n_small > 0, _REFUSED_COLOUR, "thin: smaller than min_object_area"),
+        (n_small > 0, _REFUSED_COLOUR, "thin: smaller than min_object_area, or no higher than the noise there"),
     ]
     return tuple((colour, text) for shown, colour, text in rows if shown)
