@@ -32,14 +32,13 @@ from push_ident_sim.objects import make_object
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings, generate_truth
 from push_ident_sim.studies import sensors
 from push_ident_sim.studies.common import runner
-from push_ident_sim.studies.common.measuring import error_row, failures, interleaved, mean_of, root_mean_square, share
+from push_ident_sim.studies.common.measuring import error_row, failures, gaussian_level, interleaved, mean_of, root_mean_square, share
 from push_ident_sim.studies.common.objects import plate_in_bullet, random_object
 from push_ident_sim.studies.common.pages import write_experiments
 from push_ident_sim.studies.common.pushed import PushedObject
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Settings
 from push_ident_sim.studies.common.tables import causes_text
 from push_ident_sim.studies.convergence import error_at
-from push_ident_sim.studies.coverage import gaussian_level
 from push_ident_sim.studies.paths import HALF_WIDTH, PATHS, Displacement, follow_steered
 from push_ident_sim.studies.pusht import BLOCK, GOAL, TICK, Game, actions
 from push_ident_sim.studies.recorded import draw_pushes, find_sets, known_of

@@ -8,19 +8,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.special import gammainc
 
-from push_ident.geometry.cells import cell_error
-from push_ident.identification.observing.observation import observe_push
-from push_ident.identification.predicting.prediction import predict
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.identification.unknowns.mechanics import model_at
-from push_ident.physics.scenario import PushScenario
-from push_ident.types import Float64Array, ObjectModel, PushRecord, SolveStatus
+from push_ident.types import ObjectModel
 from push_ident_sim.recordings.truth import load_truth, true_model
-from push_ident_sim.studies.common.measuring import N_TRAIN, fit_errors, grouped, root_mean_square
+from push_ident_sim.studies.common.measuring import N_TRAIN, fit_errors, gaussian_level, grouped, predicted_end, root_mean_square
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import label_below, markdown_table, millimetres, new_figure, save
 
@@ -34,18 +28,13 @@ _QUANTITIES: Final = {
 }
 
 
-def gaussian_level(squared_distance: ArrayLike, dimension: int) -> Float64Array:
-    """Smallest probability of a Gaussian region about the mean that holds a point at this squared Mahalanobis distance."""
-    return np.asarray(gammainc(dimension / 2, np.asarray(squared_distance, dtype=np.float64) / 2), dtype=np.float64)
-
-
 def _run(case: Case, settings: CaseSettings) -> Json:
     train, test, sim_object = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, settings.noise)
     exact = replace(settings.noise, position_std=1e-9, yaw_std=1e-9)
     _, clean, _ = load_truth(settings.truth_folder, case.object_name, case.model, settings.truth, exact)
     result, values = fit_errors(train[:N_TRAIN], test, sim_object, DEFAULT_SOLVER, settings)
     truth, posterior = true_model(sim_object), result.posterior
-    predicted = [_predicted_end(posterior, record, true.poses.pose[-1]) for record, true in zip(test, clean, strict=True)]
+    predicted = [predicted_end(posterior, record, true.poses.pose[-1]) for record, true in zip(test, clean, strict=True)]
     ends = [end for end in predicted if end is not None]
     rng = np.random.default_rng([case.model, 2])
     drawn = rng.multivariate_normal(posterior.z, posterior.covariance, size=500, method="eigh")
@@ -63,20 +52,6 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         "expected_m": [expected for _, expected, _ in ends],
         "actual_m": [actual for _, _, actual in ends],
     }
-
-
-def _predicted_end(posterior: ModelPosterior, record: PushRecord, true_end: Float64Array) -> tuple[float, float, float] | None:
-    """Of the end of a push, predicted from its observed first pose: smallest probability of a region that contains the true end, and the
-    expected and the actual cell error [m]. None where no motion could be predicted."""
-    start = observe_push(record, posterior.noise())
-    time = np.append(start.time, record.poses.time[-1])
-    prediction = predict(posterior, PushScenario(record.pusher, start.pose[0], time), first_covariance=start.first_covariance)
-    if prediction.status is SolveStatus.SIMULATION_FAILED:
-        return None
-    error = true_end - prediction.pose[-1]
-    level = gaussian_level(error @ np.linalg.solve(prediction.covariance[-1], error), 3)
-    actual = cell_error(record.shape.cells, prediction.pose[-1], true_end)
-    return round(float(level), 4), round(prediction.cell_error_std, 6), round(actual, 6)
 
 
 def _centre_level(truth: ObjectModel, samples: Sequence[ObjectModel]) -> float:

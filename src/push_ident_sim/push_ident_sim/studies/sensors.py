@@ -12,7 +12,7 @@ import numpy as np
 
 from push_ident.errors import PerceptionError
 from push_ident.geometry.outline import signed_distance
-from push_ident.geometry.se2 import compose, inverse, transform_points
+from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.identification.identify import identify
 from push_ident.identification.predicting.next_push import PlannedPush, candidate_pushes
 from push_ident.identification.predicting.prediction import held_out_errors
@@ -29,7 +29,15 @@ from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.recording import standing_tool
 from push_ident_sim.recordings.truth import true_model
-from push_ident_sim.studies.common.measuring import error_row, grouped, micrometres, root_mean_square, solve_values
+from push_ident_sim.studies.common.measuring import (
+    error_row,
+    gaussian_level,
+    grouped,
+    micrometres,
+    predicted_end,
+    root_mean_square,
+    solve_values,
+)
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import markdown_table, mean_millimetres, millimetres
 
@@ -185,6 +193,8 @@ N_PUSHES: Final = 4
 N_TEST: Final = 8
 _REST: Final = 20
 """Frames before and after each push: long enough for a better outline."""
+_NOMINAL: Final = 0.9
+"""Probability of the regions whose share of truths is counted [-]."""
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
@@ -212,6 +222,10 @@ def _run(case: Case, settings: CaseSettings) -> Json:
         "first_outline_m": outline_error(first.outline, truth),
         "last_outline_m": outline_error(filmed.shape.outline, truth),
         "poses_m": micrometres(_pose_errors(records, filmed.exact)),
+        "levels": {
+            "poses": _pose_levels(records, filmed.exact),
+            "ends": [end[0] for push in test if (end := predicted_end(perceived.posterior, push, push.poses.pose[-1]))],
+        },
     }
 
 
@@ -240,6 +254,16 @@ def _pose_errors(records: Sequence[PushRecord], exact: Sequence[PushRecord]) -> 
     return errors
 
 
+def _pose_levels(records: Sequence[PushRecord], exact: Sequence[PushRecord]) -> list[float]:
+    """Of the pose at the end of each push: smallest probability of a region that contains the true one."""
+    levels = []
+    for record, true in zip(records, exact, strict=True):
+        error = record.poses.pose[-1] - true.poses.pose[-1]
+        error[2] = wrap_angle(error[2])
+        levels.append(round(float(gaussian_level(error @ np.linalg.solve(record.poses.covariance[-1], error), 3)), 4))
+    return levels
+
+
 def _summarise(results: Sequence[CaseResult]) -> Json:
     return {"sensors": {name: _row(cases) for name, cases in grouped(results, "variant").items()}}
 
@@ -251,7 +275,12 @@ def _row(results: Sequence[CaseResult]) -> Json:
         "errors": {name: error_row(results, name) for name in ("perceived", "exact")},
         **{key: root_mean_square(v[key] for v in values) for key in ("first_outline_m", "last_outline_m")},
         "poses_m": root_mean_square(error for v in values for error in v["poses_m"]),
+        "within": {name: _within([level for v in values for level in v["levels"][name]]) for name in ("poses", "ends")},
     }
+
+
+def _within(levels: Sequence[float]) -> float:
+    return round(float(np.mean([level <= _NOMINAL for level in levels])), 4)
 
 
 def _tables(summary: Json) -> str:
@@ -263,6 +292,8 @@ def _tables(summary: Json) -> str:
         "poses [mm]",
         "cell error [mm]",
         "with exact outline and poses",
+        f"poses within their {100 * _NOMINAL:.0f} % region",
+        "predicted ends",
     ]
     rows = [
         [
@@ -270,6 +301,7 @@ def _tables(summary: Json) -> str:
             str(row["cases"]),
             *(millimetres(row[key]) for key in ("first_outline_m", "last_outline_m", "poses_m")),
             *(mean_millimetres(row["errors"][name]) for name in ("perceived", "exact")),
+            *(f"{100 * row['within'][name]:.0f} %" for name in ("poses", "ends")),
         ]
         for name, row in summary["sensors"].items()
     ]
@@ -289,7 +321,8 @@ STUDY = Experiment(
         "Each case has another unit, and perception gets the pose, the intrinsics and the accuracy that it publishes. "
         f"The object is pushed {N_PUSHES} times by a rod that hides a part of "
         f"it, with {_REST} frames at rest before and after each push, in which the outline gets better. Errors of outlines and "
-        f"poses are root mean squares. The poses of the {N_TEST} held-out pushes have the error of the extrinsics and no other."
+        f"poses are root mean squares. The poses of the {N_TEST} held-out pushes have the error of the extrinsics and no other. "
+        "Regions are counted at the ends of pushes."
     ),
     variants=tuple(SENSORS),
     run=_run,

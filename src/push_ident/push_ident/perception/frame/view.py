@@ -95,6 +95,32 @@ class FrameView:
             labels[raised] = ROBOT
         return np.asarray(labels)
 
+    @cached_property
+    def shared_noise(self) -> float:
+        """How much of the noise of the table pixels beside each other share [-]: 0 where each is measured by itself, 1 - 2 / (3 w) where a
+        matcher averages over windows of w pixels.
+
+        1 less the ratio of the mean squares of second differences of heights along rows, of neighbours and of pixels two windows apart: a
+        plane has none. 0 where whole units of depth hide the noise.
+        """
+        heights = self.points[..., 2]
+        near = np.abs(heights) < 0.5 * self.settings.min_object_height
+        if not near.any():
+            return 0.0
+        spread = 1.4826 * float(np.median(np.abs(heights[near])))
+        # Rounding alone has a spread of 0.37 units.
+        if spread < 0.5 * float(np.min(np.diff(np.unique(self.frame.depth[near])), initial=np.inf)):
+            return 0.0
+        heights = np.where(np.abs(heights) < DEVIATIONS * spread, heights, np.float32(np.nan))
+
+        def mean_square(step: int) -> float:
+            bend = heights[:, : -2 * step] - 2.0 * heights[:, step:-step] + heights[:, 2 * step :]
+            bend = bend[np.isfinite(bend)]
+            return float(np.mean(np.square(bend))) if len(bend) else np.nan
+
+        beside, apart = mean_square(1), mean_square(2 * int(MATCHER_PIXELS))
+        return float(np.clip(1.0 - beside / apart, 0.0, 1.0)) if apart > 0.0 and np.isfinite(beside) else 0.0
+
     def is_robot(self, points: NDArray[np.float32]) -> BoolArray:
         """Which points, shape (..., 3), table frame, lie in the robot."""
         return in_robot(points, self.robot, self.settings.mask_margin)

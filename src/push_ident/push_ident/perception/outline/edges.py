@@ -7,9 +7,9 @@ A line of sight that passes an edge at the distance d outside it is expected to 
 - of the camera: a matcher of windows makes edges ragged, and displaces those where depth jumps, by about a pixel (Nguyen et al., "Modeling
   Kinect Sensor Noise", 2012: 0.8 px). Depth does not jump where the camera sees the wall below the edge: the upper side only folds there.
   A wall that fills less than half of a window in the image is a jump in part (`depth_jumps`). The lines show how far edges scatter about
-  their mean position, not how far the mean is displaced. Both have the same cause, so the mean is taken to lie outside the surface, as
-  matchers widen what is nearer, by `_DISPLACED` times the scatter about an outline without teeth of about a pixel. It is taken out of the
-  outline, and is part of what is expected of lines of sight in later frames.
+  their mean position, not how far the mean is displaced. Matchers widen what is nearer, so the mean is taken to lie outside the surface,
+  by about a pixel where neighbouring pixels share their noise, as within one window, and by nothing where each is measured by itself. It
+  is taken out of the outline, and is part of what is expected of lines of sight in later frames.
 
 Tracing finds form and corners from one view; its edges have errors of a few tenths of a millimetre that differ between the near and the far
 side. `fuse_views` gives each edge one unknown, its offset along its normal, estimated from that comparison in one or several views. Views
@@ -54,10 +54,15 @@ VARIANCE: Final = 0.05
 """Variance of the measured (stopped 1, passing 0) about the expected near an edge."""
 SAME_CURVE: Final = 0.35
 """Neighbouring edges whose headings differ by less belong to one curve and share their lines of sight [rad]."""
-_DISPLACED: Final = (1.9, 0.5)
-"""How far an edge where depth jumps lies outside the surface, in units of the scatter about it [-], and the deviation of that: mean and
-standard deviation over the models of a Kinect (2.5), a D435 (1.9) and a D415 (1.5). The displacement in these models is an estimate itself,
-of about a pixel."""
+_DISPLACED: Final = (1.25, 0.5)
+"""How far an edge where depth jumps lies outside the surface where pixels share all of their noise, and the deviation of that [px]. Nguyen
+et al. have 0.8 px of a Kinect, whose pixels share three quarters; outlines through the models of a D435 and a D415 (0.85 shared) lie 1.0 px
+outside, those through the model of a Kinect 1.6 px."""
+
+
+PosedView = tuple[FrameView, Float64Array]
+"""A view of an object at rest, preferably of the `median_frame` of several frames, and its pose (x, y, yaw) there [m, m, rad], table
+frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,28 +157,24 @@ def depth_jumps(outline: Float64Array, cameras: Float64Array) -> Float64Array:
     return np.asarray(np.min(np.clip(1.0 - cameras[:, 2:] * towards, 0.0, 1.0), axis=0))
 
 
-def displacement(outline: Float64Array, cameras: Float64Array, lines: Sequence[EdgeLines]) -> tuple[float, float]:
-    """How far the camera displaces edges where depth jumps, all of them alike, and the standard deviation of that [m].
-
-    Args:
-        outline, lines: Outline without teeth, and lines near its edges.
-        cameras: As of `cameras_of`.
-    """
-    scatter = scatter_of([view.of_edges(depth_jumps(outline, cameras) > _JUMPS) for view in lines])
+def displacement(views: Sequence[PosedView]) -> tuple[float, float]:
+    """How far a camera displaces edges where depth jumps, all of them alike, and the standard deviation of that [m]."""
     mean, std = _DISPLACED
-    return mean * scatter, std * scatter
+    shared = float(np.mean([view.shared_noise * pixel_at(view, pose) for view, pose in views]))
+    return mean * shared, std * shared
 
 
-def edge_std(outline: Float64Array, views: Sequence[EdgeLines], cameras: Float64Array) -> Float64Array:
+def edge_std(outline: Float64Array, views: Sequence[EdgeLines], cameras: Float64Array, displaced_std: float) -> Float64Array:
     """Standard deviation of the position of each edge along its normal [m], shape (n_edges,); that of the prior where no line passes it.
 
     Args:
         outline, views: Outline without teeth, and lines near its edges.
         cameras: As of `cameras_of`.
+        displaced_std: Of the displacement of all edges where depth jumps [m].
     """
     n = len(outline)
     curvature = same_curve(outline) @ (np.full(n, VARIANCE / _PRIOR**2) + sum(view.derivatives(n)[1] for view in views))
-    displaced = depth_jumps(outline, cameras) * displacement(outline, cameras, views)[1]
+    displaced = depth_jumps(outline, cameras) * displaced_std
     return np.sqrt(VARIANCE / curvature + _raggedness(outline, outline, views, cameras) ** 2 + displaced**2)
 
 
@@ -220,11 +221,6 @@ def _nearest_edge(points: Float64Array, outline: Float64Array) -> tuple[NDArray[
     return index, (position > margin) & (position < length - margin)
 
 
-PosedView = tuple[FrameView, Float64Array]
-"""A view of an object at rest, preferably of the `median_frame` of several frames, and its pose (x, y, yaw) there [m, m, rad], table
-frame."""
-
-
 def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject:
     """Outline and cells that fit all views best.
 
@@ -235,6 +231,7 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject
         views: The view in which the object was traced, then others, with poses to about a centimetre and ten degrees.
     """
     outline, fitted = _fitted_edges(traced, traced.shape.outline, views)
+    displaced, displaced_std = displacement(fitted)
     straight = straighten(dense(outline))
     outline, cameras = straight if len(straight) >= 3 else outline, cameras_of(traced, fitted)
     pixel = min(pixel_at(view, pose) for view, pose in fitted)
@@ -244,18 +241,15 @@ def fuse_views(traced: TracedObject, views: Sequence[PosedView]) -> TracedObject
     # Once more about the pieces: a polygon without teeth is coarser than a curve.
     for _ in range(2):
         lines = _lines_of(traced, smooth, fitted)
-        displaced = displacement(smooth, cameras, lines)[0]
         smooth = with_fewest_pieces(outline, np.maximum(_raggedness(outline, smooth, lines, cameras), LEAST_SCATTER), windows)
-    traced, straight = replace(traced, displaced=displaced), smooth
-    without, _ = moved_apart(straight, np.zeros(len(straight)), -traced.displaced * depth_jumps(straight, cameras))
+    traced = replace(traced, displaced=displaced, displaced_std=displaced_std)
+    without, _ = moved_apart(smooth, np.zeros(len(smooth)), -displaced * depth_jumps(smooth, cameras))
     outline, fitted = _fitted_edges(traced, without, views)
-    lines = _lines_of(traced, outline, fitted)
-    std = edge_std(outline, lines, cameras)
+    std = edge_std(outline, _lines_of(traced, outline, fitted), cameras, displaced_std)
     x, y = polygon_centroid(outline)
     shape = ObjectShape(cells_in_outline(outline - (x, y), traced.shape.cells.size), outline - (x, y), std)
     pose = np.array([*transform_points(traced.pose, [(x, y)])[0], traced.pose[2]])
-    fused = replace(traced, shape=shape, pose=pose, top_origin=traced.top_origin - (x, y))
-    return replace(fused, camera_positions=(cameras[:, :2] - (x, y),), displaced_std=displacement(outline, cameras, lines)[1])
+    return replace(traced, shape=shape, pose=pose, top_origin=traced.top_origin - (x, y), camera_positions=(cameras[:, :2] - (x, y),))
 
 
 def _fitted_edges(traced: TracedObject, outline: Float64Array, views: Sequence[PosedView]) -> tuple[Float64Array, list[PosedView]]:

@@ -23,7 +23,7 @@ from push_ident.geometry.se2 import compose, inverse, rotation, transform_points
 from push_ident.geometry.shape_check import check_shape
 from push_ident.perception.frame.robot import RobotPart
 from push_ident.perception.frame.table import fit_table
-from push_ident.perception.frame.view import ROBOT, TABLE, FrameView, median_frame, points_in_table
+from push_ident.perception.frame.view import MATCHER_PIXELS, ROBOT, TABLE, FrameView, median_frame, pixel_at, points_in_table
 from push_ident.perception.kernels import outline_distances
 from push_ident.perception.known_object import (
     NOISE_STEP,
@@ -45,7 +45,7 @@ from push_ident.perception.refusals import Reason, Refusal, Removal
 from push_ident.perception.search.hollows import Covered, cover_hollows, with_hollow
 from push_ident.perception.search.segments import find_segments
 from push_ident.perception.settings import PerceptionSettings
-from push_ident.perception.tracking.pose_fit import MISSING, compare_upper_side, fit_pose, keeps_heading
+from push_ident.perception.tracking.pose_fit import MISSING, compare_upper_side, contradictions, fit_pose, keeps_heading
 from push_ident.perception.tracking.tracker import KnownObjects, Tracker
 from push_ident.types import BoolArray, DepthFrame, Float64Array, ObjectShape
 
@@ -55,6 +55,8 @@ _EXPLAINED: Final = 0.1
 """A segment of which less lies on known objects is a thing of its own: things that stand close may overlap at their walls [-]."""
 _INSIDE_EDGE: Final = 0.003
 """So far inside the outline the height of an edge is looked up [m]: nearer to it, heights are those of a wall or of the table."""
+_BESIDE: Final = 16
+"""Around a segment things beside it are looked for [px]."""
 _LOW_EDGE: Final = 0.05
 """Fraction of the edge from which it is reported that the tool passes over it [-]: less may be noise of the heights."""
 _VISIBLE_SIDE: Final = 0.1
@@ -337,6 +339,7 @@ class Registration:
                     traced, views = self._shape_of(candidate, _lid_of(segment, covered), view)
                     if view.settings.segments.must_fit:
                         check_covered(traced, segment, view)
+                        check_seen(traced, segment, view)
                         traced = _checked(traced, latest, others)
                     measured = segment.measured_in(view.points).astype(np.float64)
                     new.append(NewObject(traced, segment.area, tuple(views), _contact_doubt(traced, measured, view.settings.tool_reach)))
@@ -422,6 +425,31 @@ def check_covered(traced: TracedObject, segment: Segment, view: FrameView) -> No
         )
 
 
+def check_seen(traced: TracedObject, segment: Segment, view: FrameView) -> None:
+    """Raises PerceptionError unless an upper side was measured all along the inside of its outline: less than a window of a matcher from
+    the edge, and less than half a window from a measured point. Torn edges give outlines with tips that nobody saw.
+
+    Hollow objects are left out: the rim on the far side is often too thin to be measured.
+    """
+    if traced.hollow is not None:
+        return
+    cells, window = _cells_of_top(traced), MATCHER_PIXELS * pixel_at(view, traced.pose)
+    depth = -outline_distances(cells, np.ascontiguousarray(traced.shape.outline))
+    inside = cells[(depth > 0.0) & (depth < window)]
+    # What belongs to a higher thing beside it was seen, too.
+    rows, columns = (slice(max(0, one.start - _BESIDE), one.stop + _BESIDE) for one in (segment.rows, segment.columns))
+    points = view.points[rows, columns].reshape(-1, 3)
+    points = points[points[:, 2] > float(traced.top.min()) - NOISE_STEP].astype(np.float64)
+    points = transform_points(inverse(traced.pose), points[:, :2])
+    unseen = float(np.mean(_distance_to(points, inside) > 0.5 * window)) if len(inside) else 0.0
+    most = view.settings.segments.max_unseen
+    if unseen > most:
+        raise PerceptionError(
+            f"nothing was measured at {unseen:.0%} of the inside of its edge, expected at most {most:.0%}: the edge is torn in the "
+            "image, or a higher thing touches it; move camera, light or things, or make it less dark and glossy"
+        )
+
+
 def _checked(traced: TracedObject, view: FrameView, others: Sequence[Placed]) -> TracedObject:
     """The object, with whether it keeps its heading. Raises PerceptionError unless a pose fit in a frame of the same rest finds it where it
     was traced."""
@@ -433,16 +461,31 @@ def _checked(traced: TracedObject, view: FrameView, others: Sequence[Placed]) ->
     # Lines of sight through an opening meet walls inside, which are not known.
     most = accepted.doubtful if traced.hollow is None else accepted.found_contradicting
     if fit.status is not TrackStatus.TRACKED or contradicting > most or shift > max_step or turn > max_turn:
-        raise PerceptionError(
-            f"the frames do not fit the outline that they gave ({contradicting:.0%} of the lines of sight contradict it, "
-            f"{fit.share_visible:.0%} of its edge are visible); it may be several things or hidden in part, or the focal length is wrong"
-        )
+        raise PerceptionError(f"the frames do not fit the outline that they gave: {_why_no_fit(template, view, fit, others)}")
     missing = compare_upper_side(template, view, fit.pose, others).missing
     if missing > MISSING:
         raise PerceptionError(
             f"{1e4 * missing:.0f} cm^2 within its outline are lower than its upper side; it may be hollow, or several things that touch"
         )
     return replace(traced, keeps_heading=keeps_heading(template, view, traced.pose, others)) if template.has_heading else traced
+
+
+def _why_no_fit(template: Template, view: FrameView, fit: PoseFit, others: Sequence[Placed]) -> str:
+    """What speaks most against an outline at a pose, for people."""
+    if fit.status is TrackStatus.HIDDEN:
+        return f"{fit.share_visible:.0%} of its edge are visible; it may be hidden in part"
+    outside, inside = contradictions(template, view, fit.pose, others)
+    if max(outside, inside) < 0.5 * view.settings.tracking.doubtful:
+        return "a pose fit ends elsewhere; its edge may be hidden in part, or the focal length wrong"
+    if outside > inside:
+        return (
+            f"{outside:.0%} of the lines of sight beside its outline are stopped; something of it is lower than its top, as a handle or a "
+            "shoulder, or another thing touches it, or the focal length is wrong"
+        )
+    return (
+        f"{inside:.0%} of the lines of sight within its outline pass; its edge may be torn in the image, it may be hollow or lean, or the "
+        "focal length is wrong"
+    )
 
 
 def _contact_doubt(traced: TracedObject, points: Float64Array, tool_reach: tuple[float, float]) -> str:
@@ -474,7 +517,8 @@ def _contact_doubt(traced: TracedObject, points: Float64Array, tool_reach: tuple
     if len(above) == 0:
         return ""
     side = points[(points[:, 2] > low) & (points[:, 2] < high)]
-    visible = _is_near(transform_points(traced.pose, above), side[:, :2])
+    # A point within 8 mm is on the side below an edge there.
+    visible = _distance_to(side[:, :2], transform_points(traced.pose, above)) < 0.008
     if float(np.mean(visible)) < _VISIBLE_SIDE:
         return (
             f"its edge is up to {1e3 * float(height.max()):.0f} mm high, above the upper end of the tool at {1e3 * high:.0f} mm, and no "
@@ -485,12 +529,11 @@ def _contact_doubt(traced: TracedObject, points: Float64Array, tool_reach: tuple
 
 def _height_of_edge(traced: TracedObject, edge: Float64Array) -> Float64Array:
     """Height of the upper side just inside each point of the edge [m], shape (n,)."""
-    rows, columns = np.indices(traced.top.shape)
-    cells = traced.top_origin + traced.top_resolution * np.stack([columns.ravel(), rows.ravel()], axis=1)
+    cells = _cells_of_top(traced)
     outline = np.ascontiguousarray(traced.shape.outline)
     # A thin object has no cell that deep inside; half of its width, at the least the middle, will do.
     depth = min(_INSIDE_EDGE, 0.25 * abs(polygon_area(outline)) / max(float(np.ptp(outline, axis=0).max()), 1e-6))
-    inside = outline_distances(np.ascontiguousarray(cells), outline) < -depth
+    inside = outline_distances(cells, outline) < -depth
     if not inside.any():
         return np.full(len(edge), float(traced.top.max()))
     cells, heights = cells[inside], traced.top.ravel()[inside]
@@ -498,11 +541,15 @@ def _height_of_edge(traced: TracedObject, edge: Float64Array) -> Float64Array:
     return np.asarray(heights[nearest], dtype=np.float64)
 
 
-def _is_near(positions: Float64Array, points: Float64Array) -> BoolArray:
-    """Which positions (n, 2) have one of the points within 8 mm, shape (n,): that point is on the side below an edge there."""
-    if len(points) == 0:
-        return np.zeros(len(positions), dtype=bool)
-    return np.asarray(cKDTree(points).query(positions)[0] < 0.008)
+def _cells_of_top(traced: TracedObject) -> Float64Array:
+    """Centres of the cells of `traced.top` [m], shape (n, 2), object frame."""
+    rows, columns = np.indices(traced.top.shape)
+    return np.ascontiguousarray(traced.top_origin + traced.top_resolution * np.stack([columns.ravel(), rows.ravel()], axis=1))
+
+
+def _distance_to(points: Float64Array, positions: Float64Array) -> Float64Array:
+    """Distance of positions, shape (n, 2), from the nearest of the points [m], shape (n,); infinite where there are none."""
+    return np.asarray(cKDTree(points).query(positions)[0]) if len(points) else np.full(len(positions), np.inf)
 
 
 def _thinned(points: Float64Array) -> Float64Array:

@@ -321,6 +321,21 @@ def compare_upper_side(template: Template, view: FrameView, pose: Float64Array, 
     )
 
 
+def contradictions(template: Template, view: FrameView, pose: Float64Array, others: Sequence[Placed] = ()) -> tuple[float, float]:
+    """Fractions of the lines of sight clearly outside and clearly inside of an outline at a pose that contradict it [-]: those outside that
+    are stopped, and those inside that pass.
+
+    Args:
+        others: Other known objects; their pixels are left out.
+    """
+    _, band, stride, *_ = _LEVELS[-1]
+    lines = lines_of_sight(template, view, pose, band, stride, others)
+    if lines is None:
+        return 0.0, 0.0
+    distance, stopped = template.distance(lines.innermost_points(template, pose))[0], lines.stopped > 0.5
+    return _share(stopped[distance > _CLEAR]), _share(~stopped[distance < -_CLEAR])
+
+
 def _share(values: BoolArray) -> float:
     return float(np.mean(values)) if len(values) else 0.0
 

@@ -10,12 +10,16 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import betaincinv
+from scipy.special import betaincinv, gammainc
 
+from push_ident.geometry.cells import cell_error
 from push_ident.identification.identify import identify
-from push_ident.identification.predicting.prediction import held_out_errors
+from push_ident.identification.observing.observation import observe_push
+from push_ident.identification.predicting.prediction import held_out_errors, predict
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.results.result import Identification
-from push_ident.types import PoseTrack, PushRecord
+from push_ident.physics.scenario import PushScenario
+from push_ident.types import Float64Array, PoseTrack, PushRecord, SolveStatus
 from push_ident_sim.objects import SimObject
 from push_ident_sim.recordings.truth import true_model
 from push_ident_sim.studies.common.study import CaseResult, CaseSettings, Json
@@ -51,6 +55,25 @@ def fit_errors(
 def solve_values(result: Identification) -> Json:
     """How a solve ended, its simulations and its time."""
     return {"status": result.status.name.lower(), "n_simulations": result.n_simulations, "time_s": round(result.time_s, 4)}
+
+
+def gaussian_level(squared_distance: ArrayLike, dimension: int) -> Float64Array:
+    """Smallest probability of a Gaussian region about the mean that holds a point at this squared Mahalanobis distance."""
+    return np.asarray(gammainc(dimension / 2, np.asarray(squared_distance, dtype=np.float64) / 2), dtype=np.float64)
+
+
+def predicted_end(posterior: ModelPosterior, record: PushRecord, true_end: Float64Array) -> tuple[float, float, float] | None:
+    """Of the end of a push, predicted from its observed first pose: smallest probability of a region that contains the true end, and the
+    expected and the actual cell error [m]. None where no motion could be predicted."""
+    start = observe_push(record, posterior.noise())
+    time = np.append(start.time, record.poses.time[-1])
+    prediction = predict(posterior, PushScenario(record.pusher, start.pose[0], time), first_covariance=start.first_covariance)
+    if prediction.status is SolveStatus.SIMULATION_FAILED:
+        return None
+    error = true_end - prediction.pose[-1]
+    level = gaussian_level(error @ np.linalg.solve(prediction.covariance[-1], error), 3)
+    actual = cell_error(record.shape.cells, prediction.pose[-1], true_end)
+    return round(float(level), 4), round(prediction.cell_error_std, 6), round(actual, 6)
 
 
 def grouped(results: Sequence[CaseResult], key: str) -> dict[Any, list[CaseResult]]:
