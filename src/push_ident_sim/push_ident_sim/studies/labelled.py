@@ -20,6 +20,7 @@ from push_ident.geometry.se2 import transform_points, wrap_angle
 from push_ident.offline.depth_images import DepthImages
 from push_ident.perception.frame.view import points_in_table
 from push_ident.perception.pipeline import Perception
+from push_ident.perception.refusals import Reason
 from push_ident.perception.search.segments import nearer_than_border
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.survey.survey import survey_frames
@@ -114,11 +115,24 @@ def _is_hidden(depth: NDArray[np.float32], mask: BoolArray, others: BoolArray) -
 def _stands_on_another(thing: Labelled, things: Sequence[Labelled]) -> bool:
     """Whether it ends above the table and other things are seen below a quarter of it, or a quarter of its footprint lies over that of
     another thing and it begins where that ends."""
-    area = cv2.contourArea(thing.hull.astype(np.float32))
     return (thing.low > max(_STEP, _FOOT * thing.high) and thing.above_others > _SUPPORTED) or any(
-        other is not thing and thing.low > max(_STEP, 0.6 * other.high) and _common(thing.hull, other.hull)[0] > _SUPPORTED * area
-        for other in things
+        _rests_on(thing, other) for other in things
     )
+
+
+def _rests_on(thing: Labelled, other: Labelled) -> bool:
+    area = cv2.contourArea(thing.hull.astype(np.float32))
+    return other is not thing and thing.low > max(_STEP, 0.6 * other.high) and _common(thing.hull, other.hull)[0] > _SUPPORTED * area
+
+
+def _is_reason_true(reason: Reason, thing: Labelled, things: Sequence[Labelled]) -> bool | None:
+    """Whether a reason for not taking in a thing is true by its labels; None where labels do not tell."""
+    carries = any(_rests_on(other, thing) for other in things)
+    if reason is Reason.STACKED:
+        return carries or _stands_on_another(thing, things)
+    if reason is Reason.BEHIND_ANOTHER:
+        return carries or thing.hidden
+    return thing.hidden if reason in (Reason.AT_IMAGE_BORDER, Reason.AT_WORKSPACE_BORDER) else None
 
 
 def _hull(points: Float64Array) -> Float64Array:
@@ -168,15 +182,22 @@ def _run(case: Case, settings: CaseSettings) -> Json:
             faults.append("elsewhere")
         else:
             right.add(best)
-    whole = [i for i, thing in enumerate(things) if not (thing.hidden or _stands_on_another(thing, things))]
-    refused = [i for i in range(len(things)) if any(_common(refusal.outline, things[i].hull)[0] > 0 for refusal in observation.refused)]
+    alone = [not any(_rests_on(other, thing) for other in things) for thing in things]
+    whole = [i for i, thing in enumerate(things) if alone[i] and not (thing.hidden or _stands_on_another(thing, things))]
+    reasons: dict[int, Reason] = {}
+    for i, thing in enumerate(things):
+        shared = [_common(refusal.outline, thing.hull)[0] for refusal in observation.refused]
+        if shared and max(shared) > 0.0:
+            reasons[i] = observation.refused[int(np.argmax(shared))].reason
+    judged = [_is_reason_true(reason, things[i], things) for i, reason in reasons.items() if i not in right]
     return finite(
         {
             "things": len(things),
             "whole": len(whole),
             "found": len([i for i in whole if i in right]),
-            "refused": len([i for i in whole if i not in right and i in refused]),
-            "unsaid": len([i for i in range(len(things)) if i not in right and i not in refused]),
+            "refused": len([i for i in whole if i not in right and i in reasons]),
+            "unsaid": len([i for i in range(len(things)) if i not in right and i not in reasons]),
+            "reasons": {str(verdict): judged.count(verdict) for verdict in (True, False, None)},
             "tracked": len(tracked),
             "right": len(right),
             "faults": dict(Counter(faults)),
@@ -195,9 +216,13 @@ def find_frames(folder: Path) -> dict[str, Path]:
 def _row(cases: Sequence[Json]) -> Json:
     faults = sum((Counter(v["faults"]) for v in cases), Counter[str]())
     total = {key: sum(v[key] for v in cases) for key in ("things", "whole", "found", "refused", "unsaid", "tracked", "right")}
+    reasons = sum((Counter(v["reasons"]) for v in cases), Counter[str]())
+    yes, no = reasons["True"], reasons["False"]
     return {
         **total,
         "frames": len(cases),
+        "not_judged": reasons["None"],
+        "true_reasons": share([i < yes for i in range(yes + no)]),
         "wrong": share([i >= total["right"] for i in range(total["tracked"])]),
         "of_whole": share([i < total["found"] for i in range(total["whole"])]),
         "faults": dict(faults),
@@ -216,13 +241,14 @@ def _group(name: str) -> str:
 
 
 def _tables(summary: Json) -> str:
-    head = ["", "frames", "labelled", "whole", "whole: found", "whole: refused", "all: neither", "tracked", "of these wrong", "faults"]
+    head = ["", "frames", "labelled", "whole", "whole: found", "whole: refused", "all: neither", "reasons true", "not judged", "tracked"]
+    head += ["of these wrong", "faults"]
     rows = []
     for name, row in summary["sets"].items():
         faults = ", ".join(f"{n} {fault}" for fault, n in row["faults"].items()) or "–"
-        counts = [number(row[key], "{:.0f}") for key in ("refused", "unsaid", "tracked")]
-        cells = [str(row["frames"]), str(row["things"]), str(row["whole"]), share_text(row["of_whole"]), *counts, share_text(row["wrong"])]
-        rows.append([name, *cells, faults])
+        refused, unsaid, not_judged, tracked = (number(row[key], "{:.0f}") for key in ("refused", "unsaid", "not_judged", "tracked"))
+        cells = [str(row["frames"]), str(row["things"]), str(row["whole"]), share_text(row["of_whole"]), refused, unsaid]
+        rows.append([name, *cells, share_text(row["true_reasons"]), not_judged, tracked, share_text(row["wrong"]), faults])
     return markdown_table(head, rows)
 
 
@@ -237,12 +263,13 @@ STUDY = Experiment(
     name="labelled",
     title="Is what perception takes in a whole thing, where it is?",
     question=(
-        f"Organised clouds with labels (`--recordings DIR`), each seen {_N_FRAMES} times, without a number given. Whole: nothing nearer is "
-        "beside it, it stands on the table, and inside image and workspace. Found: tracked at the end, and its outline overlaps with the "
-        "footprint of the labelled thing by half (intersection over union of the convex hulls). Wrong: an outline of no labelled thing, of "
-        "one that is partly hidden or stands on another, or a pose more than 10 mm or 10 degrees from the first one though nothing moved. "
-        "Labels and hulls are of what the camera sees; labels 30 and 31 are parts of one thing. Groups are the letters with which names "
-        "begin."
+        f"Organised clouds with labels (`--recordings DIR`), each seen {_N_FRAMES} times, without a number given. Whole: nothing "
+        "nearer is beside it or on it, it stands on the table, and inside image and workspace. Found: tracked at the end, and its "
+        "outline overlaps with the footprint of the labelled thing by half (intersection over union of the convex hulls). Wrong: an "
+        "outline of no labelled thing, of one that is partly hidden or stands on another, or a pose more than 10 mm or 10 degrees "
+        "from the first one though nothing moved. Reasons of refusals are true where labels agree: hidden, stacked, or at a border; "
+        "others are not judged. Labels and hulls are of what the camera sees; labels 30 and 31 are parts of one thing. Groups are "
+        "the letters with which names begin."
     ),
     objects=(),
     find_objects=lambda folder: tuple(find_frames(folder)),

@@ -439,9 +439,9 @@ def check_seen(traced: TracedObject, segment: Segment, view: FrameView) -> None:
     # What belongs to a higher thing beside it was seen, too.
     rows, columns = (slice(max(0, one.start - _BESIDE), one.stop + _BESIDE) for one in (segment.rows, segment.columns))
     points = view.points[rows, columns].reshape(-1, 3)
-    points = points[points[:, 2] > float(traced.top.min()) - NOISE_STEP].astype(np.float64)
-    points = transform_points(inverse(traced.pose), points[:, :2])
-    unseen = float(np.mean(_distance_to(points, inside) > 0.5 * window)) if len(inside) else 0.0
+    points = points[points[:, 2] > float(traced.top.min()) - NOISE_STEP]
+    seen = transform_points(inverse(traced.pose), points[:, :2].astype(np.float64))
+    unseen = float(np.mean(_distance_to(seen, inside) > 0.5 * window)) if len(inside) else 0.0
     most = view.settings.segments.max_unseen
     if unseen > most:
         raise PerceptionError(
