@@ -112,11 +112,14 @@ def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[
         hiding = others & nearer_than_border(view.frame.depth[wide], inside, settings.min_step)
         across_shadow = others & _grown(_with_shadow(inside, at == UNKNOWN, reach), _NEAR)
         is_hidden_across = _has_most_of_one(hiding & across_shadow, np.where(across_shadow, surfaces[wide], 0))
-        if np.count_nonzero(hiding & around) >= _SMALLEST_PATCH or is_hidden_across:
-            return Reason.BEHIND_ANOTHER
-        on_others = np.count_nonzero(around & others) > settings.segments.on_another * np.count_nonzero(around)
-        if on_others or _sees_it_on_another(view, wide, points, surfaces, index):
+        is_hidden = np.count_nonzero(hiding & around) >= _SMALLEST_PATCH or is_hidden_across
+        # What hides it is below its border in the image, too.
+        beside = others & ~hiding
+        on_others = np.count_nonzero(around & beside) > settings.segments.on_another * np.count_nonzero(around)
+        if on_others or _sees_it_on_another(view, wide, points, surfaces, index, beside):
             return Reason.STACKED
+        if is_hidden:
+            return Reason.BEHIND_ANOTHER
     if _beside_unmeasured(view, box, inside, around, at != UNKNOWN):
         return Reason.BESIDE_UNMEASURED
     return None
@@ -166,11 +169,16 @@ def _with_shadow(inside: BoolArray, unmeasured: BoolArray, reach: int) -> BoolAr
     return np.asarray(grown > 0)
 
 
-def _sees_it_on_another(view: FrameView, box: tuple[slice, slice], points: Float64Array, surfaces: NDArray[np.int32], index: int) -> bool:
+def _sees_it_on_another(
+    view: FrameView, box: tuple[slice, slice], points: Float64Array, surfaces: NDArray[np.int32], index: int, others: BoolArray
+) -> bool:
     """Whether surface number `index`, with points (n, 3), in a box ends above the table where a thing beside it goes on, or other things,
-    rather than the table, are below its lower border in the image. False where the camera looks down so steeply that it sees no walls."""
+    rather than the table, are below its lower border in the image. False where the camera looks down so steeply that it sees no walls.
+
+    `others`: pixels of other things that do not hide it, of the shape of the box.
+    """
     camera, intrinsics = view.camera_in_table, view.frame.intrinsics
-    inside, others, table = surfaces[box] == index, (surfaces[box] > 0) & (surfaces[box] != index), view.labels[box] == TABLE
+    inside, table = surfaces[box] == index, view.labels[box] == TABLE
     middle = np.median(points, axis=0)
     in_camera = (np.array([middle, middle - (0.0, 0.0, 1e-3)]) - camera[:3, 3]) @ camera[:3, :3]
     # Downwards in the image, for a metre downwards across the line of sight.
