@@ -113,10 +113,11 @@ def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[
         across_shadow = others & _grown(_with_shadow(inside, at == UNKNOWN, reach), _NEAR)
         is_hidden_across = _has_most_of_one(hiding & across_shadow, np.where(across_shadow, surfaces[wide], 0))
         is_hidden = np.count_nonzero(hiding & around) >= _SMALLEST_PATCH or is_hidden_across
-        # What hides it is below its border in the image, too.
-        beside = others & ~hiding
-        on_others = np.count_nonzero(around & beside) > settings.segments.on_another * np.count_nonzero(around)
-        if on_others or _sees_it_on_another(view, wide, points, surfaces, index, beside):
+        # What hides it is below its border in the image, too, and hides where it ends.
+        beside = others & ~hiding if is_hidden else others
+        on_others = np.count_nonzero(around & others) > settings.segments.on_another * np.count_nonzero(around)
+        ends_on_another = not is_hidden and (on_others or _ends_where_another_goes_on(view, wide, points, surfaces, index))
+        if ends_on_another or _is_above_another(view, wide, points, surfaces[wide] == index, beside):
             return Reason.STACKED
         if is_hidden:
             return Reason.BEHIND_ANOTHER
@@ -169,34 +170,45 @@ def _with_shadow(inside: BoolArray, unmeasured: BoolArray, reach: int) -> BoolAr
     return np.asarray(grown > 0)
 
 
-def _sees_it_on_another(
-    view: FrameView, box: tuple[slice, slice], points: Float64Array, surfaces: NDArray[np.int32], index: int, others: BoolArray
+def _ends_where_another_goes_on(
+    view: FrameView, box: tuple[slice, slice], points: Float64Array, surfaces: NDArray[np.int32], index: int
 ) -> bool:
-    """Whether surface number `index`, with points (n, 3), in a box ends above the table where a thing beside it goes on, or other things,
-    rather than the table, are below its lower border in the image. False where the camera looks down so steeply that it sees no walls.
+    """Whether surface number `index`, with points (n, 3), in a box ends above the table where a thing that touches it in the image goes on
+    further out. False where the camera looks down so steeply that it sees no walls."""
+    inside, others = surfaces[box] == index, (surfaces[box] > 0) & (surfaces[box] != index)
+    if np.count_nonzero(points[:, 2] < view.settings.min_step) >= _SMALLEST_PATCH or _downwards(view, points)[1] < _SEES_WALLS:
+        return False
+    of_touching = np.isin(surfaces[box], surfaces[box][others & _grown(inside, _NEAR)])
+    outline = cv2.convexHull(points[:, :2].astype(np.float32))[:, 0].astype(np.float64)
+    further_out = ~points_in_polygon(view.points[box][of_touching][:, :2].astype(np.float64), outline)
+    return bool(np.count_nonzero(further_out) >= _SMALLEST_PATCH)  # else it may be a foot of its own
 
-    `others`: pixels of other things that do not hide it, of the shape of the box.
+
+def _is_above_another(view: FrameView, box: tuple[slice, slice], points: Float64Array, inside: BoolArray, others: BoolArray) -> bool:
+    """Whether other things, rather than the table, are below the lower border of a surface with points (n, 3) in the image. False where the
+    camera looks down so steeply that it sees no walls.
+
+    `inside`, `others`: pixels of the surface and of others, of the shape of the box.
     """
-    camera, intrinsics = view.camera_in_table, view.frame.intrinsics
-    inside, table = surfaces[box] == index, view.labels[box] == TABLE
-    middle = np.median(points, axis=0)
-    in_camera = (np.array([middle, middle - (0.0, 0.0, 1e-3)]) - camera[:3, 3]) @ camera[:3, :3]
-    # Downwards in the image, for a metre downwards across the line of sight.
-    down = np.diff(in_camera[:, :2] / in_camera[:, 2:], axis=0)[0] * in_camera[0, 2] / 1e-3
-    sine = float(np.hypot(*down))
+    (right, down), sine = _downwards(view, points)
     if sine < _SEES_WALLS:
         return False
-    if np.count_nonzero(points[:, 2] < view.settings.min_step) < _SMALLEST_PATCH:
-        of_touching = np.isin(surfaces[box], surfaces[box][others & _grown(inside, _NEAR)])
-        outline = cv2.convexHull(points[:, :2].astype(np.float32))[:, 0].astype(np.float64)
-        further_out = ~points_in_polygon(view.points[box][of_touching][:, :2].astype(np.float64), outline)
-        if np.count_nonzero(further_out) >= _SMALLEST_PATCH:  # else it may be a foot of its own
-            return True
-    columns, rows = np.rint(_NEAR * down / sine * (1.0, intrinsics.fy / intrinsics.fx)).astype(int)
+    intrinsics = view.frame.intrinsics
+    columns, rows = np.rint(_NEAR * np.array([right, down * intrinsics.fy / intrinsics.fx]) / sine).astype(int)
     height, width = inside.shape
     shift = np.array([[1, 0, -columns], [0, 1, -rows]], dtype=np.float32)
+    table = view.labels[box] == TABLE
     below_others, below_table = (cv2.warpAffine(mask.astype(np.uint8), shift, (width, height)) > 0 for mask in (others, table))
     return bool(np.count_nonzero(inside & below_others) > np.count_nonzero(inside & below_table))
+
+
+def _downwards(view: FrameView, points: Float64Array) -> tuple[Float64Array, float]:
+    """Where down is in the image at the middle of points (n, 3): displacement across the line of sight for a metre downwards, to the right
+    and down, shape (2,), and its length, the sine of the angle between down and the line of sight."""
+    camera, middle = view.camera_in_table, np.median(points, axis=0)
+    in_camera = (np.array([middle, middle - (0.0, 0.0, 1e-3)]) - camera[:3, 3]) @ camera[:3, :3]
+    across = np.diff(in_camera[:, :2] / in_camera[:, 2:], axis=0)[0] * in_camera[0, 2] / 1e-3
+    return across, float(np.hypot(*across))
 
 
 def _beside_unmeasured(view: FrameView, box: tuple[slice, slice], inside: BoolArray, around: BoolArray, measured: BoolArray) -> bool:
