@@ -177,7 +177,7 @@ def test_calls_are_timed_in_turns_by_the_processor_time() -> None:
 def settings(tmp_path_factory: pytest.TempPathFactory) -> CaseSettings:
     truth, folder = TruthSettings(n_train=4, n_test=2), tmp_path_factory.mktemp("truth")
     generate_truth(folder, "toolbox", 3, truth)
-    return CaseSettings(folder, Budget(max_seconds=0.2, processor_time=True), truth, CameraNoise())
+    return CaseSettings(folder, Budget(max_seconds=None, max_simulations=60), truth, CameraNoise())
 
 
 @pytest.mark.parametrize("name", ["real-protocol", "convergence", "maps", "coverage"])
