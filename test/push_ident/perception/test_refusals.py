@@ -442,3 +442,14 @@ def test_where_lines_of_sight_contradict_an_outline_is_told_apart():
     assert outside > 0.02 and inside < 0.002
     outside, inside = share(box(0.0, -0.01, 0.12, 0.1, 0.05))
     assert inside > 0.05 and outside < 0.002
+
+
+def test_a_thing_on_another_one_is_stacked_though_it_is_hidden_in_part():
+    """To move the nearer one away would not help."""
+    lower, upper = box(-0.05, 0.0, 0.2, 0.2, 0.06), box(-0.05, 0.0, 0.12, 0.16, 0.08, bottom=0.06)
+    nearer = box(0.1, 0.05, 0.03, 0.03, 0.3)
+    observation, _, _ = observe([lower, upper, nearer])
+    (refusal,) = [one for one in observation.refused if one.height == pytest.approx(0.14, abs=0.006)]
+    assert refusal.reason is Reason.STACKED
+    moved, _, _ = observe([box(-0.05, 0.0, 0.12, 0.16, 0.14), nearer])
+    assert [one.reason for one in moved.refused if one.height == pytest.approx(0.14, abs=0.006)] == [Reason.BEHIND_ANOTHER]
