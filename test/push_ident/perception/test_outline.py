@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from helpers.depth_scene import CAMERA, rectangle, render
+from helpers.depth_scene import rectangle
 from push_ident.geometry.outline import edge_normals, signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.geometry.shape_check import crossing_edges
@@ -76,10 +76,15 @@ def test_pixels_share_the_noise_of_a_window(window, expected):
     assert mean == pytest.approx(1.25 * expected / 300.0, abs=2e-4) and std == pytest.approx(0.4 * mean)
 
 
-def test_whole_units_of_depth_are_no_noise_that_pixels_share():
-    exact = render([])
-    view = FrameView(replace(exact, depth=np.round(exact.depth, 3)), CAMERA)
-    assert view.shared_noise == 0.0
+@pytest.mark.parametrize(("sensor", "least", "most"), [("ideal", 0.0, 0.0), ("phoxi", 0.0, 0.1), ("kinect_v1", 0.7, 0.9)])
+def test_whole_units_of_depth_are_no_noise_that_pixels_share(sensor, least, most):
+    """The ideal camera rounds to a millimetre, the Kinect to steps of disparity."""
+    unit, reported = Sensor(sensor, 0), suitable_pose(sensor)
+    seen = unit.look(unit.camera(make_object("book", 0), reported), np.array([0.0, 0.0, 0.3]), {})
+    frame = DepthFrame(0.0, unit.read(seen, np.random.default_rng(0)), unit.intrinsics)
+    perception = Perception(reported)
+    perception.observe(frame)
+    assert least <= FrameView(frame, perception.camera_in_table).shared_noise <= most
 
 
 @pytest.mark.parametrize("sensor", ["realsense_d435_640x480", pytest.param("realsense_d415_1280x720", marks=pytest.mark.long), "phoxi"])
