@@ -25,7 +25,7 @@ from push_ident.perception.search.segments import nearer_than_border
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.survey.survey import survey_frames
 from push_ident.types import BoolArray, DepthFrame, Float64Array
-from push_ident_sim.studies.common.measuring import share
+from push_ident_sim.studies.common.measuring import mean_of, share
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import markdown_table, number, share_text
 
@@ -191,10 +191,12 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     alone = [not any(_rests_on(other, thing) for other in things) for thing in things]
     whole = [i for i, thing in enumerate(things) if alone[i] and not (thing.hidden or _stands_on_another(thing, things))]
     reasons: dict[int, Reason] = {}
+    best_overlaps = []
     for i, thing in enumerate(things):
         overlaps = [_overlap(refusal.outline, thing.hull) for refusal in observation.refused]
         if overlaps and max(overlaps) > 0.0:
             reasons[i] = observation.refused[int(np.argmax(overlaps))].reason
+        best_overlaps.append(max([*overlaps, *(_overlap(outline, thing.hull) for outline in outlines.values()), 0.0]))
     judged = [_is_reason_true(reason, things[i], things) for i, reason in reasons.items() if i not in right]
     return finite(
         {
@@ -204,6 +206,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
             "refused": len([i for i in whole if i not in right and i in reasons]),
             "unsaid": len([i for i in range(len(things)) if i not in right and i not in reasons]),
             "reasons": {str(verdict): judged.count(verdict) for verdict in (True, False, None)},
+            "overlaps": [round(overlap, 3) for overlap in best_overlaps],
             "tracked": len(tracked),
             "right": len(right),
             "faults": dict(Counter(faults)),
@@ -228,7 +231,10 @@ def _row(cases: Sequence[Json]) -> Json:
         **total,
         "frames": len(cases),
         "not_judged": reasons["None"],
+        "seen": share([overlap >= _FOUND for v in cases for overlap in v["overlaps"]]),
+        "overlap": mean_of(overlap for v in cases for overlap in v["overlaps"] if overlap >= _FOUND),
         "true_reasons": share([i < yes for i in range(yes + no)]),
+        "right_or_true": share([i < total["right"] + yes for i in range(total["right"] + yes + no + total["unsaid"])]),
         "wrong": share([i >= total["right"] for i in range(total["tracked"])]),
         "of_whole": share([i < total["found"] for i in range(total["whole"])]),
         "faults": dict(faults),
@@ -247,14 +253,15 @@ def _group(name: str) -> str:
 
 
 def _tables(summary: Json) -> str:
-    head = ["", "frames", "labelled", "whole", "whole: found", "whole: refused", "all: neither", "reasons true", "not judged", "tracked"]
-    head += ["of these wrong", "faults"]
+    head = ["", "frames", "labelled", "whole", "whole: found", "whole: refused", "all: neither", "reasons true", "not judged"]
+    head += ["all but those: found or truly refused", "all: overlap of half", "mean of these", "tracked", "of these wrong", "faults"]
     rows = []
     for name, row in summary["sets"].items():
         faults = ", ".join(f"{n} {fault}" for fault, n in row["faults"].items()) or "–"
         refused, unsaid, not_judged, tracked = (number(row[key], "{:.0f}") for key in ("refused", "unsaid", "not_judged", "tracked"))
         cells = [str(row["frames"]), str(row["things"]), str(row["whole"]), share_text(row["of_whole"]), refused, unsaid]
-        rows.append([name, *cells, share_text(row["true_reasons"]), not_judged, tracked, share_text(row["wrong"]), faults])
+        cells += [share_text(row["true_reasons"]), not_judged, share_text(row["right_or_true"]), share_text(row["seen"])]
+        rows.append([name, *cells, number(row["overlap"], "{:.2f}"), tracked, share_text(row["wrong"]), faults])
     return markdown_table(head, rows)
 
 
@@ -274,8 +281,8 @@ STUDY = Experiment(
         "outline overlaps with the footprint of the labelled thing by half (intersection over union of the convex hulls). Wrong: an "
         "outline of no labelled thing, of one that is partly hidden or stands on another, or a pose more than 10 mm or 10 degrees "
         "from the first one though nothing moved. Reasons of refusals are true where labels agree: hidden, stacked, or at a border; "
-        "others are not judged. Labels and hulls are of what the camera sees; labels 30 and 31 are parts of one thing. Groups are "
-        "the letters with which names begin."
+        "others are not judged. Overlap: with what is tracked or the hull of what is refused. Labels and hulls are of what the "
+        "camera sees; labels 30 and 31 are parts of one thing. Groups are the letters with which names begin."
     ),
     objects=(),
     find_objects=lambda folder: tuple(find_frames(folder)),
