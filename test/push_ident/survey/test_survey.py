@@ -16,6 +16,7 @@ from push_ident.errors import FrameError, InputError, PerceptionError
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.offline.depth_images import DepthImages
 from push_ident.perception.refusals import Reason
+from push_ident.survey import survey as survey_of_frames
 from push_ident.survey.parameter_file import parameter_text
 from push_ident.survey.scale_check import KnownSize, ScaleError, check_scale
 from push_ident.survey.survey import frames_at_rest, survey_frames
@@ -96,6 +97,13 @@ def test_a_given_pose_is_corrected_by_the_plane(seen):
     found = survey_frames(seen["oblique"][:1], lifted)
     assert found.is_pose_given  # One that is not near it is named: cli/test_look.py.
     np.testing.assert_allclose(found.camera_in_table, CAMERA, atol=0.001)
+
+
+def test_a_second_plane_is_no_error_of_a_pose_that_nobody_gave(seen, monkeypatch):
+    tilted = look_at(CAMERA[:3, 3], (0.0, 0.0, 0.25))
+    monkeypatch.setattr(survey_of_frames, "camera_over_table", lambda picture: (tilted, 1e-3, 0.9))
+    failure = survey_frames(seen["oblique"]).failure
+    assert "are not the same" in failure and "calibrate" not in failure
 
 
 def test_one_image_is_enough_and_what_is_no_object_is_said(survey_of_cut):

@@ -19,7 +19,7 @@ from push_ident.geometry.outline import points_in_polygon
 from push_ident.geometry.se2 import transform_points
 from push_ident.perception.calibration import camera_over_table, table_extent
 from push_ident.perception.frame.depth_unit import WrongUnit, wrong_unit
-from push_ident.perception.frame.table import TablePlane
+from push_ident.perception.frame.table import TableElsewhereError, TablePlane
 from push_ident.perception.frame.view import median_frame, points_in_table
 from push_ident.perception.observation import Observation
 from push_ident.perception.pipeline import Perception
@@ -31,6 +31,11 @@ from push_ident.types import DepthFrame, Float64Array, ObjectShape
 _MOVED: Final = (0.01, 0.01)
 """A pixel whose depth differs by more than the first [m] plus the second times its depth shows something else: three deviations of a
 Kinect at 2 m, 5 mm each (Nguyen et al., 2012)."""
+_TWO_PLANES: Final = (
+    "The largest plane in view and the one found over the workspace are not the same: the table bends, or a thing or the floor is taken for "
+    "it; move the camera so that the table fills the picture, or give its pose."
+)
+"""Why perception does not find the table where this survey has it, where nobody gave a pose that could be wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +161,7 @@ def survey_frames(
     settings = PerceptionSettings(workspace_low=low, workspace_high=high, segments=SegmentSettings(must_fit=must_fit))
     bands, noise = noise_by_distance(frames, picture, camera, settings)
     settings = replace(settings, min_object_height=_least_height(bands, noise, settings))
-    perception, ids, doubts, observation, failure = _perceive(frames, camera, settings)
+    perception, ids, doubts, observation, failure = _perceive(frames, camera, settings, is_given=is_given)
     if perception.plane is not None:
         camera = perception.camera_in_table
     points = points_in_table(picture, camera)
@@ -243,12 +248,15 @@ def _least_height(bands: Sequence[NoiseBand], noise: float, settings: Perception
 
 
 def _perceive(
-    frames: Sequence[DepthFrame], camera: Float64Array, settings: PerceptionSettings
+    frames: Sequence[DepthFrame], camera: Float64Array, settings: PerceptionSettings, *, is_given: bool
 ) -> tuple[Perception, list[str], list[str], Observation | None, str]:
     """Perception after all frames, the ids of what it took in, what is doubtful of contact with them, its last observation, and why it
     refuses the frames.
 
     Fewer frames than `rest_frames` count as the whole rest: repeating them would claim less noise than they have.
+
+    Args:
+        is_given: Whether the pose of the camera is; else it is that over a plane of the first frames.
     """
     # Every frame is searched, and none is spent on an occupancy grid.
     every_frame = replace(settings, search_period=0.0, occupancy_period=1e9, rest_frames=min(settings.rest_frames, len(frames)))
@@ -261,6 +269,9 @@ def _perceive(
             observation = perception.observe(replace(frame, stamp=index / 30))  # stamps of files are made up, those of a bag may repeat
             ids += observation.new_shapes
             doubts += [f"object {name}: {doubt}" for name, doubt in observation.doubts.items()]
+        except TableElsewhereError as error:
+            failure = str(error) if is_given else _TWO_PLANES
+            break
         except (FrameError, PerceptionError) as error:
             failure = str(error)
             break

@@ -22,6 +22,10 @@ _MIN_POINTS: Final = 125
 """Least number of points on the plane, after the stride."""
 
 
+class TableElsewhereError(PerceptionError):
+    """The plane of the table is further from its place in the extrinsics than those of a usable calibration."""
+
+
 @dataclass(frozen=True, slots=True)
 class TablePlane:
     """z = slope_x x + slope_y y + offset in the table frame of the extrinsics; all zero where the extrinsics are exact."""
@@ -65,8 +69,8 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
     Args:
         points: [m], shape (height, width, 3), table frame of the extrinsics; NaN where nothing was measured.
 
-    Raises PerceptionError: No valid pixel, too few points on a plane, too many under it, or a correction larger than the error of usable
-    extrinsics.
+    Raises PerceptionError: No valid pixel, too few points on a plane, too many under it, or (TableElsewhereError) a correction larger than
+    the error of usable extrinsics.
     """
     sample = points[::STRIDE, ::STRIDE]
     pixels = np.argwhere(np.isfinite(sample[..., 2]))
@@ -117,7 +121,7 @@ def fit_table(points: NDArray[np.float32], settings: PerceptionSettings) -> Tabl
 def _check_place(plane: Float64Array, accepted: TableSettings, remedy: str) -> None:
     tilt = float(np.hypot(plane[0], plane[1]))
     if tilt > accepted.max_tilt or abs(plane[2]) > accepted.max_offset:
-        raise PerceptionError(
+        raise TableElsewhereError(
             f"The table is tilted by {tilt:.3f} rad and {plane[2] * 1e3:.0f} mm from its place in the extrinsics, "
             f"expected at most {accepted.max_tilt} rad and {accepted.max_offset * 1e3:.0f} mm; {remedy}."
         )
