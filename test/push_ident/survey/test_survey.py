@@ -13,8 +13,10 @@ import pytest
 from helpers.depth_scene import CAMERA, HAMMER, INTRINSICS, Prism, circle, look_at, rectangle, render
 from helpers.paths import recording
 from push_ident.errors import FrameError, InputError, PerceptionError
+from push_ident.geometry.se2 import rotation
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.offline.depth_images import DepthImages
+from push_ident.perception.pipeline import Perception
 from push_ident.perception.refusals import Reason
 from push_ident.survey import survey as survey_of_frames
 from push_ident.survey.parameter_file import parameter_text
@@ -100,8 +102,9 @@ def test_a_given_pose_is_corrected_by_the_plane(seen):
 
 
 def test_a_second_plane_is_no_error_of_a_pose_that_nobody_gave(seen, monkeypatch):
-    tilted = look_at(CAMERA[:3, 3], (0.0, 0.0, 0.25))
-    monkeypatch.setattr(survey_of_frames, "camera_over_table", lambda picture: (tilted, 1e-3, 0.9))
+    tilt = np.eye(4)
+    tilt[1:3, 1:3] = rotation(0.09)
+    monkeypatch.setattr(survey_of_frames, "Perception", lambda camera, settings: Perception(tilt @ camera, settings))
     failure = survey_frames(seen["oblique"]).failure
     assert "are not the same" in failure and "calibrate" not in failure
 

@@ -32,8 +32,8 @@ _MOVED: Final = (0.01, 0.01)
 """A pixel whose depth differs by more than the first [m] plus the second times its depth shows something else: three deviations of a
 Kinect at 2 m, 5 mm each (Nguyen et al., 2012)."""
 _TWO_PLANES: Final = (
-    "The largest plane in view and the one found over the workspace are not the same: the table bends, or a thing or the floor is taken for "
-    "it; move the camera so that the table fills the picture, or give its pose."
+    "The largest plane in view and the one found over the workspace are not the same: the table bends, or a thing or the floor is taken "
+    "for it; move the camera so that the table fills the picture, or give its pose."
 )
 """Why perception does not find the table where this survey has it, where nobody gave a pose that could be wrong."""
 
