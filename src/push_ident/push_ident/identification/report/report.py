@@ -239,8 +239,8 @@ def draw_maps(posterior: ModelPosterior) -> list[tuple[str, str]]:
     traced = posterior.unknowns.shape.outline
     if len(posterior.unknowns.outline_modes):
         moved = float(np.sqrt(np.mean(np.sum((outline - traced) ** 2, axis=1))))
-        title = f"Outline as pushes show it, and as the camera traced it (thin): vertices {1e3 * moved:.1f} mm apart"
-        drawn.append((title, cell_panel(CellPanel(title, centres[:0], [], outline, np.zeros(0), "", region=traced))))
+        title = f"Outline as pushes show it (red), and as the camera traced it: vertices {1e3 * moved:.1f} mm apart"
+        drawn.append((title, cell_panel(CellPanel(title, centres[:0], [], traced, np.zeros(0), "", region=outline))))
     return drawn
 
 
