@@ -14,12 +14,11 @@ from push_ident.identification.solvers import DEFAULT_SOLVER
 from push_ident.identification.unknowns.mechanics import model_at
 from push_ident.types import ObjectModel
 from push_ident_sim.recordings.truth import load_truth, true_model
-from push_ident_sim.studies.common.measuring import N_TRAIN, fit_errors, gaussian_level, grouped, predicted_end, root_mean_square
+from push_ident_sim.studies.common.measuring import N_TRAIN, NOMINAL, fit_errors, gaussian_level, grouped, predicted_end, root_mean_square
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings, Experiment, Json
 from push_ident_sim.studies.common.tables import label_below, markdown_table, millimetres, new_figure, save
 
 _LEVELS: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
-_NOMINAL: Final = 0.9
 _QUANTITIES: Final = {
     "ends": "end poses of held-out pushes",
     "centre": "centre of friction",
@@ -83,7 +82,7 @@ def _share_within(results: Sequence[CaseResult], quantity: str, level: float) ->
 
 def _row(results: Sequence[CaseResult]) -> Json:
     return {
-        **{quantity: _share_within(results, quantity, _NOMINAL) for quantity in _QUANTITIES},
+        **{quantity: _share_within(results, quantity, NOMINAL) for quantity in _QUANTITIES},
         **{key: root_mean_square(v for r in results for v in r.values[key]) for key in ("expected_m", "actual_m")},
         "pushes": sum(len(r.values["actual_m"]) for r in results),
         "not_predicted": sum(r.values["not_predicted"] for r in results),
@@ -91,7 +90,7 @@ def _row(results: Sequence[CaseResult]) -> Json:
 
 
 def _tables(summary: Json) -> str:
-    head = [f"share within the {100 * _NOMINAL:.0f} % region", *_QUANTITIES.values(), "error expected [mm]", "error observed [mm]"]
+    head = [f"share within the {100 * NOMINAL:.0f} % region", *_QUANTITIES.values(), "error expected [mm]", "error observed [mm]"]
     return markdown_table(
         [*head, "pushes", "not predicted"],
         [

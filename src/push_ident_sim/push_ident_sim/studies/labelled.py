@@ -21,7 +21,7 @@ from push_ident.offline.depth_images import DepthImages
 from push_ident.perception.frame.view import points_in_table
 from push_ident.perception.pipeline import Perception
 from push_ident.perception.refusals import Reason
-from push_ident.perception.search.segments import nearer_than_border
+from push_ident.perception.search.segments import nearer_than_border, with_shadow
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.survey.survey import survey_frames
 from push_ident.types import BoolArray, DepthFrame, Float64Array
@@ -110,10 +110,8 @@ def labelled_things(frame: DepthFrame, labels: NDArray[np.int64], camera: Float6
 def _is_hidden(depth: NDArray[np.float32], mask: BoolArray, others: BoolArray) -> bool:
     """Whether other things beside the pixels of a thing are nearer to the camera than its border is."""
     # A shadow, in which nothing is measured, may lie between.
-    grown, allowed = mask.astype(np.uint8), (mask | ~np.isfinite(depth)).astype(np.uint8)
-    for _ in range(_SHADOW):
-        grown = cv2.dilate(grown, np.ones((3, 3), np.uint8)) & allowed
-    surroundings = (cv2.dilate(grown, np.ones((2 * _BESIDE + 1,) * 2, np.uint8)) > 0) & (grown == 0)
+    grown = with_shadow(mask, ~np.isfinite(depth), _SHADOW)
+    surroundings = (cv2.dilate(grown.astype(np.uint8), np.ones((2 * _BESIDE + 1,) * 2, np.uint8)) > 0) & ~grown
     hiding = surroundings & others & nearer_than_border(depth, mask, _STEP)
     return bool(np.count_nonzero(hiding) > _HIDDEN * np.count_nonzero(surroundings))
 
@@ -127,13 +125,19 @@ def _stands_on_another(thing: Labelled, things: Sequence[Labelled]) -> bool:
 
 
 def _rests_on(thing: Labelled, other: Labelled) -> bool:
+    """Whether a quarter of the footprint of a thing lies over that of another one, and it begins where that ends."""
     area = cv2.contourArea(thing.hull.astype(np.float32))
     return other is not thing and thing.low > max(_STEP, 0.6 * other.high) and _common(thing.hull, other.hull)[0] > _SUPPORTED * area
 
 
+def _carries(thing: Labelled, things: Sequence[Labelled]) -> bool:
+    """Whether another thing rests on it."""
+    return any(_rests_on(other, thing) for other in things)
+
+
 def _is_reason_true(reason: Reason, thing: Labelled, things: Sequence[Labelled]) -> bool | None:
     """Whether a reason for not taking in a thing is true by its labels; None where labels do not tell."""
-    carries = any(_rests_on(other, thing) for other in things)
+    carries = _carries(thing, things)
     if reason is Reason.STACKED:
         return carries or _stands_on_another(thing, things)
     if reason is Reason.BEHIND_ANOTHER:
@@ -188,8 +192,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
             faults.append("elsewhere")
         else:
             right.add(best)
-    alone = [not any(_rests_on(other, thing) for other in things) for thing in things]
-    whole = [i for i, thing in enumerate(things) if alone[i] and not (thing.hidden or _stands_on_another(thing, things))]
+    whole = [i for i, one in enumerate(things) if not (one.hidden or _stands_on_another(one, things) or _carries(one, things))]
     reasons: dict[int, Reason] = {}
     best_overlaps = []
     for i, thing in enumerate(things):

@@ -30,6 +30,7 @@ from push_ident_sim.objects import OBJECT_NAMES, SimObject, make_object
 from push_ident_sim.recordings.recording import standing_tool
 from push_ident_sim.recordings.truth import true_model
 from push_ident_sim.studies.common.measuring import (
+    NOMINAL,
     error_row,
     gaussian_level,
     grouped,
@@ -193,8 +194,6 @@ N_PUSHES: Final = 4
 N_TEST: Final = 8
 _REST: Final = 20
 """Frames before and after each push: long enough for a better outline."""
-_NOMINAL: Final = 0.9
-"""Probability of the regions whose share of truths is counted [-]."""
 
 
 def _run(case: Case, settings: CaseSettings) -> Json:
@@ -280,7 +279,7 @@ def _row(results: Sequence[CaseResult]) -> Json:
 
 
 def _within(levels: Sequence[float]) -> float:
-    return round(float(np.mean([level <= _NOMINAL for level in levels])), 4)
+    return round(float(np.mean([level <= NOMINAL for level in levels])), 4)
 
 
 def _tables(summary: Json) -> str:
@@ -292,7 +291,7 @@ def _tables(summary: Json) -> str:
         "poses [mm]",
         "cell error [mm]",
         "with exact outline and poses",
-        f"poses within their {100 * _NOMINAL:.0f} % region",
+        f"poses within their {100 * NOMINAL:.0f} % region",
         "predicted ends",
     ]
     rows = [

@@ -55,8 +55,6 @@ _EXPLAINED: Final = 0.1
 """A segment of which less lies on known objects is a thing of its own: things that stand close may overlap at their walls [-]."""
 _INSIDE_EDGE: Final = 0.003
 """So far inside the outline the height of an edge is looked up [m]: nearer to it, heights are those of a wall or of the table."""
-_BESIDE: Final = 16
-"""Around a segment things beside it are looked for [px]."""
 _LOW_EDGE: Final = 0.05
 """Fraction of the edge from which it is reported that the tool passes over it [-]: less may be noise of the heights."""
 _VISIBLE_SIDE: Final = 0.1
@@ -436,12 +434,13 @@ def check_seen(traced: TracedObject, segment: Segment, view: FrameView) -> None:
     cells, window = _cells_of_top(traced), MATCHER_PIXELS * pixel_at(view, traced.pose)
     depth = -outline_distances(cells, np.ascontiguousarray(traced.shape.outline))
     inside = cells[(depth > 0.0) & (depth < window)]
-    # What belongs to a higher thing beside it was seen, too.
-    rows, columns = (slice(max(0, one.start - _BESIDE), one.stop + _BESIDE) for one in (segment.rows, segment.columns))
+    # What belongs to a higher thing beside it was measured, too.
+    reach = int(2 * MATCHER_PIXELS)
+    rows, columns = (slice(max(0, one.start - reach), one.stop + reach) for one in (segment.rows, segment.columns))
     points = view.points[rows, columns].reshape(-1, 3)
     points = points[points[:, 2] > float(traced.top.min()) - NOISE_STEP]
-    seen = transform_points(inverse(traced.pose), points[:, :2].astype(np.float64))
-    unseen = float(np.mean(_distance_to(seen, inside) > 0.5 * window)) if len(inside) else 0.0
+    measured = transform_points(inverse(traced.pose), points[:, :2].astype(np.float64))
+    unseen = float(np.mean(_distance_to(measured, inside) > 0.5 * window)) if len(inside) else 0.0
     most = view.settings.segments.max_unseen
     if unseen > most:
         raise PerceptionError(

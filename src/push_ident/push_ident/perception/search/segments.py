@@ -110,14 +110,14 @@ def _fault(view: FrameView, surfaces: NDArray[np.int32], index: int, box: tuple[
         return Reason.BESIDE_ROBOT
     if others.any():
         hiding = others & nearer_than_border(view.frame.depth[wide], inside, settings.min_step)
-        across_shadow = others & _grown(_with_shadow(inside, at == UNKNOWN, reach), _NEAR)
+        across_shadow = others & _grown(with_shadow(inside, at == UNKNOWN, reach), _NEAR)
         is_hidden_across = _has_most_of_one(hiding & across_shadow, np.where(across_shadow, surfaces[wide], 0))
         is_hidden = np.count_nonzero(hiding & around) >= _SMALLEST_PATCH or is_hidden_across
         # What hides it is below its border in the image, too, and hides where it ends.
-        beside = others & ~hiding if is_hidden else others
+        not_hiding = others & ~hiding if is_hidden else others
         on_others = np.count_nonzero(around & others) > settings.segments.on_another * np.count_nonzero(around)
         ends_on_another = not is_hidden and (on_others or _ends_where_another_goes_on(view, wide, points, surfaces, index))
-        if ends_on_another or _is_above_another(view, wide, points, surfaces[wide] == index, beside):
+        if ends_on_another or _is_above_another(view, wide, points, inside, not_hiding):
             return Reason.STACKED
         if is_hidden:
             return Reason.BEHIND_ANOTHER
@@ -162,7 +162,7 @@ def _grown(mask: BoolArray, by: int) -> BoolArray:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((2 * by + 1, 2 * by + 1), np.uint8)) > 0)
 
 
-def _with_shadow(inside: BoolArray, unmeasured: BoolArray, reach: int) -> BoolArray:
+def with_shadow(inside: BoolArray, unmeasured: BoolArray, reach: int) -> BoolArray:
     """The pixels of a segment, and the unmeasured ones connected with it, up to `reach` pixels away."""
     grown, allowed = inside.astype(np.uint8), (inside | unmeasured).astype(np.uint8)
     for _ in range(reach):

@@ -26,6 +26,8 @@ from push_ident_sim.studies.common.study import CaseResult, CaseSettings, Json
 
 MODELS: Final = ("identified", "scalar", "uniform", "truth")
 """Whose predictions are compared: the identified maps, equal cells with fitted scalars, equal cells with nominal values, the true maps."""
+NOMINAL: Final = 0.9
+"""Probability of the regions whose share of truths is counted [-]."""
 N_TRAIN: Final = 4
 """Pushes that the studies of the paper's figures identify from."""
 
