@@ -30,6 +30,8 @@ LOG = ROOT / "log" / "setup.log"
 REQUIREMENTS = ROOT / "requirements"
 ENVIRONMENT = ROOT / "tools" / "push_ident_environment.py"
 PACKAGES = ("push_ident_msgs", "push_ident", "push_ident_sim")
+INTERFACES = ROOT / "tools" / "interfaces"
+"""Interface packages of ROS that the wheels lack; built where ROS comes from them."""
 CORE = ROOT / "src" / "push_ident" / "push_ident"
 KERNELS = (*sorted((CORE / "physics").rglob("*.py")), *sorted((CORE / "perception").glob("*kernels.py")))
 TORCH_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
@@ -59,6 +61,11 @@ class Ros:
 
     prefixes: tuple[str, ...]
     """Prefixes of the sourced installation, in order; empty for the wheels."""
+
+    @property
+    def interfaces(self) -> tuple[str, ...]:
+        """Interface packages that are built here because this ROS lacks them."""
+        return tuple(sorted(folder.name for folder in INTERFACES.iterdir())) if self.is_wheels else ()
 
     @property
     def is_wheels(self) -> bool:
@@ -292,8 +299,7 @@ def install_torch() -> None:
 def workspace_digest() -> str:
     """Digest of the inputs of the build. Python modules and data files are linked, so only the names of the latter count."""
     read, named = [ROOT / "tools" / "ros_wheels.cmake", REQUIREMENTS / "ros.txt"], []
-    for package in PACKAGES:
-        folder = ROOT / "src" / package
+    for folder in (*(ROOT / "src" / package for package in PACKAGES), *sorted(INTERFACES.iterdir())):
         read += [folder / name for name in ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt")]
         read += sorted(path for kind in ("msg", "srv", "action") for path in folder.glob(f"{kind}/*"))
         named += sorted(str(path.relative_to(ROOT)) for kind in ("launch", "config") for path in folder.glob(f"{kind}/*"))
@@ -315,8 +321,9 @@ def build(ros: Ros) -> None:
         environ["LD_LIBRARY_PATH"] = os.pathsep.join(wheel_libraries())
         cmake.append(f"-DCMAKE_PROJECT_INCLUDE={ROOT / 'tools' / 'ros_wheels.cmake'}")
     colcon = [str(VENV / "bin" / "colcon"), "--log-base", str(ROOT / "log")]
-    run([*colcon, "build", "--symlink-install", "--base-paths", str(ROOT / "src"), "--cmake-args", *cmake], environ=environ)
-    unbuilt = [package for package in PACKAGES if not package_xml(package).exists()]
+    bases = [str(ROOT / "src"), *(str(INTERFACES / package) for package in ros.interfaces)]
+    run([*colcon, "build", "--symlink-install", "--base-paths", *bases, "--cmake-args", *cmake], environ=environ)
+    unbuilt = [package for package in (*PACKAGES, *ros.interfaces) if not package_xml(package).exists()]
     if unbuilt:
         # colcon treats a package with an invalid package.xml as a plain Python package without any message.
         raise SetupError(f"colcon did not build {', '.join(unbuilt)} as ROS packages; check their package.xml")
@@ -343,9 +350,10 @@ def environment_line(ros: Ros) -> str:
     install = ROOT / "install"
     # The sources come first; the build folders hold the metadata that the installed executables need.
     folders = [str(ROOT / base / package) for base in ("src", "build") for package in PACKAGES[1:]]
-    folders += [str(path) for path in sorted(install.glob("push_ident_msgs/lib/python3*/site-packages"))]
-    libraries = [str(install / "push_ident_msgs" / "lib")]
-    prefixes = [str(install / package) for package in PACKAGES]
+    interfaces = ("push_ident_msgs", *ros.interfaces)
+    folders += [str(path) for package in interfaces for path in sorted(install.glob(f"{package}/lib/python3*/site-packages"))]
+    libraries = [str(install / package / "lib") for package in interfaces]
+    prefixes = [str(install / package) for package in (*PACKAGES, *ros.interfaces)]
     defaults: dict[str, str] = {}
     if ros.is_wheels:
         libraries += wheel_libraries()
