@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from push_ident.nodes.base.cell_node import CellNode, Component, Health
@@ -31,6 +30,8 @@ class BareComponent(Component):
 class BareNode(CellNode):
     """A node of the suite that has what `build` adds to it."""
 
+    takes_info = True
+
     def __init__(self, build: Callable[[CellNode], object] = lambda node: None, **kwargs: Any) -> None:
         self._build = build
         super().__init__("bare_node", (), **kwargs)
@@ -46,13 +47,23 @@ def spinning(make: Callable[[Context], AnyNode], domain: int | None = None, *, n
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = make(context)
-    executor = SingleThreadedExecutor(context=context) if n_threads == 1 else make_executor(n_threads, context=context)
+    executor = make_executor(n_threads, takes_info=getattr(node, "takes_info", False), context=context)
     executor.add_node(node)
-    thread = threading.Thread(target=executor.spin, daemon=True)
+    is_over = threading.Event()
+
+    def spin_once_and_again() -> None:
+        # `spin` of rclpy's executor of events takes a whole core and calls nothing back.
+        while not is_over.is_set():
+            executor.spin_once(timeout_sec=0.05)
+
+    thread = threading.Thread(target=executor.spin if n_threads > 1 else spin_once_and_again, daemon=True)
     thread.start()
     try:
         yield node
     finally:
+        is_over.set()
+        if n_threads == 1:
+            thread.join(30.0)
         executor.shutdown()
         thread.join(30.0)
         node.destroy_node()

@@ -223,7 +223,7 @@ def test_goal_is_reached_by_pushes_of_the_executor(cell: GoalCell) -> None:
     assert push.end is not None and "push 1: " in push.chance and f"{100 * pushed.expected_chance:.0f} %" in push.chance
     # A second goal at the same place needs no push.
     again = send(cell, position_tolerance=0.02, yaw_tolerance=0.4).end()
-    assert again.error_code == GoalCode.NONE and again.pushes == 0
+    assert again.error_code == GoalCode.NONE and again.pushes == 0 and again.error_text.startswith("already at the goal")
 
 
 def test_path_is_followed_with_corrections_that_the_executor_takes(cell: GoalCell) -> None:
@@ -273,7 +273,10 @@ def test_invalid_goals_are_named_the_running_one_goes_on_and_the_edge_of_a_right
     wait_for(lambda: cell.edges or sent.result.done(), 20.0)
     sent.handle.cancel_goal_async()
     assert [edge_from_msg(msg).ends.tolist() for msg in cell.edges] == [pytest.approx(np.array([[p.x, p.y] for p in EDGE]), abs=1e-6)]
-    assert running.end().error_code == GoalCode.PREEMPTED and sent.end().error_code == GoalCode.CANCELED
+    preempted = running.end()
+    assert preempted.error_code == GoalCode.PREEMPTED and "a newer goal took its place" in preempted.error_text
+    assert running.result.result().status == GoalStatus.STATUS_ABORTED, "canceled is only what its client cancels"
+    assert sent.end().error_code == GoalCode.CANCELED and sent.result.result().status == GoalStatus.STATUS_CANCELED
 
 
 def test_model_of_another_shape_is_named_and_text_that_is_none_does_not_replace_one(cell: GoalCell, node: NodeProcess) -> None:

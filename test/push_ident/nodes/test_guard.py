@@ -54,7 +54,7 @@ def test_a_service_that_fails_answers_with_the_reason(own: Guard) -> None:
 
 def test_a_subscription_destroyed_before_its_message_is_taken_does_not_block_the_others(context: Context) -> None:
     node = BareNode(lambda node: node.create_subscription(PoseStamped, "pose", lambda message: None, 10), context=context)
-    executor, publisher = make_executor(1, context=context), node.create_publisher(PoseStamped, "pose", 10)
+    executor, publisher = make_executor(2, context=context), node.create_publisher(PoseStamped, "pose", 10)
     executor.add_node(node)
     deadline = time.monotonic() + 20.0
     while True:

@@ -222,8 +222,13 @@ def test_exploring_pushes_come_first_and_nothing_is_pushed_that_is_there() -> No
     assert run(cell, explore=2)[0].code is GoalCode.NONE
     assert [isinstance(push, int) for push in cell.asked] == [True, True, False]
     assert cell.asked[0] != cell.asked[1]
-    there = Cell(pose=GOAL.pose.copy(), is_known=False)
-    assert run(there, explore=2)[0].code is GoalCode.NONE and not there.pushes
+
+
+def test_object_that_is_at_the_goal_already_needs_neither_arm_nor_model_and_the_text_says_so() -> None:
+    there = Cell(pose=GOAL.pose.copy(), is_known=False, settings=None)
+    outcome, _ = run(there, explore=2)
+    assert outcome.code is GoalCode.NONE and not there.pushes
+    assert outcome.text == "already at the goal (0.0 mm and 0.000 rad from it); nothing was pushed."
 
 
 @pytest.mark.parametrize(

@@ -308,7 +308,8 @@ def finish(report: GoalReport) -> None:
         )
         return
     if report.edge is None:
-        say(f"at the goal after {result.pushes} pushes and {result.elapsed:.0f} s: {where}")
+        made = f"after {result.pushes} pushes and {result.elapsed:.0f} s" if result.pushes else "already, nothing was pushed"
+        say(f"at the goal {made}: {where}")
         return
     x, y, yaw = report.target
     say(

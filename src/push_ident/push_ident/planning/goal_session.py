@@ -95,7 +95,7 @@ class GoalSession:
         """Carry it out. Returns, whatever happens in the cell; exceptions are errors of the program or of the ports."""
         try:
             self._run()
-            code, text = GoalCode.NONE, ""
+            code, text = GoalCode.NONE, "" if self.progress.pushes else f"already at the goal ({self._distance()}); nothing was pushed."
         except Ended as end:
             code, text = end.code, end.text
         self.progress.elapsed = self._ports.now() - self._started
@@ -128,7 +128,9 @@ class GoalSession:
         return settings
 
     def _check(self, observed: TrackedObject) -> None:
-        """End where the goal cannot be, or nothing is known and nothing may be explored."""
+        """End where the goal cannot be, or nothing is known and nothing may be explored. What is there needs neither arm nor model."""
+        if self._is_there(observed):
+            return
         settings, goal = self._settings(), self._request.goal
         if not isinstance(goal, Goal):
             self._check_edge(observed)

@@ -19,7 +19,7 @@ from push_ident_sim.studies import (
     scenes,
     sensors,
 )
-from push_ident_sim.studies.bench import batches, engine, exports, fix, frames, identification, rivals
+from push_ident_sim.studies.bench import batches, engine, exports, fix, frames, identification, nodes, rivals
 from push_ident_sim.studies.blind import study as blind
 from push_ident_sim.studies.common.study import Benchmark, Experiment
 
@@ -45,5 +45,5 @@ EXPERIMENTS: dict[str, Experiment] = {
     )
 }
 BENCHMARKS: dict[str, Benchmark] = {
-    module.STUDY.name: module.STUDY for module in (engine, batches, identification, frames, exports, fix, rivals)
+    module.STUDY.name: module.STUDY for module in (engine, batches, identification, frames, nodes, exports, fix, rivals)
 }

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, Final
 
 from rclpy.context import Context
 from rclpy.event_handler import EventHandler
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
 
 from push_ident.nodes.base.settings import NODE
+
+EXECUTOR: Final = "PUSH_IDENT_EXECUTOR"
+"""Variable that chooses the executor of nodes with one thread: `events`, the default, or `wait_sets`, that of rclpy's releases before."""
 
 
 class _GuardedExecutor(Executor):  # type: ignore[misc]
@@ -48,9 +53,17 @@ class _Multi(_GuardedExecutor, MultiThreadedExecutor):  # type: ignore[misc]
     pass
 
 
-def make_executor(n_threads: int, *, context: Context | None = None) -> Executor:
-    """An executor of so many threads for nodes that have a `guard`."""
-    return _Single(context=context) if n_threads == 1 else _Multi(n_threads, context=context)
+def make_executor(n_threads: int, *, takes_info: bool = False, context: Context | None = None) -> Executor:
+    """An executor of so many threads for nodes that have a `guard`.
+
+    With one thread it is rclpy's executor of events, which builds no wait set for each message. It cannot call back with the info of a
+    message, so nodes that take it (`takes_info`) have wait sets, too (docs/decisions/0056-executor-of-events.md).
+    """
+    if n_threads > 1:
+        return _Multi(n_threads, context=context)
+    if takes_info or os.environ.get(EXECUTOR) == "wait_sets":
+        return _Single(context=context)
+    return EventsExecutor(context=context)
 
 
 def _guarded(entity: Any, guard: Any, take: Callable[[Any], Any]) -> Any:
