@@ -136,7 +136,7 @@ class _PushExecutor(Component):
         self._force = ForcePort(node, supervised)
         self._hand = make_hand(node, values["hand"], timeout=values["hand_timeout"], callback_group=housekeeping)
         self._recording = RecordingPort(node, housekeeping)
-        self._objects = TrackedObjects(node, housekeeping)
+        self._objects = TrackedObjects(node, housekeeping, lambda: self._is_active and self._execution.is_pushing)
         self._arm = ArmPort(
             node,
             description_file=values["robot_description_file"],
@@ -244,7 +244,7 @@ class _PushExecutor(Component):
             "largest force of the last motion [N]": f"{self._execution.peak_force:.1f}",
             "last error": self._last_error,
         }
-        return Health(level, "; ".join(reasons) or state, values)
+        return Health(level, "; ".join(reasons) or state, values | self._objects.notes)
 
 
 def _request_from_goal(goal: ExecutePush.Goal) -> PushRequest:
