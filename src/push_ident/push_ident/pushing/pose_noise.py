@@ -139,8 +139,8 @@ def _median_std(variance: Float64Array, freedom: Float64Array) -> float:
     """Weighted median of the standard deviations that blocks show, shapes (n_blocks,)."""
     unbiased = variance * freedom / (2.0 * gammaincinv(0.5 * freedom, 0.5))  # by the median of chi square
     order = np.argsort(unbiased)
-    half = np.searchsorted(np.cumsum(freedom[order]), 0.5 * freedom.sum())
-    return float(np.sqrt(unbiased[order][half]))
+    below = np.cumsum(freedom[order]) - 0.5 * freedom[order]
+    return float(np.sqrt(np.interp(0.5 * freedom.sum(), below, unbiased[order])))
 
 
 def pusher_moves(time: Float64Array, path: Float64Array, pause: float) -> BoolArray:
