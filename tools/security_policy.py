@@ -27,13 +27,14 @@ KINDS = {
 }
 """Kind and verb of what rclpy lists, and the verb where it is part of an action."""
 EXTRA = {
+    "bag_player_node": "topic publish tf",
     "perception_node": "topic subscribe tf, topic subscribe tf_static, topic publish ~/done_until",
     "identification_node": "topic subscribe bag_player_node/done",
     "push_ident_doctor": "topic subscribe joint_states",
     "push_ident_look": "topic subscribe depth/camera_info, topic subscribe depth/camera_pose, topic subscribe depth/image_rect, "
     "topic publish parameter_events, service reply ~/get_type_description",
 }
-"""With tf2_ros, which the wheels lack; in a replay; and of `doctor --robot` and `look --live`, which no cell starts."""
+"""Of a bag with poses; with tf2_ros, which the wheels lack; in a replay; of `doctor --robot` and `look --live`, which no cell starts."""
 Graph = dict[str, set[tuple[str, ...]]]
 """Rights of each node, by its name: kind, verb, and a name in which `~` stands for that of the node and `*` for the id of an object."""
 

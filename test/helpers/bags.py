@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -109,3 +110,18 @@ def assert_same_record(got: PushRecord, expected: PushRecord) -> None:
     assert (got.wrench is None) == (expected.wrench is None)
     if got.wrench is not None and expected.wrench is not None:
         np.testing.assert_array_equal(got.wrench.force, expected.wrench.force)
+
+
+def copy_with_covariances(bag: Path, copy: Path, change: Callable[[Any], None]) -> Path:
+    """The same messages; `change` sets the 36 numbers of the covariance of each pose."""
+    store = jazzy_typestore()
+    with BagWriter(copy) as writer, open_bag(bag) as recorded:
+        for topic, stamp, raw in recorded.raw_messages():
+            data = bytes(raw)
+            if topic.msgtype == Role.POSE.msgtype:
+                message = store.deserialize_cdr(data, topic.msgtype)
+                message.pose.covariance = message.pose.covariance.copy()  # type: ignore[attr-defined]
+                change(message.pose.covariance)  # type: ignore[attr-defined]
+                data = bytes(store.serialize_cdr(message, topic.msgtype))
+            writer.write_raw(topic.topic, topic.msgtype, stamp, data)
+    return copy

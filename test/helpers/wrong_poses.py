@@ -23,7 +23,7 @@ def wrong_poses() -> dict[str, PoseWithCovarianceStamped]:
         "not symmetric": (1e-7, 1),
         "not positive definite": (-1.0, 35),
         "huge covariance": (1e300, 0, 7, 35),
-        "no covariance": (0.0, *range(36)),
+        "not positive definite, without that of the yaw": (1.0, 1, 6),
     }
     fields: dict[str, tuple[str, object]] = {
         "NaN": ("pose.pose.position.x", np.nan),

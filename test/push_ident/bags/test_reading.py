@@ -28,7 +28,6 @@ from helpers.bags import (
 )
 from helpers.paths import EXAMPLE_BAG
 from push_ident.bags.contract import Role, TopicRole, role_of
-from push_ident.bags.decode import DEFAULT_COVARIANCE
 from push_ident.bags.pushes import split_pushes
 from push_ident.bags.raw import raw_messages
 from push_ident.bags.reader import read_bag
@@ -102,7 +101,7 @@ def test_what_is_dropped_or_assumed_is_counted(tmp_path: Path) -> None:
     assert "`pusher/pose`: 1 of 32 messages were out of order" in notes
     assert "`pusher/pose`: 1 of 33 messages have no stamp, where others have; dropped" in notes
     assert "1 of 32 poses lack a covariance" in notes
-    np.testing.assert_array_equal(contents.objects["7"].covariance[-1], DEFAULT_COVARIANCE)
+    np.testing.assert_array_equal(contents.objects["7"].covariance[-1], np.zeros((3, 3)))
     np.testing.assert_allclose(contents.objects["7"].covariance[0], COVARIANCE)
 
 

@@ -11,14 +11,19 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
 
 from helpers.executor_cell import Stalls, wait_for
 from helpers.node_process import NodeProcess, Talker
 from helpers.spinning import running
+from push_ident.bags.opening import open_bag
 from push_ident.bags.salvage import salvage
 from push_ident.bags.writer import BagWriter
+from push_ident.geometry.frames import CAMERA_FRAME
 from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import own_domain
 from push_ident.nodes.convert.messages import position_to_msg
@@ -124,6 +129,29 @@ def test_kill_loses_no_more_than_a_second_and_the_next_recorder_begins_another_b
     with running(BagRecorderNode, own_domain(), f"bag:={tmp_path / 'bag'}", "numbered:=true", "min_free_mib:=1"):
         wait_for((tmp_path / "bag_2").is_dir)
     assert sorted((path, path.read_bytes()) for path in (tmp_path / "bag").rglob("*") if path.is_file()) == first
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("image_first", [True, False])
+def test_the_camera_stands_in_the_bag_once_whoever_places_it(user: User, tmp_path: Path, image_first: bool) -> None:
+    """The parameters of the recorder give it, and perception broadcasts it."""
+    quaternion = "[0.67815377, 0.67815377, -0.20026847, -0.20026847]"
+    links = [TransformStamped(header=Header(frame_id="table"), child_frame_id=name) for name in (CAMERA_FRAME, "stand")]
+    for link in links:
+        link.transform.rotation.w = 1.0
+    send = [(Image, "depth/image_rect", Image()), (TFMessage, "/tf_static", TFMessage(transforms=links))]
+    with running(BagRecorderNode, user.domain, f"bag:={tmp_path / 'bag'}", "min_free_mib:=1", f"camera_quaternion:={quaternion}"):
+        for kind, topic, message in send if image_first else send[::-1]:
+            user.publish(kind, topic, message)
+            user.until(lambda topic=topic: int(user.values().get(f"/{topic}".replace("//", "/"), 0)) == 1)
+    with open_bag(tmp_path / "bag") as bag:
+        static = [topic for topic in bag.topics if topic.topic.endswith("tf_static")]
+        bag.register(static)
+        found = {
+            stamped.child_frame_id: stamped.transform.rotation.x for _, _, message in bag.messages(static) for stamped in message.transforms
+        }
+        n_links = sum(len(message.transforms) for _, _, message in bag.messages(static))
+    assert found == {CAMERA_FRAME: pytest.approx(0.678 if image_first else 0.0, abs=1e-3), "stand": 0.0} and n_links == 2
 
 
 @pytest.mark.live

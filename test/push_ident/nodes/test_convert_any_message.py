@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from helpers.fuzzing import fuzzed
 from helpers.fuzzing.messages import messages_like
 from helpers.fuzzing.right import OBJECT, right_goals, right_messages
+from push_ident.bags.decode import is_covariance
 from push_ident.errors import PushIdentError
 from push_ident.limits import LIMITS
 from push_ident.nodes.convert import messages
@@ -44,7 +45,7 @@ def near(value: Any) -> bool:
 
 def is_pose(value: Any) -> bool:
     stamp, pose, covariance = value
-    return stamp >= 0 and near(pose) and bool(np.linalg.eigvalsh(covariance).min() > 0)
+    return stamp >= 0 and near(pose) and is_covariance(covariance)
 
 
 def is_shape(shape: Any) -> bool:

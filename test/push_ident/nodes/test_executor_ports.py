@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
@@ -23,11 +23,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from helpers.executor_cell import wait_for
+from helpers.memory_cell import SHAPE
 from helpers.spinning import BareNode, spinning
 from push_ident.errors import InputError, PlanningError
+from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.network import own_domain
-from push_ident.nodes.convert.messages import force_to_msg
+from push_ident.nodes.convert.messages import force_to_msg, planar_pose_to_msg, shape_to_msgs, stamp_to_msg
+from push_ident.nodes.input.objects import TrackedObjects
 from push_ident.nodes.push_executor.arm_port import ArmLease, ArmPort, ForcePort
 from push_ident.nodes.push_executor.hand_port import RobotiqHand
 from push_ident.nodes.push_executor.push_executor_node import PushExecutorNode
@@ -222,3 +225,42 @@ def test_states_without_numbers_say_that_the_driver_has_no_arm_yet(arm: Arm, dri
     with pytest.raises(PlanningError, match="the driver has no data of the arm yet"):
         arm.port.fresh_state(0.5)
     arm.until(lambda: arm.port.state is not None and not arm.port.why_silent)
+
+
+def test_object_without_a_covariance_is_known_once_it_has_rested_for_ten_frames(listener: BareNode, driver: Node) -> None:
+    """While it is pushed, what it does is no noise."""
+    pushing = True
+    objects = TrackedObjects(listener, listener.default_callback_group, lambda: pushing)
+    for name, msg in zip(("cells", "outline"), shape_to_msgs(SHAPE, "box", Time(sec=1)), strict=True):
+        driver.create_publisher(type(msg), f"objects/box/{name}", LATCHED).publish(msg)
+    poses = driver.create_publisher(PoseWithCovarianceStamped, "objects/box/pose", 10)
+    rng, std, n = np.random.default_rng(0), np.array([2e-3, 2e-3, 0.02]), 0
+
+    def why() -> str:
+        try:
+            objects.get("box", 60.0)
+        except PlanningError as error:
+            return str(error)
+        return ""
+
+    def move(step: float) -> None:
+        """One frame, until it is there."""
+        nonlocal n
+        n += 1
+        pose = std * rng.normal(size=3) + [step * n, 0.0, 0.0]
+        poses.publish(planar_pose_to_msg(stamp_to_msg(1.0 + n / 30), pose, np.zeros((3, 3))))
+        there = transform_points(pose, SHAPE.outline)
+        wait_for(lambda: not objects.ids or np.allclose(objects.outlines_of_others("")[0], there, atol=1e-6))
+
+    wait_for(lambda: objects.ids == ("box",), meanwhile=lambda: (move(0.01), time.sleep(0.05)))
+    for _ in range(20):
+        move(0.01)
+    assert "lack a covariance, and 0 of its frames at rest" in why() and "wait, or publish covariances" in why()
+    pushing = False
+    for _ in range(9):
+        move(0.0)
+    assert "lack a covariance, and 8 of its frames" in why()
+    for _ in range(40):
+        move(0.0)
+    found = np.sqrt(np.diag(objects.get("box", 60.0).covariance))
+    assert found == pytest.approx(std, rel=0.3) and "frames at rest" in objects.notes["covariance of box"]

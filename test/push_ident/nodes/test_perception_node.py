@@ -21,6 +21,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from shape_msgs.msg import SolidPrimitive
+from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from helpers.depth_scene import CAMERA, HAMMER, HAMMER_OUTLINE, INTRINSICS, Prism, circle, look_at, rectangle, render
@@ -81,9 +82,13 @@ class Camera(Node):
             (MarkerArray, "workspace/refused", LATCHED),
             (DiagnosticArray, "/diagnostics", 10),
             (PoseWithCovarianceStamped, "depth/camera_accuracy", LATCHED),
+            (PoseStamped, "depth/camera_pose", LATCHED),
+            (TFMessage, "/tf", QoSProfile(depth=100)),
+            (TFMessage, "/tf_static", LATCHED),
         ):
             self.create_subscription(kind, topic, kept.setdefault(topic, []).append, qos)
-        self.cells, self.outlines, self.poses, self.workspace, self.refused, self.diagnostics, self.accuracies = kept.values()
+        self.cells, self.outlines, self.poses, self.workspace, self.refused, self.diagnostics, self.accuracies, *frames = kept.values()
+        self.camera_poses, self.moving, self.static = frames
         self.further: list[tuple[Publisher, Publisher, list[DepthFrame]]] = []
         self.stamp = 100.0
         self._n = 0
@@ -169,6 +174,23 @@ def test_shape_pose_and_occupancy_are_published_with_the_stamp_of_the_image(came
     wait_for(lambda: "stage_tracked" in camera.values())
 
 
+def test_frames_of_objects_and_camera_are_broadcast_with_the_stamps_and_numbers_of_their_poses(camera, node):
+    first = len(camera.moving)
+    send_until(camera, lambda: len(camera.moving) > first + 3)
+    stamped = {stamp_from_msg(msg.header.stamp): msg.pose.pose for msg in camera.poses}
+    for msg in camera.moving[first:]:
+        (transform,) = msg.transforms
+        assert (transform.header.frame_id, transform.child_frame_id) == ("table", "object_o1")
+        pose, at = stamped[stamp_from_msg(transform.header.stamp)], transform.transform.translation
+        assert [at.x, at.y, at.z] == [pose.position.x, pose.position.y, pose.position.z]
+        assert transform.transform.rotation == pose.orientation
+    (transform,) = camera.static[-1].transforms
+    at, published = transform.transform.translation, camera.camera_poses[-1]
+    assert (transform.header.frame_id, transform.child_frame_id) == ("table", "camera_depth_optical_frame")
+    assert transform.header.stamp == published.header.stamp and transform.transform.rotation == published.pose.orientation
+    assert [at.x, at.y, at.z] == [published.pose.position.x, published.pose.position.y, published.pose.position.z]
+
+
 def await_refusal(camera: Camera, key: str, change: Callable[[Image, CameraInfo], None], text: str) -> None:
     """Until changed images are refused with this text: those of an earlier change may still wait for the node."""
     before = int(camera.values().get(key, 0))
@@ -243,6 +265,10 @@ def test_an_object_that_came_apart_is_no_longer_published(camera, node):
         send_until(camera, lambda: int(camera.values().get("restarts", 0)) > before and camera.values().get("object_o1") == "tracked")
         camera.frames = boxes(0.05)
         send_until(camera, lambda: camera.values().get("given_up") == "1" and camera.values().get("object_o3") == "tracked")
+        # One message has the frames of all objects, and none of one that is no longer seen.
+        camera.moving.clear()
+        send_until(camera, lambda: camera.moving)
+        assert {transform.child_frame_id for transform in camera.moving[-1].transforms} == {"object_o2", "object_o3"}
     finally:
         camera.frames = frames
     assert camera.values()["note_object_o1"].startswith("given up: several things that touch")

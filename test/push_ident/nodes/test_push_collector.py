@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import Path
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from shape_msgs.msg import SolidPrimitive
+from std_msgs.msg import Header
 
-from helpers.executor_cell import wait_for
+from helpers.executor_cell import ask, wait_for
 from helpers.objects import random_records, square, uniform
 from helpers.spinning import running, spinning
 from push_ident.geometry.se2 import transform_points
@@ -29,6 +31,7 @@ from push_ident.physics.overhang import TableEdge
 from push_ident.types import PushRecord
 from push_ident_msgs.msg import MassFrictionMap
 from push_ident_msgs.msg import PushRecord as PushRecordMsg
+from push_ident_msgs.srv import PredictPush
 
 pytestmark = pytest.mark.live
 
@@ -52,6 +55,7 @@ class Cell(Node):
         self.values: dict[str, str] = {}
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._time = 10.0
+        self.states_covariance = True
 
     def begin(self, object_id: str) -> None:
         """Go on with another object of the same shape; counts are from now on."""
@@ -78,7 +82,7 @@ class Cell(Node):
         start = self._time = self._time + 30.0
         shift, rest = start - push.poses.time[0], push.poses.time[-1] + np.arange(0.05, PATIENCE, 0.05)
         poses = zip([*push.poses.time, *rest], [*push.poses.pose, *[push.poses.pose[-1]] * len(rest)], strict=True)
-        covariance = push.poses.covariance[0]
+        covariance = push.poses.covariance[0] * self.states_covariance
         messages = [(t, self.poses, planar_pose_to_msg(stamp_to_msg(t + shift), pose, covariance)) for t, pose in poses]
         tool = zip(push.pusher.time, push.pusher.position, strict=True)
         messages += [(t, self.pusher, position_to_msg(stamp_to_msg(t + shift), [*xy, 0.01])) for t, xy in tool]
@@ -121,6 +125,33 @@ def test_push_whose_pose_jumps_is_left_out_and_said_and_an_excursion_is_not_lear
     wait_for(lambda: cell.count("pushes") == 1, 60.0)
     assert cell.count("impossible poses, left out") == 12 and "12 of" in cell.values["last error"]
     assert cell.count("pushes not explained") == 0 and cell.count("pushes with impossible poses, left out") == 1
+
+
+def test_poses_without_a_covariance_are_learned_from_once_their_rests_show_it(cell: Cell) -> None:
+    cell.begin("o4")
+    client = cell.create_client(PredictPush, "predict_push")
+    path = Path(header=Header(frame_id="table"))
+    path.poses = [position_to_msg(stamp_to_msg(t), [x, 0.0, 0.01]) for t, x in ((1.0, -0.2), (2.0, 0.0))]
+
+    def predict() -> PredictPush.Response:
+        answer = ask(cell, lambda: client.call_async(PredictPush.Request(object_id="o4", pusher_path=path)))
+        wait_for(answer.done)
+        return answer.result()
+
+    cell.states_covariance = False
+    try:
+        stamp = stamp_to_msg(30.0)
+        said = predict()
+        while "lack a covariance" not in said.message:
+            cell.poses.publish(planar_pose_to_msg(stamp, pushes()[0].poses.pose[0], np.zeros((3, 3))))
+            said = predict()
+        assert not said.success and "0 of its frames at rest follow another one, expected at least 9; wait" in said.message
+        cell.play(pushes()[0])
+        wait_for(lambda: cell.count("pushes") == 1, 60.0)
+        assert "from the scatter of" in cell.values["covariance of o4"] and cell.count("poses refused") == 0
+        assert predict().success
+    finally:
+        cell.states_covariance = True
 
 
 def test_push_over_an_edge_that_only_a_goal_gave_is_left_out_and_said(cell: Cell) -> None:

@@ -103,6 +103,7 @@ def load(
     camera_in_table: ArrayLike | None = None,
     topics: Mapping[str, str] | None = None,
     depth_unit: float | None = None,
+    pose_std: tuple[float, float] | None = None,
 ) -> LoadedPushes:
     """Read the pushes of one object from bags of the contract; where a bag has no poses, the object is tracked in its depth images.
 
@@ -113,6 +114,7 @@ def load(
         topics: role of topics with other names than those of the contract, as `{"/camera/depth/image_raw": "depth"}`; of an object with its
             id, as `"pose:hammer"`.
         depth_unit: metres per unit of a depth image, where its encoding does not say it: 0.00025 for quarters of a millimetre.
+        pose_std: standard deviations of position [m] and yaw [rad] of poses that lack a covariance; None: from the frames at rest.
 
     Returns:
         A sequence of `PushRecord`; a slice of it is again such a sequence. `notes` says what was missing, dropped or assumed.
@@ -124,7 +126,7 @@ def load(
     if not bags:
         raise InputError("load() needs the path of a bag; there is an example in bags/hammer_depth.")
     camera = None if camera_in_table is None else np.asarray(camera_in_table, dtype=np.float64)
-    options = ReadOptions(parse_topics(topics or {}), depth_unit)
+    options = ReadOptions(parse_topics(topics or {}), depth_unit, pose_std)
     return load_pushes([Path(bag) for bag in bags], object_id=object_id, camera_in_table=camera, options=options)
 
 

@@ -15,9 +15,6 @@ from push_ident.perception.frame.camera_info import check_image_size
 from push_ident.perception.frame.depth_image import depth_from_buffer, unit_of
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array
 
-DEFAULT_COVARIANCE: Final = np.diag([1e-3**2, 1e-3**2, np.radians(0.5) ** 2])
-"""Covariance of (x, y, yaw) where a bag has none: 1 mm and 0.5 degrees."""
-
 _PLANAR: Final = (0, 1, 5)
 """Rows of x, y and yaw in a 6 x 6 covariance."""
 
@@ -36,16 +33,31 @@ def planar_pose_of(pose: Any) -> Float64Array:
     return np.array([pose.position.x, pose.position.y, yaw])
 
 
-def covariance_of(covariance: Any) -> Float64Array | None:
-    """Covariance of (x, y, yaw) from the 36 numbers of a PoseWithCovariance; None unless it is positive definite.
+def planar_covariance(covariance: Any) -> Float64Array:
+    """Covariance of (x, y, yaw) from the 36 numbers of a PoseWithCovariance, shape (3, 3), zero where nothing is stated.
 
-    NaN where it is larger than `LIMITS.COORDINATE`: such a pose says nothing.
+    A variance of zero states nothing, nor does -1 in the first place, as in sensor_msgs/Imu. Of x and y both are stated or none.
     """
     full = np.asarray(covariance, dtype=np.float64).reshape(6, 6)
     planar = full[np.ix_(_PLANAR, _PLANAR)]
+    unknown = (planar.diagonal() == 0) | (full[0, 0] == -1)
+    unknown[:2] = unknown[:2].any()
+    planar[unknown, :] = planar[:, unknown] = 0.0
+    return planar
+
+
+def is_covariance(planar: Float64Array) -> bool:
+    """Whether what a covariance of `planar_covariance`, finite and symmetric, states is positive definite."""
+    stated = planar.diagonal() != 0
+    return not stated.any() or bool(np.linalg.eigvalsh(planar[np.ix_(stated, stated)])[0] > 0)
+
+
+def covariance_of(covariance: Any) -> Float64Array:
+    """As `planar_covariance`; all zero where it is none. NaN where it is larger than `LIMITS.COORDINATE`: such a pose says nothing."""
+    planar = planar_covariance(covariance)
     planar = 0.5 * (planar + planar.T)
-    if not np.isfinite(planar).all() or np.linalg.eigvalsh(planar)[0] <= 0:
-        return None
+    if not (np.isfinite(planar).all() and is_covariance(planar)):
+        return np.zeros((3, 3))
     return planar if planar.trace() < LIMITS.COORDINATE.value**2 else np.full((3, 3), np.nan)
 
 

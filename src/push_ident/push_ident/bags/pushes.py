@@ -13,11 +13,11 @@ from push_ident.bags.reader import BagContents
 from push_ident.errors import BagError
 from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushCutter
+from push_ident.pushing.pose_noise import PAUSE
 from push_ident.pushing.regular_path import stamps_jitter
 from push_ident.types import CameraAccuracy, PushRecord
 
-PAUSE: Final = 0.5
-"""A longer pause of the pusher ends a push [s]."""
+_NO_COVARIANCE: Final = "Record the object at rest around pushes, or state how poses scatter: --pose-std METRES,RADIANS."
 
 
 def split_pushes(contents: BagContents, object_id: str) -> list[PushRecord]:
@@ -38,7 +38,8 @@ def split_pushes(contents: BagContents, object_id: str) -> list[PushRecord]:
             raise BagError(f"{contents.path}: {reasons[0]}")
         lacking = "cells" if track.shape is None else "poses"
         raise BagError(f"{contents.path}: object {object_id} has no {lacking}; track it in the depth images, or record `objects/<id>/*`.")
-    pushes = _cutter_of(contents, [object_id]).finished(flush=True)
+    cutter = _cutter_of(contents, [object_id])
+    pushes = cutter.finished(flush=True)
     LIMITS.PUSHES.check(len(pushes), str(contents.path), error=BagError, remedy="Split the bag.")
     records = [
         replace(record, source=f"{contents.path.name} push {number}") for number, push in enumerate(pushes, 1) for record in push.records
@@ -49,9 +50,12 @@ def split_pushes(contents: BagContents, object_id: str) -> list[PushRecord]:
         for reason in push.left_out.values()
     ]
     skipped += _jitter_note(contents, records)
+    if records:
+        skipped += [f"object {object_id}: {text}; --pose-std states others." for text in cutter.noise_texts().values()]
     contents.notes.extend(note for note in skipped if note not in contents.notes)
     if not records:
-        raise BagError(f"{contents.path}: none of {len(pushes)} pushes is usable; {skipped[0] if skipped else 'there are none'}")
+        remedy = f" {_NO_COVARIANCE}" if cutter.noise_texts() else ""
+        raise BagError(f"{contents.path}: none of {len(pushes)} pushes is usable; {skipped[0] if skipped else 'there are none'}{remedy}")
     return records
 
 
@@ -81,7 +85,7 @@ def count_pushes(contents: BagContents) -> int:
 
 def _cutter_of(contents: BagContents, object_ids: Sequence[str]) -> PushCutter:
     """A cutter with all samples of the bag for these objects."""
-    cutter = PushCutter(PAUSE, capacity=None, find_runs=not contents.push_intervals)
+    cutter = PushCutter(PAUSE, capacity=None, find_runs=not contents.push_intervals, pose_std=contents.options.pose_std)
     cutter.expects_records = _has_record_topic(contents) and int(np.sum(np.diff(contents.pusher.time) > PAUSE)) == 0
     cutter.set_radius(contents.pusher_radius or 0.0)
     cutter.set_camera(contents.camera_accuracy or CameraAccuracy())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -30,8 +31,12 @@ class ReadOptions:
     """Role of topics, by name without slashes around it. Such a topic takes the place of one that has the role by its name."""
     depth_unit: float | None = None
     """Metres per unit of a depth image; None: by its encoding (REP 118)."""
+    pose_std: tuple[float, float] | None = None
+    """Standard deviations of position [m] and yaw [rad] of poses that lack a covariance; None: from the frames at rest."""
 
     def __post_init__(self) -> None:
+        if self.pose_std is not None and not all(0 < std < math.inf for std in self.pose_std):
+            raise InputError(f"standard deviations of a pose are {self.pose_std}, expected two positive numbers in metres and radians.")
         if self.depth_unit is not None and not 0 < self.depth_unit < 1000:
             raise InputError(f"unit of the depth is {self.depth_unit:g}, expected metres per unit, such as 0.001 for millimetres.")
 

@@ -55,7 +55,7 @@ class ObjectTrack:
     pose: Float64Array
     """(x, y, yaw) of the object frame in `table` [m, m, rad], shape (n_frames, 3)."""
     covariance: Float64Array
-    """Covariance of (x, y, yaw), shape (n_frames, 3, 3)."""
+    """Covariance of (x, y, yaw), shape (n_frames, 3, 3); zero where it is unknown: of position, yaw or both."""
     has_outline: bool = True
     """Whether the outline was measured; else it was traced from the cells."""
 
@@ -325,8 +325,7 @@ def _clean(path: Path, role: TopicRole, record: _Recorded, notes: list[str], *, 
 def _planar(role: Role, message: Any) -> Float64Array:
     """x, y, yaw and the nine numbers of their covariance for a pose; x, y for the pusher and for forces."""
     if role is Role.POSE:
-        covariance = decode.covariance_of(message.pose.covariance)
-        return np.append(decode.planar_pose_of(message.pose.pose), np.zeros(9) if covariance is None else covariance.ravel())
+        return np.append(decode.planar_pose_of(message.pose.pose), decode.covariance_of(message.pose.covariance).ravel())
     vector = message.pose.position if role is Role.PUSHER else message.wrench.force
     return np.array([vector.x, vector.y], dtype=np.float64)
 
@@ -357,11 +356,15 @@ def _object_track(
     object_id: str, recorded: dict[TopicRole, _Recorded], samples: dict[TopicRole, _Stamped], origin: int, notes: list[str]
 ) -> ObjectTrack:
     track = _samples(samples.get(TopicRole(Role.POSE, object_id), (_NOTHING[0], np.empty((0, 12)))), origin)
-    covariance = track.value[:, 3:].reshape(-1, 3, 3).copy()
-    unknown = np.asarray(~covariance.any(axis=(1, 2)))
-    covariance[unknown] = decode.DEFAULT_COVARIANCE
-    if unknown.any():
-        notes.append(f"object {object_id}: {int(unknown.sum())} of {len(track)} poses lack a covariance; 1 mm, 0.5 degrees assumed.")
+    covariance = track.value[:, 3:].reshape(-1, 3, 3)
+    lack_position, lack_yaw = covariance[:, 0, 0] == 0, covariance[:, 2, 2] == 0
+    for lack, what in (
+        (lack_position & lack_yaw, "a covariance"),
+        (lack_position & ~lack_yaw, "a covariance of x and y"),
+        (lack_yaw & ~lack_position, "a variance of the yaw"),
+    ):
+        if lack.any():
+            notes.append(f"object {object_id}: {int(lack.sum())} of {len(track)} poses lack {what}, which is zero or none.")
     shape, has_outline = _shape(object_id, recorded, notes)
     return ObjectTrack(shape, track.time, track.value[:, :3], covariance, has_outline)
 

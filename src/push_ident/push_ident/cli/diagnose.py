@@ -18,6 +18,7 @@ from push_ident.cli.identify import (
     NoForcesOption,
     NominalMassOption,
     ObjectOption,
+    PoseStdOption,
     TotalMassOption,
     WithoutOption,
     leave_out,
@@ -88,6 +89,7 @@ def diagnose_command(
     camera: CameraOption = None,
     map_: MapOption = None,
     depth_unit: DepthUnitOption = None,
+    pose_std: PoseStdOption = "",
     from_camera: _FromCameraOption = False,
     total_mass: TotalMassOption = None,
     nominal_mass: NominalMassOption = _NOMINAL.total_mass,
@@ -103,7 +105,7 @@ def diagnose_command(
     settings = DiagnosisSettings(prior=prior, base_effects=tuple(base or ()), outline_from_camera=from_camera)
     scene = simulator and scene_of(simulator, object_body, pusher_body, table_in_scene, object_in_body, engine_friction)
     left_out = parse_numbers(without, "--without") if without else []
-    options, in_table = read_options(map_, depth_unit), read_camera(camera)
+    options, in_table = read_options(map_, depth_unit, pose_std), read_camera(camera)
     with progress() as report:
         loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, options=options, on_progress=report)
         loaded, kept = leave_out(loaded, left_out, no_forces=no_forces)

@@ -10,7 +10,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from push_ident.cli.checks import above_zero, writable_folder
-from push_ident.cli.identify import DepthUnitOption, MapOption, ObjectOption, read_options
+from push_ident.cli.identify import DepthUnitOption, MapOption, ObjectOption, PoseStdOption, read_options
 from push_ident.cli.output import Description, JsonOption, console, millimetres, say, warn, write_json
 from push_ident.extras import need
 from push_ident.fleet import FleetOptions, find_jobs, run_fleet, write_index, write_table
@@ -46,6 +46,7 @@ def fleet_command(
     json: JsonOption = None,
     map_: MapOption = None,
     depth_unit: DepthUnitOption = None,
+    pose_std: PoseStdOption = "",
 ) -> None:
     """Identify many bags in parallel; a failed bag does not stop the others. Writes results.parquet, index.html and the models."""
     solver_of(method)
@@ -59,7 +60,7 @@ def fleet_command(
         max_seconds=max_seconds,
         seed=seed,
         pages=pages,
-        reading=read_options(map_, depth_unit),
+        reading=read_options(map_, depth_unit, pose_std),
     )
     jobs = find_jobs(bags, options)
     columns = (Description(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())

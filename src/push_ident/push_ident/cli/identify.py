@@ -27,6 +27,7 @@ from push_ident.cli.output import (
     warn,
     write_json,
 )
+from push_ident.cli.units import parse_floats
 from push_ident.errors import InputError
 from push_ident.extras import need
 from push_ident.identification.fitting.budget import Budget
@@ -72,6 +73,14 @@ DepthUnitOption = Annotated[
         show_default=False,
     ),
 ]
+PoseStdOption = Annotated[
+    str,
+    typer.Option(
+        metavar="METRES,RADIANS",
+        help="Standard deviations of poses without a covariance, such as 1mm,0.5deg. Default: from the frames at rest.",
+        show_default=False,
+    ),
+]
 TotalMassOption = Annotated[
     float | None, typer.Option(callback=above_zero, help="Total mass of the object, if it was weighed [kg].", show_default=False)
 ]
@@ -101,6 +110,7 @@ def identify_command(
     camera: CameraOption = None,
     map_: MapOption = None,
     depth_unit: DepthUnitOption = None,
+    pose_std: PoseStdOption = "",
     total_mass: TotalMassOption = None,
     nominal_mass: NominalMassOption = _NOMINAL.total_mass,
     friction: FrictionOption = _NOMINAL.friction,
@@ -118,7 +128,7 @@ def identify_command(
     if both := set(numbers).intersection(left_out):
         raise InputError(f"--train and --without both name push {min(both)}; a push that is left out cannot train.")
     prior = prior_of_options(total_mass, nominal_mass, friction, pusher_friction)
-    options = read_options(map_, depth_unit)
+    options = read_options(map_, depth_unit, pose_std)
     with progress() as report:
         loaded, kept = leave_out(_load(bags, object_id, camera, options, prior, report), left_out, no_forces=no_forces)
         chosen = _existing(numbers, "--train", len(loaded)) or kept
@@ -166,9 +176,13 @@ def _load(
     return loaded
 
 
-def read_options(maps: Sequence[str] | None, depth_unit: float | None) -> ReadOptions:
-    """How bags are read, from `--map` and `--depth-unit`. Raises InputError for another form, or two roles of one topic."""
-    return ReadOptions(parse_maps(maps or (), "--map"), depth_unit)
+def read_options(maps: Sequence[str] | None, depth_unit: float | None, pose_std: str = "") -> ReadOptions:
+    """How bags are read, from `--map`, `--depth-unit` and `--pose-std`. Raises InputError for another form, or two roles of one topic."""
+    std = None
+    if pose_std:
+        position, yaw = parse_floats(pose_std, ("m", "rad"), "--pose-std", "METRES,RADIANS, such as 1mm,0.5deg").tolist()
+        std = (position, yaw)
+    return ReadOptions(parse_maps(maps or (), "--map"), depth_unit, std)
 
 
 def read_camera(path: Path | None) -> Float64Array | None:

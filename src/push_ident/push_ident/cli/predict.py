@@ -10,7 +10,7 @@ import typer
 
 from push_ident.checking.records import check_records
 from push_ident.cli.checks import above_zero, at_least_zero
-from push_ident.cli.identify import CameraOption, DepthUnitOption, MapOption, ObjectOption, read_camera, read_options
+from push_ident.cli.identify import CameraOption, DepthUnitOption, MapOption, ObjectOption, PoseStdOption, read_camera, read_options
 from push_ident.cli.output import JsonOption, OutOption, console, millimetres, number_table, say, warn, write_json
 from push_ident.cli.units import in_unit, parse_floats
 from push_ident.errors import InputError
@@ -71,6 +71,7 @@ def predict_command(
     camera: CameraOption = None,
     map_: MapOption = None,
     depth_unit: DepthUnitOption = None,
+    pose_std: PoseStdOption = "",
 ) -> None:
     """Predict recorded pushes with a model and compare with what was observed; or predict a push that was not made (--pose, --path)."""
     is_made = all(value is None for value in (pose, path, speed, radius))
@@ -84,7 +85,9 @@ def predict_command(
         driven = read_pusher_path(path, PUSHER_RADIUS if radius is None else radius, speed)
         content = _of_planned(predict_planned(posterior, first, driven), in_file)
     else:
-        loaded = load_pushes(bags or [], object_id=object_id, camera_in_table=read_camera(camera), options=read_options(map_, depth_unit))
+        loaded = load_pushes(
+            bags or [], object_id=object_id, camera_in_table=read_camera(camera), options=read_options(map_, depth_unit, pose_std)
+        )
         content = _of_recorded(posterior, loaded, in_file, sources_of_model(model))
     for file in (json, None if out is None else out / "prediction.json"):
         write_json(file, content)

@@ -17,6 +17,7 @@ from push_ident.cli.identify import (
     NoForcesOption,
     NominalMassOption,
     ObjectOption,
+    PoseStdOption,
     PusherFrictionOption,
     TotalMassOption,
     WithoutOption,
@@ -55,6 +56,7 @@ def selftest_command(
     camera: CameraOption = None,
     map_: MapOption = None,
     depth_unit: DepthUnitOption = None,
+    pose_std: PoseStdOption = "",
     from_camera: Annotated[
         bool, typer.Option("--from-camera", help="Poses and outline in the bags come from a camera, not from a model.")
     ] = False,
@@ -70,7 +72,7 @@ def selftest_command(
         prior=prior_of_options(total_mass, nominal_mass, friction, pusher_friction), outline_from_camera=from_camera
     )
     left_out = parse_numbers(without, "--without") if without else []
-    options, in_table = read_options(map_, depth_unit), read_camera(camera)
+    options, in_table = read_options(map_, depth_unit, pose_std), read_camera(camera)
     with progress() as report:
         loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, options=options, on_progress=report)
         loaded, kept = leave_out(loaded, left_out, no_forces=no_forces)

@@ -27,6 +27,7 @@ import numpy as np
 
 from push_ident.errors import InputError
 from push_ident.limits import LIMITS
+from push_ident.pushing.pose_noise import PoseNoise, pusher_moves
 from push_ident.pushing.regular_path import regular_path
 from push_ident.types import CameraAccuracy, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
 
@@ -154,16 +155,26 @@ class PushCutter:
         gap: pause of the pusher that ends a push [s].
         capacity: samples of each stream to keep at least; None keeps all.
         find_runs: whether runs of pusher samples are looked for. False for a complete bag that has push records.
+        pose_std: standard deviations of poses that lack a covariance [m, rad]; None: as their rests show them.
     """
 
-    def __init__(self, gap: float = 0.5, *, capacity: int | None = LIVE_CAPACITY, find_runs: bool = True) -> None:
+    def __init__(
+        self,
+        gap: float = 0.5,
+        *,
+        capacity: int | None = LIVE_CAPACITY,
+        find_runs: bool = True,
+        pose_std: tuple[float, float] | None = None,
+    ) -> None:
         self._gap = gap
         self._capacity = capacity
         self._find_runs = find_runs
+        self._pose_std = pose_std
         self._radius = 0.0
         self._camera = CameraAccuracy()
         self._shapes: dict[str, ObjectShape] = {}
         self._poses: dict[str, _Samples] = {}
+        self._noise: dict[str, PoseNoise] = {}
         self._pusher = _Samples(capacity)
         self._wrench = _Samples(capacity)
         self._open: _Run | None = None
@@ -203,7 +214,7 @@ class PushCutter:
         self._shapes[object_id] = shape
 
     def add_pose(self, object_id: str, stamp: float, pose: Float64Array, covariance: Float64Array) -> bool:
-        """A pose of an object, (x, y, yaw) in the table frame, with its 3 x 3 covariance.
+        """A pose of an object, (x, y, yaw) in the table frame, with its 3 x 3 covariance, zero where it is unknown (`pose_noise.py`).
 
         Returns whether it was taken. This and the other streams drop stamps that do not increase, and what is left from before time was
         set back.
@@ -211,7 +222,16 @@ class PushCutter:
         taken = self._take(f"pose of {object_id}", stamp)
         if taken:
             self._poses.setdefault(object_id, _Samples(self._capacity)).append(stamp, (pose, covariance))
+            self._noise.setdefault(object_id, PoseNoise(self._pose_std)).state(covariance)
         return taken
+
+    def covariance_of(self, object_id: str, covariance: Float64Array) -> Float64Array | None:
+        """Covariances of an object, shape (..., 3, 3), with what its poses do not state; None where that is not known yet."""
+        return self._noise[object_id].filled(covariance) if object_id in self._noise else covariance
+
+    def noise_texts(self) -> dict[str, str]:
+        """Of each object with poses that lack a covariance: what is taken for it, or what is missing."""
+        return {object_id: noise.text() for object_id, noise in self._noise.items() if noise.is_needed}
 
     def add_wrench(self, stamp: float, force: Float64Array) -> bool:
         """Force of the pusher on the object [N], shape (2,), table frame."""
@@ -297,6 +317,8 @@ class PushCutter:
         self._records.clear()
         self._open = None
         self._last_end = self._handed_out_until = self._now = -math.inf
+        for noise in self._noise.values():
+            noise.end_rest()
 
     # ---- output
 
@@ -323,6 +345,7 @@ class PushCutter:
             self._end_run()
         while self._cuts and passed > self._cuts[0] + rounding:
             self._cuts.popleft()
+        self._learn_noise(passed - self._gap)
         pushes = []
         while self._ended:
             run, interval, window = self._ended[0], self._interval(self._ended[0]), self._window()
@@ -344,6 +367,19 @@ class PushCutter:
             self._handed_out_until = interval.end
             self._forget(interval.end)
         return pushes
+
+    def _learn_noise(self, until: float) -> None:
+        """Take in the frames at rest up to then [s], where poses lack a covariance."""
+        for object_id, noise in self._noise.items():
+            if not noise.is_needed or object_id not in self._poses:
+                continue
+            time, values = self._poses[object_id].select(noise.latest + 2 * _SETTINGS.rounding, until)
+            if not len(time):
+                continue
+            stamps, positions = self._pusher.select(float(time[0]) - self._gap, float(time[-1]) + self._gap)
+            moves = pusher_moves(time, np.column_stack([stamps, np.array(positions).reshape(-1, 2)]), self._gap)
+            for stamp, (pose, _), may_move in zip(time.tolist(), values, moves.tolist(), strict=True):
+                noise.add(stamp, pose, moves=may_move, pause=self._gap)
 
     @property
     def is_under_way(self) -> bool:
@@ -417,13 +453,14 @@ class PushCutter:
         stamps, observed = (self._poses.get(object_id) or _Samples(None)).around((start, end), window, self._gap)
         if reason := _unusable(time, np.array(positions).reshape(-1, 2), len(stamps)):
             return reason
+        covariance = self.covariance_of(object_id, np.array([covariance for _, covariance in observed]))
+        if covariance is None:
+            return self._noise[object_id].text()
         wrench_time, forces = self._wrench.select(start, end)
         return PushRecord(
             object_id=object_id,
             shape=self._shapes[object_id],
-            poses=PoseTrack(
-                stamps, np.array([pose for pose, _ in observed]), np.array([covariance for _, covariance in observed]), self._camera
-            ),
+            poses=PoseTrack(stamps, np.array([pose for pose, _ in observed]), covariance, self._camera),
             pusher=regular_path(PusherPath(time, np.array(positions), self._radius)),
             wrench=WrenchTrack(wrench_time, np.array(forces)) if len(wrench_time) else None,
             source=f"push at {time[0]:.2f} s",

@@ -15,13 +15,12 @@ from push_ident.bags.pushes import PAUSE
 from push_ident.bags.records import FIRST_STAMP, LATE
 from push_ident.bags.writer import BagWriter
 from push_ident.checking.contact import Contact, contact_of, contact_tolerance, contact_warnings
-from push_ident.checking.overlap import NOISE_FACTOR, Overlap, Streams, overlap_of
+from push_ident.checking.overlap import Overlap, Streams, overlap_of
 from push_ident.errors import BagError, InputError
 from push_ident.limits import LIMITS, check_object_id
+from push_ident.pushing.pose_noise import LEAST_POSITION_STD, LEAST_YAW_STD, PoseNoise, pusher_moves
 from push_ident.types import BoolArray, Float64Array, ObjectShape
 
-_LEAST_POSITION_STD, _LEAST_YAW_STD = 1e-4, float(np.radians(0.05))
-"""Least standard deviations that are taken from the scatter at rest: the error that all poses share does not scatter."""
 _JUMP: Final = 3.0
 """Speed of a jump to where a lost body is put, over any speed before or after it [-]."""
 _CLEARANCE: Final = 2.0
@@ -338,47 +337,30 @@ def _motions(pusher: Float64Array, lifted_above: float | None) -> list[Float64Ar
     for run in np.split(pusher, np.flatnonzero(np.diff(pusher[:, 0]) > PAUSE) + 1):
         if len(run) < 2:
             continue
-        time = run[:, 0]
-        least = max(0.5e-3, NOISE_FACTOR * np.sqrt(2.0) * _path_noise(run[:, 1:3]))
-        early, late = np.clip(time - 0.5 * PAUSE, time[0], time[-1]), np.clip(time + 0.5 * PAUSE, time[0], time[-1])
-        way = [np.interp(late, time, run[:, axis]) - np.interp(early, time, run[:, axis]) for axis in (1, 2)]
-        moving = np.flatnonzero(np.hypot(*way) > least)
+        moving = np.flatnonzero(pusher_moves(run[:, 0], run[:, :3], PAUSE))
         if len(moving):
             motions += [run[part[0] : part[-1] + 1] for part in np.split(moving, np.flatnonzero(np.diff(moving) > 1) + 1) if len(part) >= 2]
     return motions
 
 
-def _path_noise(position: Float64Array) -> float:
-    """Standard deviation of the noise of a path [m], shape (n, 2), from its second differences."""
-    if len(position) < 3:
-        return 0.0
-    bend = position[2:] - 2.0 * position[1:-1] + position[:-2]
-    # Median of the absolute value and variance of a second difference of independent normal numbers.
-    return float(np.median(np.abs(bend)) / (0.6745 * np.sqrt(6.0)))
-
-
 def _noise(poses: Float64Array, runs: list[Float64Array], name: str, options: RecordingOptions, notes: list[str]) -> tuple[float, float]:
-    """Standard deviations of position [m] and yaw [rad]: as given, else the median scatter of blocks of frames between the pushes."""
+    """Standard deviations of position [m] and yaw [rad]: as given, else from the frames at rest between the pushes."""
     if options.position_std is not None and options.yaw_std is not None:
         return options.position_std, options.yaw_std
-    least = 10  # frames of a block
     busy = [(run[0, 0] - 0.5 * PAUSE, run[-1, 0] + 0.5 * PAUSE) for run in runs]
-    scatter = []
+    noise = PoseNoise()
     for start, end in _between(busy, float(poses[0, 0]), float(poses[-1, 0])):
-        rest = poses[(poses[:, 0] >= start) & (poses[:, 0] <= end)]
-        for part in np.split(rest, np.flatnonzero(np.diff(rest[:, 0]) > PAUSE) + 1):
-            # Short blocks: between two pushes the object may be put elsewhere by hand, which the median then leaves out.
-            for block in np.array_split(part, max(1, len(part) // least)):
-                if len(block) >= least:
-                    scatter.append((np.sqrt(block[:, 1:3].var(axis=0, ddof=1).mean()), block[:, 3].std(ddof=1)))
-    if not scatter:
+        noise.end_rest()
+        for time, *pose in poses[(poses[:, 0] >= start) & (poses[:, 0] <= end)].tolist():
+            noise.add(time, np.array(pose), moves=False, pause=PAUSE)
+    if (scatter := noise.scatter()) is None:
         raise InputError(
-            f"{name}: fewer than {least} poses at rest between the pushes, so the noise of a pose is unknown; give {options.noise_option}. "
+            f"{name}: fewer than 10 poses at rest between the pushes, so the noise of a pose is unknown; give {options.noise_option}. "
             f"Poses are {np.median(np.diff(poses[:, 0])):.3g} s apart in the median; where they are not, check the unit of time."
         )
-    position, yaw = np.median(np.array(scatter), axis=0)
-    position_std = max(float(position), _LEAST_POSITION_STD) if options.position_std is None else options.position_std
-    yaw_std = max(float(yaw), _LEAST_YAW_STD) if options.yaw_std is None else options.yaw_std
+    position, yaw = scatter
+    position_std = max(float(position), LEAST_POSITION_STD) if options.position_std is None else options.position_std
+    yaw_std = max(float(yaw), LEAST_YAW_STD) if options.yaw_std is None else options.yaw_std
     notes.append(
         f"standard deviations of a pose: {1e3 * position_std:.2f} mm, {np.degrees(yaw_std):.3f} degrees; the scatter at rest is "
         f"{1e3 * position:.3f} mm, {np.degrees(yaw):.4f} degrees"

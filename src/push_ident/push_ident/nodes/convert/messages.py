@@ -20,7 +20,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import Float32MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
-from push_ident.bags.decode import camera_accuracy_of
+from push_ident.bags.decode import camera_accuracy_of, is_covariance, planar_covariance
 from push_ident.errors import FrameError, InputError
 from push_ident.geometry.cut_cells import cut_at_outline, occupancy
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
@@ -96,14 +96,14 @@ def planar_pose_to_msg(stamp: Time, pose: ArrayLike, covariance: ArrayLike, *, f
 
 
 def planar_pose_from_msg(msg: PoseWithCovarianceStamped, *, frame_id: str = TABLE_FRAME) -> tuple[float, Float64Array, Float64Array]:
-    """Stamp [s], pose (x, y, yaw) and its covariance, shape (3, 3).
+    """Stamp [s], pose (x, y, yaw) and its covariance, shape (3, 3), zero where it is unknown (`planar_covariance`).
 
-    Raises InputError: another frame, values not finite, a pose tilted against the table, or a covariance that is not positive definite.
+    Raises InputError: another frame, values not finite, a pose tilted against the table, or a covariance that is none.
     """
     _check_frame(msg.header.frame_id, frame_id)
     position = msg.pose.pose.position
     pose = np.array([position.x, position.y, _yaw(msg.pose.pose.orientation)])
-    covariance = np.asarray(msg.pose.covariance, dtype=np.float64).reshape(6, 6)[np.ix_(_PLANAR, _PLANAR)]
+    covariance = planar_covariance(msg.pose.covariance)
     if not np.isfinite(pose).all():
         raise InputError("Object pose is not finite; the tracker that published it is at fault.")
     check_coordinates(pose[:2], "Object pose")
@@ -379,8 +379,8 @@ def _check_covariance(covariance: Float64Array) -> None:
     largest = float(np.abs(covariance).max())
     if largest > PLANAR_POSE.max_variance or np.abs(covariance - covariance.T).max() > 1e-6 * largest:
         raise InputError(f"Covariance of an object pose is not symmetric, or has entries over {PLANAR_POSE.max_variance:.0f} m^2 or rad^2.")
-    if np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[0] <= 0:
-        raise InputError("Covariance of an object pose must be positive definite in (x, y, yaw); a pose is never known exactly.")
+    if not is_covariance(0.5 * (covariance + covariance.T)):
+        raise InputError("Covariance of an object pose must be positive definite in (x, y, yaw), or zero where it is unknown.")
 
 
 def _check_frame(got: str, expected: str) -> None:

@@ -79,7 +79,7 @@ class _GoalPushing(Component):
         self._markers = node.create_publisher(MarkerArray, "push_to_goal/markers", LATCHED)
         self._edge = node.create_publisher(PolygonStamped, EDGE_TOPIC, LATCHED)
         housekeeping, heavy = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
-        self._objects = TrackedObjects(node, housekeeping)
+        self._objects = TrackedObjects(node, housekeeping, lambda: self._pushing is not None)
         self._models = ModelInput(node, heavy)
         node.create_subscription(SolidPrimitive, "pusher/shape", self._on_pusher_shape, LATCHED, callback_group=housekeeping)
         self._executor = ExecutorLink(node)
@@ -253,7 +253,9 @@ class _GoalPushing(Component):
             "corrections of the last push, median and 99 % [ms]": self._correction_times(),
             "last goal": self._last or "none",
         }
-        return Health(DiagnosticStatus.WARN if reasons else DiagnosticStatus.OK, "; ".join(reasons) or self._state, values)
+        return Health(
+            DiagnosticStatus.WARN if reasons else DiagnosticStatus.OK, "; ".join(reasons) or self._state, values | self._objects.notes
+        )
 
     def _correction_times(self) -> str:
         steered = self._view.steered

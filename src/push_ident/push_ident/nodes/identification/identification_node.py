@@ -433,6 +433,10 @@ class _Identification(Component):
             raise InputError("`object_pose` has no frame_id, expected `table`; name it, or leave the pose out for the latest observed one.")
         elif latest is not None:
             _, pose, covariance = latest
+            if covariance is None:
+                raise InputError(
+                    f"Object `{session.object_id}`: {self._collector.lacking_covariance(session.object_id)}; wait, or give `object_pose`."
+                )
         else:
             raise InputError(f"Object `{session.object_id}` has no pose yet; give `object_pose`.")
         path = pusher_path_from_msg(request.pusher_path, self._collector.radius)

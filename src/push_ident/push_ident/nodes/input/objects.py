@@ -22,6 +22,7 @@ from push_ident.nodes.base.arrivals import StampCheck
 from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.convert.messages import outline_from_msg, outline_std_from_msg, planar_pose_from_msg, shape_from_msgs
 from push_ident.pushing.ports import TrackedObject
+from push_ident.pushing.pose_noise import PAUSE, PoseNoise
 from push_ident.pushing.push import PushCode
 from push_ident.types import Float64Array, ObjectShape
 
@@ -94,14 +95,21 @@ class ShapeInput:
 
 
 class TrackedObjects:
-    """Subscribes to pose, cells and outline of each object that appears."""
+    """Subscribes to pose, cells and outline of each object that appears.
 
-    def __init__(self, node: CellNode, callback_group: CallbackGroup) -> None:
+    Args:
+        is_pushing: whether an object may move now; in the other frames it rests, and these show the noise of poses without a covariance.
+    """
+
+    def __init__(self, node: CellNode, callback_group: CallbackGroup, is_pushing: Callable[[], bool] = lambda: False) -> None:
+        self._is_pushing = is_pushing
         self._node = node
         self._group = callback_group
         self._stamps = StampCheck()
         self._shape_input = ShapeInput()
-        self._poses: dict[str, tuple[float, Float64Array, Float64Array, float]] = {}
+        self._poses: dict[str, tuple[float, Float64Array, Float64Array | None, float]] = {}
+        self._noise: dict[str, PoseNoise] = {}
+        self._lack_covariance: dict[str, str] = {}
         self._shapes: dict[str, ObjectShape] = {}
         self._topics = ObjectTopics(node, self._subscribe, callback_group=callback_group)
 
@@ -111,10 +119,16 @@ class TrackedObjects:
         # Other threads add to both: `set` copies in one step.
         return tuple(sorted(set(self._poses) & set(self._shapes)))
 
+    @property
+    def notes(self) -> dict[str, str]:
+        """For diagnostics, of each object whose poses lack a covariance: what is taken for it, or what is missing."""
+        return {f"covariance of {object_id}": text for object_id, text in list(self._lack_covariance.items())}
+
     def get(self, object_id: str, max_age: float) -> TrackedObject:
         """The object, or the only one when `object_id` is empty.
 
-        Raises PlanningError UNKNOWN_OBJECT when there is none, several, or the pose was received more than `max_age` [s] ago.
+        Raises PlanningError UNKNOWN_OBJECT when there is none, several, the pose was received more than `max_age` [s] ago, or its
+        covariance is not known yet.
         """
         known = ", ".join(self.ids) or "none (is perception running?)"
         if not object_id:
@@ -127,6 +141,9 @@ class TrackedObjects:
         age = time.monotonic() - received
         if age > max_age:
             raise PlanningError(PushCode.UNKNOWN_OBJECT, f"the pose of `{object_id}` was received {age:.1f} s ago, limit {max_age:.1f} s.")
+        if covariance is None:
+            why = f"`{object_id}`: {self._lack_covariance[object_id]}; wait, or publish covariances."
+            raise PlanningError(PushCode.UNKNOWN_OBJECT, why)
         return TrackedObject(object_id, self._shapes[object_id], stamp, pose, covariance)
 
     def outlines_of_others(self, object_id: str) -> list[Float64Array]:
@@ -144,7 +161,12 @@ class TrackedObjects:
     def _on_pose(self, object_id: str, msg: PoseWithCovarianceStamped) -> None:
         stamp, pose, covariance = planar_pose_from_msg(msg)
         self._stamps.check(object_id, stamp)
-        self._poses[object_id] = (stamp, pose, covariance, time.monotonic())
+        noise = self._noise.setdefault(object_id, PoseNoise())
+        noise.state(covariance)
+        if noise.is_needed:
+            noise.add(stamp, pose, moves=self._is_pushing(), pause=PAUSE)
+            self._lack_covariance[object_id] = noise.text()
+        self._poses[object_id] = (stamp, pose, noise.filled(covariance), time.monotonic())
 
     def _on_shape(self, object_id: str, **part: Any) -> None:
         shape = self._shape_input.add(object_id, **part)

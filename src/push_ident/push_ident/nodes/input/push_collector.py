@@ -129,9 +129,17 @@ class PushCollector:
         """Latest stamp of all streams [s]."""
         return self._cutter.now
 
-    def latest(self, object_id: str) -> tuple[float, Float64Array, Float64Array] | None:
-        """Stamp [s], latest pose and covariance of an object; None before the first."""
-        return self._latest.get(object_id)
+    def latest(self, object_id: str) -> tuple[float, Float64Array, Float64Array | None] | None:
+        """Stamp [s], latest pose and covariance of an object, which may not be known yet; None before the first."""
+        if (latest := self._latest.get(object_id)) is None:
+            return None
+        with self._lock:
+            return (*latest[:2], self._cutter.covariance_of(object_id, latest[2]))
+
+    def lacking_covariance(self, object_id: str) -> str:
+        """What is taken for the covariance that poses of the object lack, or what is missing for it; empty where they have one."""
+        with self._lock:
+            return self._cutter.noise_texts().get(object_id, "")
 
     def outlines_of_others(self, object_id: str) -> list[Float64Array]:
         """Outlines of all other objects, table frame [m], each of shape (n_vertices, 2)."""
@@ -155,6 +163,9 @@ class PushCollector:
             return "no objects/<id>/pose is published; is perception (or a bag player) running?"
         if not self._shapes:
             return "poses arrive but no objects/<id>/cells; the publisher must keep them (transient local)"
+        for object_id in list(self._latest):
+            if (now := self.latest(object_id)) is not None and now[2] is None:
+                return f"object {object_id}: {self.lacking_covariance(object_id)}"
         return ""
 
     def report(self) -> dict[str, Any]:
@@ -162,6 +173,7 @@ class PushCollector:
         with self._lock:
             return {
                 **self.counts,
+                **{f"covariance of {object_id}": text for object_id, text in self._cutter.noise_texts().items()},
                 _FAILED: self.counts[_FAILED],
                 _UNRECORDED: self.counts[_UNRECORDED],
                 "run": self._run,

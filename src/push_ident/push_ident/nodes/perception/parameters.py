@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from push_ident.errors import InputError
+from push_ident.nodes.base.frames import PUBLISH_TF
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.perception.settings import PerceptionSettings
 from push_ident.survey.parameter_file import HEADING_STD, POSITION_STD
@@ -116,6 +117,7 @@ PARAMETERS: Final = (
         0.0,
         10.0,
     ),
+    PUBLISH_TF,
 )
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PolygonStamped, PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PolygonStamped, Pose, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
@@ -30,9 +30,11 @@ from push_ident.bags.contract import Role
 from push_ident.errors import ModelFileError, PerceptionError, PushIdentError
 from push_ident.files import write_whole
 from push_ident.geometry.arm_shape import ArmShape
+from push_ident.geometry.frames import CAMERA_FRAME, object_frame
 from push_ident.limits import LIMITS
 from push_ident.nodes.base.arrivals import StampCheck
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
+from push_ident.nodes.base.frames import MovingFrames, StaticFrames
 from push_ident.nodes.base.parameters import Parameter, description_in
 from push_ident.nodes.base.settings import NODE
 from push_ident.nodes.convert.markers import refusals_to_msg
@@ -66,21 +68,26 @@ class _Camera:
     extrinsics: Extrinsics
     input: DepthInput
     pose: Float64Array | None = None
+    frame: str = CAMERA_FRAME
+    """Name of its optical frame."""
 
 
 class _CameraPublisher:
-    """Publishes the pose of the main camera and its accuracy, each when it changes."""
+    """Publishes the pose of the main camera, its frame and its accuracy, each when it changes."""
 
-    def __init__(self, node: CellNode) -> None:
+    def __init__(self, node: CellNode, frames: StaticFrames | None) -> None:
+        self._frames = frames
         self._pose = node.create_publisher(PoseStamped, "depth/camera_pose", LATCHED)
         self._accuracy = node.create_publisher(PoseWithCovarianceStamped, Role.CAMERA_ACCURACY.value.name, LATCHED)
         self._published: tuple[Float64Array | None, CameraAccuracy | None] = (None, None)
 
-    def publish(self, perception: Perception, stamp: Time) -> None:
-        """Publish what differs from what was published last."""
+    def publish(self, perception: Perception, stamp: Time, frame: str) -> None:
+        """Publish what differs from what was published last; `frame`: name of the optical frame."""
         pose, accuracy = self._published
         if perception.camera_in_table is not pose:
             self._pose.publish(transform_to_msg(stamp, perception.camera_in_table))
+            if self._frames is not None:
+                self._frames.place(stamp, frame, perception.camera_in_table)
         if perception.settings.camera_accuracy != accuracy:
             self._accuracy.publish(camera_accuracy_to_msg(perception.settings.camera_accuracy, stamp))
         self._published = perception.camera_in_table, perception.settings.camera_accuracy
@@ -147,7 +154,11 @@ class _Perception(Component):
         self._older = OlderImages(lambda: node.count_publishers(self._main.input.image_topic))
 
         self._object_publishers: dict[str, tuple[Publisher, ...]] = {}
-        self._camera_publisher = _CameraPublisher(self._node)
+        self._moving_frames = MovingFrames(node) if self._configured["publish_tf"] else None
+        # Where tf has the cameras, others broadcast them.
+        broadcasts_cameras = self._configured["publish_tf"] and self._configured["extrinsics"] != "tf"
+        self._static_frames = StaticFrames(node) if broadcasts_cameras else None
+        self._camera_publisher = _CameraPublisher(self._node, self._static_frames)
         self._occupancy_publisher = self._node.create_publisher(OccupancyGrid, "workspace/occupancy", LATCHED)
         self._refused_publisher = self._node.create_publisher(MarkerArray, "workspace/refused", LATCHED)
         self._refused: tuple[Refusal, ...] = ()
@@ -264,6 +275,7 @@ class _Perception(Component):
         self._notes["calibration"] = self._main.extrinsics.progress
         if self._main.pose is None:
             return False
+        self._main.frame = frame.frame_id or CAMERA_FRAME
         self._report_calibration("", self._main)
         self._perception = Perception(self._main.pose, perception_settings(self._configured.as_dict()))
         self._remember()
@@ -303,6 +315,8 @@ class _Perception(Component):
             self._notes[f"calibration_{name}"] = camera.extrinsics.progress
             if camera.pose is None:
                 return
+            if self._static_frames is not None and frame.frame_id:
+                self._static_frames.place(stamp, frame.frame_id, camera.pose)
             self._report_calibration(name, camera)
         self._counter[f"{name}_frames"] += 1
         if self._perception is not None:
@@ -353,15 +367,18 @@ class _Perception(Component):
 
     def _publish_poses(self, objects: Iterable[ObservedObject], stamp: Time) -> list[str]:
         """Publish what has a pose; the ids of those."""
-        tracked = []
+        tracked: dict[str, Pose] = {}
         for known in objects:
             if known.pose is not None and known.covariance is not None:
-                self._publishers_of(known.object_id)[0].publish(planar_pose_to_msg(stamp, known.pose, known.covariance))
-                tracked.append(known.object_id)
+                msg = planar_pose_to_msg(stamp, known.pose, known.covariance)
+                self._publishers_of(known.object_id)[0].publish(msg)
+                tracked[known.object_id] = msg.pose.pose
         if tracked:
+            if self._moving_frames is not None:
+                self._moving_frames.broadcast(stamp, {object_frame(object_id): pose for object_id, pose in tracked.items()})
             self._counter["poses"] += len(tracked)
             self._latencies.append(self._main.input.silence)
-        return tracked
+        return list(tracked)
 
     def _publish(self, observation: Observation, stamp: Time, followed: list[str]) -> None:
         for removal in observation.removed:
@@ -389,7 +406,7 @@ class _Perception(Component):
             self._note_views(observation.further_views)
         self._publish_poses((known for known in observation.objects if known.object_id not in followed), stamp)
         if self._perception is not None:
-            self._camera_publisher.publish(self._perception, stamp)
+            self._camera_publisher.publish(self._perception, stamp, self._main.frame)
         if observation.occupancy is not None:
             grid = observation.occupancy
             self._occupancy_publisher.publish(occupancy_to_msg(grid.occupancy, grid.resolution, grid.origin, stamp))

@@ -6,6 +6,7 @@ from dataclasses import fields
 from typing import Any, Final, TypeVar
 
 from push_ident.errors import InputError
+from push_ident.nodes.base.frames import PUBLISH_TF
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.push_executor.hand_port import HAND_KINDS
 from push_ident.pushing.motion import MotionSettings
@@ -100,6 +101,7 @@ PARAMETERS: Final = (
     Parameter("tracking_lag", 0.2, "largest delay of the arm behind the plan [s]", 0.0, 1.0),
     Parameter("min_object_shift", 0.002, "smaller shifts of the object count as no contact [m]", 0.0, 0.1),
     Parameter("min_object_turn", 0.0175, "smaller turns of the object count as no contact [rad]", 0.0, 1.0),
+    PUBLISH_TF,
 )
 
 

@@ -21,6 +21,7 @@ from std_srvs.srv import Trigger
 from push_ident.errors import InputError
 from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
+from push_ident.nodes.base.frames import MovingFrames, StaticFrames
 from push_ident.nodes.base.keep_alive import ClientWatch
 from push_ident.nodes.convert.messages import TABLE_FRAME, cylinder_to_msg, position_to_msg, stamp_to_msg
 from push_ident.nodes.convert.tool_path import correction_from_msg, path_request_from_goal
@@ -108,6 +109,7 @@ class _PushExecutor(Component):
         self._n_received_before = 0
 
         self._tool_pub = node.create_publisher(PoseStamped, "tool/pose", 10)
+        self._frames = (MovingFrames(node), StaticFrames(node)) if values["publish_tf"] else None
         self._pusher_pub = node.create_publisher(PoseStamped, "pusher/pose", 10)
         self._record_pub = node.create_publisher(PushRecord, "push_record", 10)
         self._shape_pub = node.create_publisher(SolidPrimitive, "pusher/shape", LATCHED)
@@ -134,7 +136,7 @@ class _PushExecutor(Component):
         self._force = ForcePort(node, supervised)
         self._hand = make_hand(node, values["hand"], timeout=values["hand_timeout"], callback_group=housekeeping)
         self._recording = RecordingPort(node, housekeeping)
-        self._objects = TrackedObjects(node, housekeeping)
+        self._objects = TrackedObjects(node, housekeeping, lambda: self._is_active and self._execution.is_pushing)
         self._arm = ArmPort(
             node,
             description_file=values["robot_description_file"],
@@ -211,6 +213,11 @@ class _PushExecutor(Component):
         turn = msg.pose.orientation
         turn.x, turn.y, turn.z, turn.w = quaternion_of_pose(state.pose_tip_in_table)
         self._tool_pub.publish(msg)
+        if self._frames is not None:
+            moving, static = self._frames
+            # A robot_state_publisher with the description of the nodes has that link already.
+            if (tip := self._settings["tip_frame"]) not in static:
+                moving.broadcast(stamp, {tip: msg.pose})
 
     def health(self) -> Health:
         rate = self._arm.n_received - self._n_received_before
@@ -237,7 +244,7 @@ class _PushExecutor(Component):
             "largest force of the last motion [N]": f"{self._execution.peak_force:.1f}",
             "last error": self._last_error,
         }
-        return Health(level, "; ".join(reasons) or state, values)
+        return Health(level, "; ".join(reasons) or state, values | self._objects.notes)
 
 
 def _request_from_goal(goal: ExecutePush.Goal) -> PushRequest:

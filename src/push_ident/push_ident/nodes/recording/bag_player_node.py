@@ -11,10 +11,12 @@ from typing import Any, Final
 
 from builtin_interfaces.msg import Time as TimeMsg
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock as ClockMsg
 from std_msgs.msg import Bool
 
@@ -22,9 +24,11 @@ from push_ident.bags.contract import Role, topic_of
 from push_ident.bags.raw import RawMessage, bag_topics, options_for, raw_messages
 from push_ident.bags.read_options import ReadOptions, message_types, parse_maps
 from push_ident.errors import BagError
+from push_ident.geometry.frames import object_frame
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
+from push_ident.nodes.base.frames import PUBLISH_TF, MovingFrames
 from push_ident.nodes.base.parameters import Parameter
-from push_ident.nodes.convert.messages import message_class
+from push_ident.nodes.convert.messages import message_class, planar_pose_from_msg
 from push_ident.nodes.recording.recording_port import RECORDING
 
 # A subscriber that also keeps all holds the player back until it has room: nothing is lost, however fast the bag is played.
@@ -47,6 +51,7 @@ PARAMETERS: Final = (
     Parameter("maps", [""], "TOPIC=ROLE for topics of other names, as `push-ident replay --map` takes it", read_only=True),
     Parameter("depth_unit", 0.0, "Metres per unit of a depth image; 0: by its encoding [m]", 0.0, 999.0, read_only=True),
     Parameter("listeners", 1, "Subscriptions to the poses of an object, or to depth, to wait for", 0, 100, read_only=True),
+    PUBLISH_TF,
 )
 
 
@@ -91,6 +96,7 @@ class _BagPlayer(Component):
             raise BagError(f"{self._path}: none of its topics is of the bag contract ({', '.join(skipped)}); record or import it again.")
         if skipped:
             self._node.get_logger().info(f"not played: {', '.join(skipped)}")
+        self._frames = MovingFrames(node) if self._settings["publish_tf"] and self._publishers_of(frozenset({Role.POSE})) else None
         self._clock_publisher = self._node.create_publisher(ClockMsg, "/clock", 10)
         self._pace = _Pace(node, self._settings["follower"]) if self._settings["follower"] else None
         self._done = self._node.create_publisher(Bool, "~/done", LATCHED)
@@ -208,12 +214,23 @@ class _BagPlayer(Component):
         while not stop.is_set():
             try:
                 publisher.publish(message.data)
+                self._broadcast(message, publisher.topic_name)
                 return 1
             except rclpy_implementation.RCLError:
                 # No room within the 0.1 s timeout of DDS: a subscriber is busy.
                 if not self._node.context.ok():
                     break
         return 0
+
+    def _broadcast(self, message: RawMessage, live_name: str) -> None:
+        """The frame of an object, where it has a pose."""
+        entry = self._options.role_of(message.topic)
+        if self._frames is None or entry is None or entry.role is not Role.POSE:
+            return
+        with self._node.guard.watch(message.topic):
+            msg = deserialize_message(message.data, PoseWithCovarianceStamped)
+            planar_pose_from_msg(msg)
+            self._frames.broadcast(msg.header.stamp, {object_frame(live_name.split("/")[-2]): msg.pose.pose})
 
 
 class _Pace:

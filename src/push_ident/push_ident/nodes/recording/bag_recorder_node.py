@@ -12,10 +12,13 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from tf2_msgs.msg import TFMessage
 
 from push_ident.bags.contract import Role, role_of
 from push_ident.bags.writer import BagWriter
 from push_ident.errors import BagError
+from push_ident.geometry.frames import CAMERA_FRAME
 from push_ident.geometry.se3 import pose_of_quaternion
 from push_ident.nodes.base.arrivals import Arrivals
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
@@ -68,6 +71,8 @@ class _BagRecorder(Component):
         self._node, self._settings = node, node.settings
         quaternion = self._settings["camera_quaternion"]
         self._extrinsics = pose_of_quaternion(self._settings["camera_position"], quaternion) if np.any(quaternion) else None
+        self._has_camera = False
+        """Whether the bag has the camera from the parameters."""
         existing = next(p for p in [path.absolute(), *path.absolute().parents] if p.exists())
         self._disk = existing if existing.is_dir() else existing.parent
         self._check_disk()
@@ -157,11 +162,29 @@ class _BagRecorder(Component):
             now = self._node.get_clock().now().nanoseconds
             if self._extrinsics is not None and topic.endswith(Role.DEPTH.value.name):
                 self._writer.write_extrinsics(1e-9 * now, self._extrinsics)
-                self._extrinsics = None
-            self._writer.write_raw(topic, msgtype, now, data)
+                self._extrinsics, self._has_camera = None, True
+            if topic.endswith(Role.TF_STATIC.value.name):
+                data = self._without_second_camera(data)
+            if data:
+                self._writer.write_raw(topic, msgtype, now, data)
             self._counts[topic] += 1
         except Exception as error:
             self._fail(self._node.guard.explain(error))
+
+    def _without_second_camera(self, data: bytes) -> bytes:
+        """A message of /tf_static without the frame of the camera, if the bag has that from the parameters; empty if no other is left.
+
+        Where it comes before the first image, the parameters are not needed.
+        """
+        msg = deserialize_message(data, TFMessage)
+        others = [stamped for stamped in msg.transforms if stamped.child_frame_id.strip("/") != CAMERA_FRAME]
+        if len(others) == len(msg.transforms):
+            return data
+        if not self._has_camera:
+            self._extrinsics = None
+            return data
+        msg.transforms = others
+        return serialize_message(msg) if others else b""
 
     def health(self) -> Health:
         level = DiagnosticStatus.ERROR if self._failed else DiagnosticStatus.OK if self._counts else DiagnosticStatus.WARN
