@@ -37,6 +37,7 @@ class Tracking:
         """Delays behind the pieces while the tool moved [s], sorted: controllers differ."""
         self._tip: Float64Array | None = None
         self._since = np.inf
+        self._follows_goal = False
         self.stood_at: float | None = None
         """Path time [s] at which an arm stands that is behind its pieces; None where it follows."""
 
@@ -69,10 +70,10 @@ class Tracking:
         """The arm is where its pieces led; it is to follow the next ones."""
         self.stood_at = self._tip = None
 
-    def begin(self) -> None:
-        """The arm gets its commands in another way, whose delay is unknown."""
+    def follow_goal(self, follows: bool) -> None:
+        """Whether the controller makes a goal now: no piece comes that the arm would jump to, so the largest delay counts, not the usual."""
+        self._follows_goal = follows
         self.go_on()
-        self._delays.clear()
 
     def _standstill(self, motion: ArmMotion, tip: Float64Array, time: float, led_to: float) -> float | None:
         """Path time at which the arm stands although its pieces lead on [s]; None if it moves, or should stand."""
@@ -81,11 +82,13 @@ class Tracking:
             self._tip, self._since = tip, time
         elif np.linalg.norm(tip - self._tip) > self._limits.standstill_travel:
             self._tip, self._since = tip, time
-            insort(self._delays, time - self._pacing.time_of(reached))
+            if not self._follows_goal:
+                insort(self._delays, time - self._pacing.time_of(reached))
         if time - self._since < self._limits.standstill_time:
             return None
         # Its delay is unknown before it has moved: a controller that is slow to begin has missed nothing.
-        delay = self._delays[len(self._delays) // 2] + self._limits.delay_margin if self._delays else self._limits.tracking_lag
+        is_known = self._delays and not self._follows_goal
+        delay = self._delays[len(self._delays) // 2] + self._limits.delay_margin if is_known else self._limits.tracking_lag
         return reached if _tool_travel(motion, reached, self._pacing.path_time(time - delay)) > self._limits.standstill_lag else None
 
 
@@ -133,6 +136,8 @@ class _UnderWay:
         """Raise PlanningError where the controller does not make the part of the motion that it has, if it has one."""
         if self.is_with_controller:
             self._free.check(self.clock.now(), self.pacing, stands=self._tracking.stood_at is not None)
+            if not self.is_with_controller:
+                self._tracking.follow_goal(False)
 
     def judge(self, state: ArmState) -> None:
         """Raise PlanningError TRACKING for a state that an arm on its way cannot have."""
@@ -183,7 +188,7 @@ class _UnderWay:
     def _hand_over(self, piece: JointTrajectory, time: float) -> bool:
         self._free.goal = self._link.hand_over(piece, time, is_stamped=self._is_stamped)
         if self._free.goal is not None:
-            self._tracking.begin()
+            self._tracking.follow_goal(True)
         return self._free.goal is not None
 
     def hold(self) -> None:
