@@ -13,8 +13,8 @@ anew here, with `interpolate_from_desired_state` and position commands:
   missing. The action rejects such a goal, the topic is silent about it.
 - The result of a goal comes with `action_monitor_rate`; texts name neither joint nor tolerance, those are in its log.
 
-The arm is where it was commanded, but for what `~/fault` (std_msgs/String) asks: `block JOINT` (that joint stands), `mute` (no result is sent
-any more), `reject` (every goal is rejected); anything else ends it.
+The arm is where it was commanded, but for what `~/fault` (std_msgs/String) asks: `block JOINT` (that joint stands), `reject` (every goal is
+rejected); anything else ends it.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +84,7 @@ class TrajectoryController(Node):
         self._lock = threading.RLock()
         self._active: Active | None = None
         self._blocked: set[int] = set()
-        self._is_mute = self._rejects = False
+        self._rejects = False
         self._n_ticks = 0
         many = ReentrantCallbackGroup()
         self._states = self.create_publisher(JointState, "joint_states", 10)
@@ -109,7 +111,7 @@ class TrajectoryController(Node):
     def _on_fault(self, msg: String) -> None:
         what, _, joint = msg.data.partition(" ")
         with self._lock:
-            self._is_mute, self._rejects = what == "mute", what == "reject"
+            self._rejects = what == "reject"
             self._blocked = {self._joints.index(joint)} if what == "block" else set()
 
     # ---- what it takes
@@ -124,7 +126,7 @@ class TrajectoryController(Node):
         times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in msg.points]
         if msg.header.stamp != Time() and stamp_from_msg(msg.header.stamp) + times[-1] < self._now():
             return "its end is in the past"
-        if any(later <= before for before, later in zip(times, times[1:], strict=False)):
+        if any(later <= before for before, later in pairwise(times)):
             return "times do not increase"
         n = len(msg.joint_names)
         if any(len(p.positions) != n or len(p.velocities) not in (0, n) for p in msg.points):
@@ -193,8 +195,6 @@ class TrajectoryController(Node):
             return Result(error_code=Result.INVALID_GOAL)
         while not active.ended.wait(self._monitor_period):
             pass
-        while self._is_mute and rclpy.ok():
-            threading.Event().wait(0.05)
         {GoalStatus.STATUS_SUCCEEDED: handle.succeed, GoalStatus.STATUS_CANCELED: handle.canceled}.get(active.status, handle.abort)()
         assert active.result is not None
         return active.result
@@ -290,10 +290,8 @@ def main() -> None:
     node = TrajectoryController()
     executor = MultiThreadedExecutor(6)
     executor.add_node(node)
-    try:
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
         executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
 
 
 if __name__ == "__main__":

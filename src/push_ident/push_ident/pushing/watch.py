@@ -71,7 +71,7 @@ class Tracking:
         self.stood_at = self._tip = None
 
     def follow_goal(self, follows: bool) -> None:
-        """Whether the controller makes a goal now: no piece comes that the arm would jump to, so the largest delay counts, not the usual."""
+        """Whether the controller makes a goal now: no piece comes that the arm would jump to, so the largest delay counts."""
         self._follows_goal = follows
         self.go_on()
 

@@ -106,7 +106,8 @@ class GripperHand:
 
         while not self._find():
             if not goes_on():
-                return f"no server of the action {self._name}, {' or '.join(_ACTIONS)}, within {timeout:.1f} s; does its controller run?"
+                kinds = " or ".join(_ACTIONS) if self._kind is None else f"{self._kind.__name__} as before"
+                return f"no server of the action {self._name}, {kinds}, within {timeout:.1f} s; does its controller run?"
         assert self._client is not None
         server, closing = ServerWatch(self._client, self._probe), _Closing(self._client, self._node)
         while not closing.is_over and not (why := server.why_gone()):
@@ -122,16 +123,12 @@ class GripperHand:
         return f"the driver of the gripper on {self._name} {why}"
 
     def _find(self) -> bool:
-        """Have a client of the kind that the server has; false where there is no server."""
+        """Have a client of the kind that the server has; false where there is none, or it is of another kind than before."""
         servers = self._node.get_publishers_info_by_topic(f"{self._name}/_action/feedback")
-        kind = next((self._kinds[info.topic_type] for info in servers if info.topic_type in self._kinds), None)
-        if kind is None:
-            return False
-        if self._client is None or kind is not self._kind:
-            if self._client is not None:
-                self._client.destroy()
-            self._kind, self._client = kind, ActionClient(self._node, kind, self._name, callback_group=self._group)
-        return True
+        kinds = [self._kinds[info.topic_type] for info in servers if info.topic_type in self._kinds]
+        if kinds and self._client is None:
+            self._kind, self._client = kinds[0], ActionClient(self._node, kinds[0], self._name, callback_group=self._group)
+        return self._kind in kinds
 
     def _goal(self) -> Any:
         goal, settings = self._kind.Goal(), self._settings
