@@ -48,6 +48,7 @@ setup(
         (f"share/{package}/launch", sorted(glob("launch/*.launch.py"))),
         (f"share/{package}/config", sorted(glob("config/*.*"))),
         (f"share/{package}/config/robots", sorted(glob("config/robots/*.yaml"))),
+        (f"share/{package}/config/ros2_controllers", sorted(glob("config/ros2_controllers/*.yaml"))),
     ],
     install_requires=requires,
     extras_require={**extras, "all": sorted({name for names in extras.values() for name in names}), "test": ["pytest"]},

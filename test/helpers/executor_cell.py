@@ -151,8 +151,12 @@ class Cell(Node):
         self.q = self._followed.sample(now)[0]
         self.states.append((now, self.q))
         before, self._tip = self._tip, self.kinematics.forward(self.q)[:3, 3]
-        if self._tip[2] < 0.05 and signed_distance(self._tip[None, :2], transform_points(self.box, BOX))[0] < RADIUS:
+        if self.touches(self._tip):
             self._carry_box(self._tip[:2], self._tip[:2] - before[:2])
+
+    def touches(self, tip: np.ndarray) -> bool:
+        """Whether a tip [m], shape (3,), is low and at the box."""
+        return bool(tip[2] < 0.05 and signed_distance(tip[None, :2], transform_points(self.box, BOX))[0] < RADIUS)
 
     def _carry_box(self, tip: np.ndarray, moved: np.ndarray) -> None:
         """The tip, at `tip` [m], shape (2,), moved by `moved` [m], shape (2,), in contact: the box goes along and never turns."""

@@ -40,6 +40,21 @@ SETTINGS = ExecutionSettings(
 CONTACT = PushRequest(Mode.CONTACT, "box", contact_point=(0.0, -0.01), direction=math.pi / 2, distance=0.05, speed=0.1)
 
 
+class Goal:
+    """A goal of the controller of a `Cell`, as that of joint_trajectory_controller: a later trajectory takes its place, and ends it."""
+
+    def __init__(self, cell: Cell) -> None:
+        self._cell = cell
+        self.is_accepted = True
+        self.is_over = False
+        self.fault: PlanningError | None = None
+        self.canceled_at = math.inf
+
+    def cancel(self) -> None:
+        self.canceled_at, self.is_over = self._cell.time, True
+        self._cell.followed = Followed.hold(self._cell.q)  # where it is, at once
+
+
 class Cell:
     """An arm that follows every trajectory exactly, and a box that the tool carries along while it overlaps: all ports in one.
 
@@ -58,6 +73,8 @@ class Cell:
         self.followed = Followed.hold(self.q)
         self.pieces: list[JointTrajectory] = []
         self.holds: list[Float64Array] = []
+        self.goals: list[tuple[float, JointTrajectory, Goal]] = []
+        self.ends_goals = True
         speed = np.minimum(kinematics.velocity_limit, 5.0)
         self.intake = StateIntake(StateCheck(kinematics.position_lower, kinematics.position_upper, speed), kinematics.forward)
         self.clock = ArmClock()
@@ -88,6 +105,8 @@ class Cell:
             self.follow(self.on_the_way.pop(0)[1])
         if self.pieces:
             self.q = self.followed.sample(self.time)[0]
+        if self.goals and self.ends_goals and self.time > self.followed.time[-1] + 0.02:
+            self.goals[-1][2].is_over = True
         before, self.tip = self.tip, self.planner.forward(self.q)[:3, 3]
         touches = self.tip[2] < 0.05 and signed_distance(self.tip[None, :2], transform_points(self.box, BOX))[0] < RADIUS
         if touches and not self.is_box_fixed:
@@ -149,6 +168,15 @@ class Cell:
             self.on_the_way.append((self.time + self.delay - 1e-9, piece))
         elif not self.is_deaf:
             self.follow(piece)
+
+    def check_goals(self) -> None:
+        pass
+
+    def send_goal(self, joint_names: tuple[str, ...], piece: JointTrajectory, start: float | None) -> Goal:
+        goal = Goal(self)
+        self.goals.append((self.time, piece, goal))
+        self.send(joint_names, piece, start)
+        return goal
 
     def follow(self, piece: JointTrajectory) -> None:
         state = self.followed.sample(self.time) if self.pieces else (self.q, np.zeros(7))

@@ -122,6 +122,10 @@ class MotionClock:
         self.latest, self._gained = max(time, self.latest), self._gained + self.ahead
         return self.latest
 
+    def sleep(self, seconds: float) -> None:
+        """Wait so long, wall time."""
+        self._clock.sleep(seconds)
+
     def check(self, state: ArmState) -> None:
         """Raise PlanningError TRACKING where the clock of the stamps was set, or that of a real arm runs at another pace than this one."""
         time, wall = self.of(state), self.started + state.received - self._received

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -109,6 +110,19 @@ class ArmMotion:
     def duration(self) -> float:
         """Duration of the motion [s]."""
         return self.trajectory.duration
+
+    def parts_above(self, height: float) -> list[tuple[float, float]]:
+        """Times of the plan [s] between which the tip stays above `height` [m]; each part begins and ends at rest."""
+        rests = np.flatnonzero(~np.any(self.trajectory.velocity, axis=1))
+        parts: list[tuple[float, float]] = []
+        for first, last in pairwise(rests.tolist()):
+            if np.min(self.tip[first : last + 1, 2]) < height:
+                continue
+            begin, end = float(self.trajectory.time[first]), float(self.trajectory.time[last])
+            if parts and parts[-1][1] == begin:
+                begin = parts.pop()[0]
+            parts.append((begin, end))
+        return parts
 
     def deviation(self, tip: Float64Array, earliest: float, latest: float) -> float:
         """Distance [m] of a measured `tip` (3,) to the part of the path between two times of the plan [s], and `_LEAD` further.

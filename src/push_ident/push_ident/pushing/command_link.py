@@ -14,11 +14,14 @@ import numpy as np
 from push_ident.errors import PlanningError
 from push_ident.pushing.arm_motion import ArmMotion, JointLimits
 from push_ident.pushing.pacing import SPLICE
-from push_ident.pushing.ports import Arm, ArmState, Clock
+from push_ident.pushing.ports import Arm, ArmState, Clock, ControllerGoal
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.push_request import WatchLimits
 from push_ident.pushing.trajectory import SAMPLE_PERIOD, JointTrajectory
 from push_ident.types import Float64Array
+
+Send = Callable[[tuple[str, ...], JointTrajectory, float | None], object]
+"""Gets the names of the joints, a trajectory, and when it starts [s], as `Arm.send`."""
 
 
 class Commanded:
@@ -70,21 +73,38 @@ class CommandLink:
     def move(self, piece: JointTrajectory, now: float, *, is_stamped: bool = False) -> bool:
         """Start a piece `now` [s] in place of the one under way; false where it would exceed a limit. Raises PlanningError after `hold`."""
         with self._lock:
-            if self._is_held:
-                raise PlanningError(PushCode.CANCELED, "the arm is held; it is not moved any more.")
-            return self._send(piece, now, now if is_stamped else None)
+            self._check_not_held()
+            return self._send(piece, now, now if is_stamped else None, self._arm.send)
+
+    def hand_over(self, piece: JointTrajectory, now: float, *, is_stamped: bool = False) -> ControllerGoal | None:
+        """As `move`, as a goal of the controller; None where it would exceed a limit. The hold of the arm ends it, as any motion."""
+        goals: list[ControllerGoal] = []
+        with self._lock:
+            self._check_not_held()
+            self._send(piece, now, now if is_stamped else None, lambda *command: goals.append(self._arm.send_goal(*command)))
+        return goals[0] if goals else None
 
     def hold(self, piece: JointTrajectory, now: float) -> bool:
         """End the motion with a piece; false where it would exceed a limit: the arm then stops at the end of the one before."""
         with self._lock:
             self._is_held = True
-            return self._send(piece, now, None)
+            return self._send(piece, now, None, self._arm.send)
 
-    def _send(self, piece: JointTrajectory, now: float, start: float | None) -> bool:
+    def leave(self) -> None:
+        """Send nothing any more: the controller holds the arm, and where is not known."""
+        with self._lock:
+            self._is_held = True
+            self._commanded.forget()
+
+    def _check_not_held(self) -> None:
+        if self._is_held:
+            raise PlanningError(PushCode.CANCELED, "the arm is held; it is not moved any more.")
+
+    def _send(self, piece: JointTrajectory, now: float, start: float | None, send: Send) -> bool:
         motion = self._commanded.after(piece, now)
         if not self._limits.are_kept_by(motion):
             return False
-        self._arm.send(self._limits.names, piece, start)
+        send(self._limits.names, piece, start)
         self._commanded.take(self._limits.names, motion)
         return True
 

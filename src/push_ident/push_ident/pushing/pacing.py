@@ -110,15 +110,16 @@ class PathPacing:
 
     # ---- what the arm gets
 
-    def piece(self, now: float, splice: float = SPLICE, share: float = 1.0) -> JointTrajectory:
+    def piece(self, now: float, splice: float = SPLICE, share: float = 1.0, to: float | None = None) -> JointTrajectory:
         """The next piece, in place of the one before. Its times count from `now`; it begins `splice` [s] later and ends at rest.
 
-        Made late, it goes on from where the arm has braked to. It speeds up and brakes with a `share` of what the joints allow.
+        Made late, it goes on from where the arm has braked to. It speeds up and brakes with a `share` of what the joints allow. `to`: the
+        path time [s] that it goes to at speed, where that is not a horizon ahead.
         """
         self._share = share
         self._before = self._t[:], self._s[:], self._r[:]
         s, r = self._cut(now)
-        self._speed_up(now + self._horizon, s, r)
+        self._speed_up(now + self._horizon if to is None else math.inf, self.duration if to is None else to, s, r)
         self._brake()
         end = max(self._t[-1] - now, splice, _RAMPS.shortest_piece)
         knots = np.array(self._t[bisect_right(self._t, now + splice) :]) - now
@@ -177,15 +178,15 @@ class PathPacing:
         self._s.append(s)
         self._r.append(r)
 
-    def _speed_up(self, until: float, s: float, r: float) -> None:
-        """Up to the planned speed and on, to the time `until` or the end of the plan."""
+    def _speed_up(self, until: float, to: float, s: float, r: float) -> None:
+        """Up to the planned speed and on, to the time `until` or the path time `to`."""
         t = self._t[-1]
-        while r < 1.0 and t < until - 1e-9 and s < self.duration:
+        while r < 1.0 and t < until - 1e-9 and s < to:
             step = min(_RAMPS.step, until - t)
             rate = min(r + step * min(1.0 / _RAMPS.speed_up, self._allowed(s, r, 1.0)), 1.0)
             t, s, r = t + step, s + 0.5 * step * (r + rate), rate
             self._add(t, s, r)
-        end = s + min(until - t, self.duration - s)
+        end = s + min(until - t, to - s)
         first, last = bisect_right(self._times, s + 0.5 * _RAMPS.step), bisect_left(self._times, end - 0.5 * _RAMPS.step)
         for knot in (*self._times[first:last], end) if r >= 1.0 and end - s > 1e-9 else ():
             self._add(t + knot - s, knot, r)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
 
+from push_ident.errors import PlanningError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.trajectory import JointTrajectory
 from push_ident.types import Float64Array, ObjectShape
@@ -72,6 +73,25 @@ class Clock(Protocol):
         """Wait so long, wall time."""
 
 
+class ControllerGoal(Protocol):
+    """A trajectory that the controller of the arm makes by itself, until it has ended or is canceled."""
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the controller has begun it."""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has ended, however."""
+
+    @property
+    def fault(self) -> PlanningError | None:
+        """Why it ended before its time, by the controller or by somebody else; None while it has not, and after `cancel`."""
+
+    def cancel(self) -> None:
+        """Have the controller end it, and hold the arm where that is then."""
+
+
 class Arm(Protocol):
     """An arm that follows joint trajectories. Methods raise PlanningError ARM_SILENT without joint states or a description."""
 
@@ -115,6 +135,12 @@ class Arm(Protocol):
 
         Its times count from `start` on the clock of the arm's stamps [s], or from its receipt.
         """
+
+    def check_goals(self) -> None:
+        """Raise PlanningError ARM_SILENT where the controller takes no goals."""
+
+    def send_goal(self, joint_names: tuple[str, ...], piece: JointTrajectory, start: float | None) -> ControllerGoal:
+        """As `send`, as a goal of the controller, which reports how it ends."""
 
 
 class Hand(Protocol):

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Final
 
 from push_ident.errors import PlanningError
 from push_ident.pushing.motion import ArmPlan, MotionSettings
 from push_ident.pushing.push import PushSettings
 from push_ident.pushing.steering import PathRequest
+
+PIECES: Final = "pieces"
+FOLLOW: Final = "follow_joint_trajectory"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +33,10 @@ class WatchLimits:
     """Motion at the planned speed that the arm is given ahead [s]: without news it brakes after that."""
     stamp_commands: bool = False
     """Whether pieces say when they start by the clock of the arm's stamps; else they start on receipt, and transport adds its jitter."""
+    free_motions: str = PIECES
+    """How the arm gets the parts of a motion above `free_height`: in pieces as the rest, or each as one goal of its controller."""
+    free_height: float = 0.09
+    """Height of the tip above every object [m]."""
     wrench_timeout: float = 0.5
     """Longest time without a force measurement, where there ever was one [s]."""
     period: float = 0.01

@@ -13,10 +13,12 @@ from push_ident.errors import PlanningError
 from push_ident.pushing.arm_clock import MotionClock
 from push_ident.pushing.arm_motion import ArmMotion
 from push_ident.pushing.command_link import Commanded, CommandLink, TakeOver, joint_distance, stand_at
+from push_ident.pushing.free_motions import FreeMotions
 from push_ident.pushing.pacing import SPLICE, PathPacing
-from push_ident.pushing.ports import Arm, ArmState, ExecutionPorts
+from push_ident.pushing.ports import Arm, ArmState, ControllerGoal, ExecutionPorts
 from push_ident.pushing.push import PushCode
-from push_ident.pushing.push_request import WatchLimits
+from push_ident.pushing.push_request import FOLLOW, WatchLimits
+from push_ident.pushing.trajectory import JointTrajectory
 from push_ident.types import Float64Array
 
 Change = Callable[[ArmMotion], bool]
@@ -35,6 +37,7 @@ class Tracking:
         """Delays behind the pieces while the tool moved [s], sorted: controllers differ."""
         self._tip: Float64Array | None = None
         self._since = np.inf
+        self._follows_goal = False
         self.stood_at: float | None = None
         """Path time [s] at which an arm stands that is behind its pieces; None where it follows."""
 
@@ -67,6 +70,11 @@ class Tracking:
         """The arm is where its pieces led; it is to follow the next ones."""
         self.stood_at = self._tip = None
 
+    def follow_goal(self, follows: bool) -> None:
+        """Whether the controller makes a goal now: no piece comes that the arm would jump to, so the largest delay counts."""
+        self._follows_goal = follows
+        self.go_on()
+
     def _standstill(self, motion: ArmMotion, tip: Float64Array, time: float, led_to: float) -> float | None:
         """Path time at which the arm stands although its pieces lead on [s]; None if it moves, or should stand."""
         reached = min(motion.time_at(tip, self._pacing.path_time(time - self._limits.tracking_lag), led_to), led_to)
@@ -74,11 +82,13 @@ class Tracking:
             self._tip, self._since = tip, time
         elif np.linalg.norm(tip - self._tip) > self._limits.standstill_travel:
             self._tip, self._since = tip, time
-            insort(self._delays, time - self._pacing.time_of(reached))
+            if not self._follows_goal:
+                insort(self._delays, time - self._pacing.time_of(reached))
         if time - self._since < self._limits.standstill_time:
             return None
         # Its delay is unknown before it has moved: a controller that is slow to begin has missed nothing.
-        delay = self._delays[len(self._delays) // 2] + self._limits.delay_margin if self._delays else self._limits.tracking_lag
+        is_known = self._delays and not self._follows_goal
+        delay = self._delays[len(self._delays) // 2] + self._limits.delay_margin if is_known else self._limits.tracking_lag
         return reached if _tool_travel(motion, reached, self._pacing.path_time(time - delay)) > self._limits.standstill_lag else None
 
 
@@ -95,7 +105,7 @@ class _UnderWay:
         self.limits, self.clock, self._motion = limits, clock, motion
         self.pacing = PathPacing(motion.trajectory, motion.limits.planned.acceleration, limits.motion_horizon, clock.started)
         self._tracking = Tracking(self.pacing, limits)
-        self._link = CommandLink(arm, commanded, motion.limits)
+        self._link, self._free = CommandLink(arm, commanded, motion.limits), FreeMotions(motion, limits)
         self._is_stamped = limits.stamp_commands and clock.by_stamp
         self._tried = 0.0
         self._piece_period = limits.motion_horizon / limits.pieces_per_horizon - 0.5 * limits.period
@@ -108,14 +118,26 @@ class _UnderWay:
         Planning took time: where the arm has come further than to where the two part, it would have to jump. `now` as in `send`.
         """
         time, before = self.clock.now(), self._motion
-        if not self.clock.is_known or self._tracking.stood_at is not None:
+        if not self.clock.is_known or self._tracking.stood_at is not None or self.is_with_controller:
             return False
         self.pacing.change(motion.trajectory)
         if self.send(time, now):
-            self._motion = motion
+            self._motion, self._free = motion, FreeMotions(motion, self.limits)
             return True
         self.pacing.change(before.trajectory)
         return False
+
+    @property
+    def is_with_controller(self) -> bool:
+        """Whether the controller makes a free part of the motion by itself."""
+        return self._free.goal is not None
+
+    def check_controller(self) -> None:
+        """Raise PlanningError where the controller does not make the part of the motion that it has, if it has one."""
+        if self.is_with_controller:
+            self._free.check(self.clock.now(), self.pacing, stands=self._tracking.stood_at is not None)
+            if not self.is_with_controller:
+                self._tracking.follow_goal(False)
 
     def judge(self, state: ArmState) -> None:
         """Raise PlanningError TRACKING for a state that an arm on its way cannot have."""
@@ -125,7 +147,7 @@ class _UnderWay:
     def has_arrived(self, state: ArmState) -> bool:
         """Whether the motion has ended. Raises PlanningError TRACKING where it should have ended long ago."""
         time = self.clock.of(state)
-        if self.pacing.path_time(time) >= self._motion.duration:
+        if self.pacing.path_time(time) >= self._motion.duration and not self.is_with_controller:
             if joint_distance(state.q, self._motion.trajectory.position[-1]) <= self.limits.start_tolerance:
                 return True
             if time > self.pacing.time_of(self._motion.duration) + (timeout := self.limits.arrival_timeout):
@@ -134,6 +156,8 @@ class _UnderWay:
 
     def go_on(self, state: ArmState, now: float) -> None:
         """Send what is due `now` [s], `Clock.monotonic`."""
+        if self.is_with_controller:
+            return
         time = self.clock.now()
         if not self.clock.is_known:
             return  # the arm makes the pieces that it has, and brakes
@@ -151,27 +175,60 @@ class _UnderWay:
         One that would exceed a limit, as one made late may, is left out: the arm brakes, and the next one goes on more gently.
         """
         self._tried = now
+        free_until = self._free.end_of(self.pacing.path_time(time))
         for share in self.limits.acceleration_shares:
             # Where the clock has gained on wall time the arm may be further behind than it seems: it gets that much longer.
-            piece = self.pacing.piece(time, SPLICE + self.clock.ahead, share)
-            if self._link.move(piece, time, is_stamped=self._is_stamped):
+            piece = self.pacing.piece(time, SPLICE + self.clock.ahead, share, free_until)
+            if self._hand_over(piece, time) if free_until else self._link.move(piece, time, is_stamped=self._is_stamped):
                 self._deadline = None
                 return True
             self.pacing.take_back()
         return False
 
+    def _hand_over(self, piece: JointTrajectory, time: float) -> bool:
+        self._free.goal = self._link.hand_over(piece, time, is_stamped=self._is_stamped)
+        if self._free.goal is not None:
+            self._tracking.follow_goal(True)
+        return self._free.goal is not None
+
     def hold(self) -> None:
         """End the motion on the path of the pieces that were sent, whatever the states say: the arm follows these.
 
         Where it stands behind, or its progress is unknown, that would be a jump: then it completes its last command, which ends at rest.
+        A goal of the controller is no such command: it is canceled, after the hold where one was sent. What the controller has ended
+        by itself it holds by itself: nothing is sent.
         """
+        goal = self._free.goal
+        if goal is not None and goal.fault is not None:
+            self._link.leave()
+            return
+        is_sent = self._brake()
+        if goal is not None:
+            self._end(goal, is_braking=is_sent)
+
+    def _brake(self) -> bool:
         time = self.clock.now()
         if self._tracking.stood_at is not None or not self.clock.is_known:
-            return
+            return False
         for share in self.limits.acceleration_shares:
             if self._link.hold(self.pacing.halt(time, share), time):
-                return
+                return True
             self.pacing.take_back()
+        return False
+
+    def _end(self, goal: ControllerGoal, *, is_braking: bool) -> None:
+        """End a goal whose arm brakes by the hold: a cancel in between would stop it at once, with all that its drives can.
+
+        The hold has replaced the trajectory of the goal, so that the controller usually ends it by itself once the arm stands.
+        """
+        until = self.pacing.ends + self.limits.tracking_lag
+        while is_braking and goal.is_accepted and not goal.is_over and self.clock.now() < until:
+            self.clock.sleep(self.limits.period)
+        if not goal.is_over:
+            goal.cancel()
+            self._link.leave()
+        elif goal.fault is not None:
+            self._link.leave()
 
     def _catch_up(self, state: ArmState, stood_at: float, time: float) -> None:
         """Bring an arm that has missed pieces to where they led, within its limits from wherever it is, and get no other before.
@@ -199,8 +256,9 @@ class _UnderWay:
             )
 
 
-def _unwatched(duration: float) -> PlanningError:
-    return PlanningError(PushCode.TRACKING, f"the motion was not watched for {duration:.1f} s, and the arm has stopped by itself.")
+def _unwatched(duration: float, *, by_controller: bool) -> PlanningError:
+    meanwhile = "the controller of the arm went on with its goal" if by_controller else "the arm has stopped by itself"
+    return PlanningError(PushCode.TRACKING, f"the motion was not watched for {duration:.1f} s, and {meanwhile}.")
 
 
 class ArmWatch:
@@ -220,6 +278,8 @@ class ArmWatch:
         self._check_measured(limits)
         if rivals := self._arm.rivals():
             raise PlanningError(PushCode.BUSY, f"{', '.join(rivals)} commands the arm as well; only one node may publish joint_trajectory.")
+        if limits.free_motions == FOLLOW:
+            self._arm.check_goals()
         self._take_over.check(limits)
 
     def trust(self) -> None:
@@ -284,7 +344,8 @@ class ArmWatch:
                 check_wanted()
                 state = self._arm.fresh_state(limits.arm_timeout, is_late=now - before > limits.late_look)
                 if now - before > limits.max_absence:
-                    raise _unwatched(now - before)
+                    raise _unwatched(now - before, by_controller=under_way.is_with_controller)
+                under_way.check_controller()
                 for each in self._arm.take_states():
                     under_way.judge(each)
                 if reason := self._arm.impossible_state(began):
@@ -298,7 +359,7 @@ class ArmWatch:
                 if self._is_present(now, limits):
                     under_way.go_on(state, now)
         except BaseException as error:
-            fault = self._cause(error, looked, limits)
+            fault = self._cause(error, looked, under_way)
             under_way.hold()
             if fault is error:
                 raise
@@ -311,12 +372,14 @@ class ArmWatch:
         """Whether something may be sent: not where this process was suspended since it `looked` [s], which the next look reports."""
         return self._clock.monotonic() - looked <= limits.max_absence
 
-    def _cause(self, fault: BaseException, looked: float, limits: WatchLimits) -> BaseException:
+    def _cause(self, fault: BaseException, looked: float, under_way: _UnderWay) -> BaseException:
         """Why a motion ended: to a process that was suspended since it `looked` [s], all sources seem silent."""
-        unwatched = self._clock.monotonic() - looked
+        unwatched, limits = self._clock.monotonic() - looked, under_way.limits
         seems_silent = isinstance(fault, PlanningError) and fault.code in (PushCode.FORCE, PushCode.HAND, PushCode.OBJECT_LOST)
         is_force = self.peak_force > limits.force_limit
-        return _unwatched(unwatched) if seems_silent and not is_force and unwatched > limits.max_absence else fault
+        if not seems_silent or is_force or unwatched <= limits.max_absence:
+            return fault
+        return _unwatched(unwatched, by_controller=under_way.is_with_controller)
 
     def _check_force(self, limits: WatchLimits) -> None:
         """Raise PlanningError FORCE where it was too large since the last look, or is not known."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -17,6 +16,7 @@ from unique_identifier_msgs.msg import UUID
 
 from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.base.group_calls import GroupCalls
 from push_ident.nodes.base.keep_alive import KeepAlive, ServerWatch
 from push_ident.nodes.convert.messages import push_interval_from_msg, stamp_from_msg
 from push_ident.nodes.goal_pushing.parameters import GOAL_PUSHING
@@ -29,11 +29,7 @@ K = TypeVar("K")
 
 
 class ExecutorLink:
-    """Sends pushes to the executor.
-
-    Requests are made in the callback group of the client: from another thread, an answer may arrive before rclpy has registered the
-    request, and is dropped.
-    """
+    """Sends pushes to the executor. Requests are made in the callback group of the client."""
 
     def __init__(self, node: CellNode) -> None:
         self._node = node
@@ -41,8 +37,7 @@ class ExecutorLink:
         self._client = ActionClient(node, ExecutePush, "execute_push", callback_group=self._group)
         self.keep_alive = KeepAlive(node, "execute_push", callback_group=self._group)
         self._probe = node.create_client(CancelGoal, "execute_push/_action/cancel_goal", callback_group=self._group)
-        self._questions: deque[Callable[[], object]] = deque()
-        self._bell = node.create_guard_condition(node.guard.callback("execute_push", self._ask), callback_group=self._group)
+        self._calls = GroupCalls(node, "execute_push", self._group)
         self._starts: dict[int, float] = {}
         self._latest: dict[str, float] = {}
         node.create_subscription(PushRecord, "push_record", self._on_record, 10)
@@ -54,7 +49,7 @@ class ExecutorLink:
 
     def close(self) -> None:
         """Withdraw the client; the node withdraws the rest."""
-        self._node.destroy_guard_condition(self._bell)
+        self._calls.close()
         self._client.destroy()
 
     def begin(self, goal: ExecutePush.Goal, timeout: float) -> RequestedPush:
@@ -63,8 +58,7 @@ class ExecutorLink:
 
     def ask(self, question: Callable[[], object]) -> None:
         """Call `question` in the callback group of the client."""
-        self._questions.append(question)
-        self._bell.trigger()
+        self._calls.ask(question)
 
     def watch(self) -> ServerWatch:
         """Whether the executor is there, for one push."""
@@ -90,10 +84,6 @@ class ExecutorLink:
                 work(value)
 
         return guarded
-
-    def _ask(self) -> None:
-        while self._questions:
-            self._questions.popleft()()
 
     def _on_record(self, msg: PushRecord) -> None:
         interval = push_interval_from_msg(msg)

@@ -29,17 +29,19 @@ from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.nodes.base.cell_node import LATCHED
 from push_ident.nodes.base.parameters import description_in
 from push_ident.nodes.convert.messages import force_from_msg, stamp_from_msg, stamp_to_msg
+from push_ident.nodes.push_executor.controller_goals import TrajectoryController
 from push_ident.nodes.push_executor.settings import EXECUTOR
 from push_ident.pushing.arm_clock import ArmClock
-from push_ident.pushing.ports import ArmState
+from push_ident.pushing.ports import ArmState, ControllerGoal
 from push_ident.pushing.push import PushCode
 from push_ident.pushing.state_intake import StateCheck, StateIntake, no_positions
 from push_ident.pushing.trajectory import JointTrajectory
 
 
-def _message(joint_names: tuple[str, ...], piece: JointTrajectory) -> JointTrajectoryMsg:
-    # A stamp of zero: start on receipt, whatever the controller's clock.
+def _message(joint_names: tuple[str, ...], piece: JointTrajectory, start: float | None) -> JointTrajectoryMsg:
     msg = JointTrajectoryMsg(joint_names=list(joint_names))
+    if start is not None:  # a stamp of zero: start on receipt, whatever the controller's clock
+        msg.header.stamp = stamp_to_msg(start)
     msg.points = [
         JointTrajectoryPoint(positions=array("d", q), velocities=array("d", v), time_from_start=_duration(t))
         for t, q, v in zip(piece.time, piece.position, piece.velocity, strict=True)
@@ -64,12 +66,15 @@ class ArmPort:
         neutral: list[float],
         callback_group: CallbackGroup,
         on_state: Callable[[ArmState, Time], None],
+        controller: TrajectoryController | None = None,
     ) -> None:
-        """Without `description_file` the URDF is taken from the topic. `on_state` gets each state and its stamp.
+        """Without `description_file` the URDF is taken from the topic. `on_state` gets each state and its stamp. `controller` takes goals,
+        where the arm is to be moved by them.
 
         Raises InputError when the file cannot be used.
         """
         self._node, self._tip_frame, self._neutral, self._on_state = node, tip_frame, neutral, on_state
+        self._controller = controller
         self._kinematics: ArmKinematics | None = None
         self._planner: ArmKinematics | None = None
         self._intake: StateIntake | None = None
@@ -182,10 +187,20 @@ class ArmPort:
 
     def send(self, joint_names: tuple[str, ...], piece: JointTrajectory, start: float | None) -> None:
         """As `pushing.ports.Arm`. The joints have the names of the motion, whatever is described later."""
-        msg = _message(joint_names, piece)
-        if start is not None:
-            msg.header.stamp = stamp_to_msg(start)
-        self._publisher.publish(msg)
+        self._publisher.publish(_message(joint_names, piece, start))
+
+    def check_goals(self) -> None:
+        """As `pushing.ports.Arm`."""
+        self._goals().check()
+
+    def send_goal(self, joint_names: tuple[str, ...], piece: JointTrajectory, start: float | None) -> ControllerGoal:
+        """As `pushing.ports.Arm`."""
+        return self._goals().send(_message(joint_names, piece, start))
+
+    def _goals(self) -> TrajectoryController:
+        if self._controller is None:
+            raise PlanningError(PushCode.ARM_SILENT, "the executor was started without goals of the controller; set free_motions.")
+        return self._controller
 
     # ---- description of the arm
 

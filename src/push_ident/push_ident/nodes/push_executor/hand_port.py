@@ -1,17 +1,19 @@
-"""The hand on ROS: whether it is a closed fist, and closing it. A Robotiq 3-finger hand, or none where the tool is fixed."""
+"""The hand on ROS: whether it is closed, and closing it. A Robotiq 3-finger hand, a gripper with an action, or none: a fixed tool."""
 
 from __future__ import annotations
 
-import importlib
 import math
 import time
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any, Final
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 
-from push_ident.errors import InputError
+from push_ident.nodes.base.cell_node import CellNode
+from push_ident.nodes.push_executor.gripper_port import GRIPPER_ACTION, GripperHand, GripperSettings
+from push_ident.nodes.push_executor.optional_messages import import_messages
 from push_ident.nodes.push_executor.settings import EXECUTOR
 from push_ident.pushing.hand import BASIC_MODE, CLOSED, HandState
 from push_ident.pushing.ports import Hand
@@ -23,7 +25,7 @@ _MESSAGES: Final = {
     "simulated": ("push_ident_msgs", "HandStatus", "HandCommand"),
 }
 """Package, status and command of each kind of driver. Both have the registers of the hand's manual as fields."""
-HAND_KINDS: Final = ("none", *_MESSAGES)
+HAND_KINDS: Final = ("none", *_MESSAGES, GRIPPER_ACTION)
 
 
 class FixedTool:
@@ -44,13 +46,8 @@ class RobotiqHand:
     def __init__(self, node: Node, kind: str, *, timeout: float, callback_group: CallbackGroup) -> None:
         """`timeout` [s]: longest silence of the driver, by time of receipt. Raises InputError when its messages are not installed."""
         package, status, command = _MESSAGES[kind]
-        try:
-            messages = importlib.import_module(f"{package}.msg")
-        except ImportError:
-            raise InputError(
-                f"Parameter hand is {kind}, but the messages of its driver, {package}, cannot be imported; build and source the "
-                "driver's workspace, or set hand to none for a fixed tool."
-            ) from None
+        remedy = "build and source the driver's workspace, or set hand to none for a fixed tool"
+        messages = import_messages(f"{package}.msg", "hand", kind, remedy)
         self._command: Any = getattr(messages, command)
         self._timeout = timeout
         self._state: HandState | None = None
@@ -100,6 +97,12 @@ class RobotiqHand:
         )
 
 
-def make_hand(node: Node, kind: str, *, timeout: float, callback_group: CallbackGroup) -> Hand:
-    """The hand of a kind, one of `HAND_KINDS`; arguments and errors as those of `RobotiqHand`."""
-    return FixedTool() if kind == "none" else RobotiqHand(node, kind, timeout=timeout, callback_group=callback_group)
+def make_hand(node: CellNode, values: dict[str, Any], callback_group: CallbackGroup) -> Hand:
+    """The hand that the parameters of the executor ask for. Raises InputError where its messages are not installed."""
+    kind, timeout = values["hand"], values["hand_timeout"]
+    if kind == "none":
+        return FixedTool()
+    if kind == GRIPPER_ACTION:
+        settings = GripperSettings(*(values[f"hand_{field.name}"] for field in fields(GripperSettings)))
+        return GripperHand(node, settings, callback_group=callback_group)
+    return RobotiqHand(node, kind, timeout=timeout, callback_group=callback_group)

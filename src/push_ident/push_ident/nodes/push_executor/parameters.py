@@ -11,7 +11,7 @@ from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.push_executor.hand_port import HAND_KINDS
 from push_ident.pushing.motion import MotionSettings
 from push_ident.pushing.push import PushSettings
-from push_ident.pushing.push_request import ExecutionSettings, WatchLimits
+from push_ident.pushing.push_request import FOLLOW, PIECES, ExecutionSettings, WatchLimits
 
 T = TypeVar("T")
 
@@ -82,6 +82,16 @@ PARAMETERS: Final = (
         False,
         "commands say when they start, for arms whose controller and joint_states have one clock, as in ros2_control; else on receipt",
     ),
+    Parameter(
+        "free_motions",
+        PIECES,
+        "motions above free_height. pieces: as the push; follow_joint_trajectory: each as one goal of the arm's controller, which goes on "
+        "with it where this node ends",
+        choices=(PIECES, FOLLOW),
+        read_only=True,
+    ),
+    Parameter("path_tolerance", 0.0, "of such a goal, of each joint on its way [rad]; 0: the controller's own", 0.0, 1.0, read_only=True),
+    Parameter("goal_tolerance", 0.0, "the same at its end [rad]; 0: the controller's own", 0.0, 0.1, read_only=True),
     Parameter("pose_timeout", 1.0, "oldest object pose, by time of receipt, that a push may start from [s]", 0.05, 60.0),
     Parameter("lost_timeout", 3.0, "longest time without a pose of the object during a push; the arm may hide it [s]", 0.05, 60.0),
     Parameter("force_limit", 60.0, "largest horizontal force on pusher/wrench; beyond, the arm is held [N]", 0.5, 1000.0),
@@ -90,8 +100,45 @@ PARAMETERS: Final = (
     Parameter(
         "hand",
         "none",
-        "none: fixed tool; robotiq_3f: pushes only with its fist closed; simulated: the same with messages of push_ident_msgs",
+        "none: fixed tool; robotiq_3f: pushes only with its fist closed; simulated: the same with messages of push_ident_msgs; "
+        "gripper_action: pushes only with a gripper closed that has an action of control_msgs",
         choices=HAND_KINDS,
+        read_only=True,
+    ),
+    Parameter(
+        "hand_action",
+        "/robotiq_gripper_controller/gripper_cmd",
+        "of gripper_action: action of the gripper, GripperCommand or ParallelGripperCommand",
+        read_only=True,
+    ),
+    Parameter(
+        "hand_position",
+        0.8,
+        "of gripper_action: position that closes it, of its joint [rad], or [m] of a sliding one; 0.8 rad: a Robotiq 2F-85",
+        -10.0,
+        10.0,
+        read_only=True,
+    ),
+    Parameter(
+        "hand_effort",
+        50.0,
+        "of gripper_action: largest effort of closing [N], or [N m] as its controller has it; 50: that of the URDF of a Robotiq 2F-85",
+        0.0,
+        1000.0,
+        read_only=True,
+    ),
+    Parameter(
+        "hand_joint",
+        "",
+        "of gripper_action: joint in joint_states that must stay where it closed; empty: none",
+        read_only=True,
+    ),
+    Parameter(
+        "hand_drift",
+        0.02,
+        "of gripper_action: how far hand_joint may move from where it closed [rad] or [m]; 0.02 rad: 2 mm between the fingers of a 2F-85",
+        0.0,
+        1.0,
         read_only=True,
     ),
     Parameter("hand_timeout", 0.5, "longest silence of the hand's driver [s]", 0.05, 10.0, read_only=True),

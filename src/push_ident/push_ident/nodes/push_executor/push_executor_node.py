@@ -27,6 +27,8 @@ from push_ident.nodes.convert.messages import TABLE_FRAME, cylinder_to_msg, posi
 from push_ident.nodes.convert.tool_path import correction_from_msg, path_request_from_goal
 from push_ident.nodes.input.objects import TrackedObjects
 from push_ident.nodes.push_executor.arm_port import ArmLease, ArmPort, ForcePort
+from push_ident.nodes.push_executor.controller_goals import TrajectoryController, make_controller
+from push_ident.nodes.push_executor.gripper_port import GripperHand
 from push_ident.nodes.push_executor.hand_port import make_hand
 from push_ident.nodes.push_executor.parameters import PARAMETERS, execution_settings
 from push_ident.nodes.push_executor.settings import EXECUTOR
@@ -134,9 +136,13 @@ class _PushExecutor(Component):
         node, supervised, housekeeping = self._node, MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
         self._cell_clock = _NodeClock(node)
         self._force = ForcePort(node, supervised)
-        self._hand = make_hand(node, values["hand"], timeout=values["hand_timeout"], callback_group=housekeeping)
+        self._hand = make_hand(node, values, housekeeping)
         self._recording = RecordingPort(node, housekeeping)
         self._objects = TrackedObjects(node, housekeeping, lambda: self._is_active and self._execution.is_pushing)
+        self._objects = TrackedObjects(node, housekeeping)
+        self._controller = make_controller(
+            node, values["free_motions"], path_tolerance=values["path_tolerance"], goal_tolerance=values["goal_tolerance"]
+        )
         self._arm = ArmPort(
             node,
             description_file=values["robot_description_file"],
@@ -144,6 +150,7 @@ class _PushExecutor(Component):
             neutral=values["neutral_posture"],
             callback_group=supervised,
             on_state=self._on_arm_state,
+            controller=self._controller,
         )
         self._execution = PushExecution(
             ExecutionPorts(self._arm, self._hand, self._force, self._recording, self._objects, self._cell_clock),
@@ -163,6 +170,9 @@ class _PushExecutor(Component):
 
     def close(self) -> None:
         self._lease.release()
+        for part in (self._controller, self._hand):
+            if isinstance(part, (TrajectoryController, GripperHand)):
+                part.close()
 
     # ---- requests
 
@@ -198,7 +208,7 @@ class _PushExecutor(Component):
         if not self._is_active:
             raise InputError("The node is not active; activate it.")
         reason = self._execution.close_hand(self._settings["hand_close_timeout"])
-        response.success, response.message = not reason, reason or "the hand is a closed fist"
+        response.success, response.message = not reason, reason or "the hand is closed"
         return response
 
     # ---- what is published

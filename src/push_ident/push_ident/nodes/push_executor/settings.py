@@ -17,7 +17,7 @@ class ExecutorSettings:
     rest_silence: float = 1.5
     """How long an arm at rest may stay silent before a push is refused [s]: one that was moved is believed after 1 s."""
     discovery: float = 5.0
-    """The same for an arm without any state yet [s]: on a busy machine DDS needs seconds to find a publisher."""
+    """The same for an arm without any state yet, and for a server of an action [s]: on a busy machine DDS needs seconds to find it."""
     standing_speed: float = 0.02
     """An arm whose joints are all slower stands [rad/s]."""
     n_joint_names: int = 256
@@ -30,6 +30,8 @@ class ExecutorSettings:
     """Of closing, register rSPA of the manual [0..255]."""
     tool_period: float = 1.0 / 60.0
     """Shortest time between two messages of the tool's pose [s]."""
+    answer_look: float = 0.05
+    """Between two looks whether the server of an action has answered [s]."""
     answer_wait: float = 0.3
     """For the answer to a goal when the node is deactivated [s]."""
 

@@ -78,8 +78,8 @@ class Tool(_Part):
     """[m]"""
     pusher_height: Annotated[float, Field(gt=0.0)]
     """[m]"""
-    hand: Literal["none", "robotiq_3f"] = "none"
-    """A hand that must be a closed fist; `none`: a fixed tool."""
+    hand: Literal["none", "robotiq_3f", "gripper_action"] = "none"
+    """A hand that must be closed; `none`: a fixed tool."""
     hand_radius: Annotated[float, Field(gt=0.0)]
     """Of all that is above the cylinder, up to the arm [m]."""
     hand_length: Annotated[float, Field(ge=0.0)] = 0.0
