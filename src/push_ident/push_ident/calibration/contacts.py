@@ -78,6 +78,8 @@ class Gaps:
     """Axis of the tool in the frame of the camera [m], shape (n, 2)."""
     outward: Float64Array
     """Normal of the surface that is touched, table frame, shape (n, 2)."""
+    normal: Float64Array
+    """The same in the object frame, shape (n, 2)."""
 
 
 def contacts_of(records: Sequence[PushRecord]) -> list[Contacts]:
@@ -106,7 +108,7 @@ def gaps_of(contacts: Contacts, unknowns: Float64Array) -> Gaps:
     outward = np.einsum("nij,nj->ni", rotation(contacts.pose[:, 2]), normal)
     by_unknown = np.column_stack([outward, _moment(arm, outward), -np.ones(len(at)), -np.sum(outward * (speed @ turn.T), axis=1)])
     by_pose = np.column_stack([-outward, -_moment(tool - contacts.pose[:, :2], outward)])
-    return Gaps(distance - path.radius - surface, by_unknown, by_pose, edge, tool, outward)
+    return Gaps(distance - path.radius - surface, by_unknown, by_pose, edge, tool, outward, normal)
 
 
 def _moment(arm: Float64Array, direction: Float64Array) -> Float64Array:

@@ -1,9 +1,10 @@
 """Where camera and tool stand relative to each other, by least squares over gaps that should be zero.
 
-Gaps have errors of three kinds. Each frame has its own. All frames of a push share one error of their pose, as those of a tracker do. Every
-edge of an outline that a camera traced is displaced by its own amount, in all pushes alike. How large the first two are, relative to what
-the poses state, the gaps show themselves (restricted maximum likelihood, Patterson & Thompson, Biometrika 58, 1971), and what they leave
-open is averaged over, so that few pushes give wide intervals.
+Gaps have errors of four kinds. Each frame has its own. All frames of a push share one error of their pose, as those of a tracker do. Every
+edge of an outline is displaced by its own amount, in all pushes alike, and so is the outline as a whole: only an object that is pushed at
+several headings tells that from a camera. How large the first two are, relative to what the poses state, the gaps show themselves
+(restricted maximum likelihood, Patterson & Thompson, Biometrika 58, 1971), and what they leave open is averaged over, so that few pushes
+give wide intervals.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ _FACTORS: Final = np.exp(np.linspace(np.log(0.05), np.log(16.0), 27))
 """On stated standard deviations that are tried [-], each 1.25 times the one before."""
 _HUBER: Final = 2.5
 """Standard deviations beyond which a frame counts less (Huber 1964): 1 in 80 frames without outliers [-]."""
+_DRAWN: Final = 1e-3 / 3.0
+"""Standard deviation of the place of an edge of an outline that was measured or drawn [m]: `contact_tolerance` has 1 mm for three of them."""
 _FLOOR: Final = NoiseModel().floor_position
 """Standard deviation of a gap that no frame is better than [m]."""
 _SMALL: Final = 1e-6
@@ -52,7 +55,7 @@ class _Rows:
     gap: Float64Array
     """Over the standard deviation that a factor of 1 on the errors of frames gives [-], shape (n,)."""
     derivative: Float64Array
-    """Of the same by unknowns and edges, shape (n, n_columns)."""
+    """Of the same by unknowns, the place of the outline and of its edges, shape (n, n_columns)."""
     shared: Float64Array
     """Variance by the error that the push shares, over that of the frames, at factors of 1 [-], shape (n,)."""
 
@@ -65,9 +68,9 @@ def estimate(contacts: Sequence[Contacts], prior_std: Float64Array = NOTHING) ->
     unknowns = np.zeros(N_UNKNOWNS)
     for _ in range(_ROUNDS):
         gaps = [gaps_of(one, unknowns) for one in contacts]
-        edges, edge_std = _edges(contacts, gaps)
-        precision = 1.0 / np.concatenate([prior_std, edge_std]) ** 2
-        pull = -precision * np.concatenate([unknowns, np.zeros(len(edges))])
+        edges, outline_std = _outline(contacts, gaps)
+        precision = 1.0 / np.concatenate([prior_std, outline_std]) ** 2
+        pull = -precision * np.concatenate([unknowns, np.zeros(len(outline_std))])
         step, covariance, shared = _averaged(_rows(contacts, gaps, edges), precision, pull)
         unknowns = unknowns + step[:N_UNKNOWNS]
         if converged := bool(np.all(np.abs(step[:N_UNKNOWNS]) < _SMALL)):
@@ -76,18 +79,17 @@ def estimate(contacts: Sequence[Contacts], prior_std: Float64Array = NOTHING) ->
         np.median(np.einsum("ni,ij,nj->n", one.by_pose, push.shared_covariance, one.by_pose))
         for push, one in zip(contacts, gaps, strict=True)
     ]
-    traced = float(np.median(edge_std**2)) if len(edge_std) else 0.0
-    of_push = shared**2 * float(np.median(of_pushes)) + traced
+    of_push = shared**2 * float(np.median(of_pushes)) + float(np.median(outline_std**2))
     return Estimate(unknowns, covariance[:N_UNKNOWNS, :N_UNKNOWNS], of_push, converged)
 
 
-def _edges(contacts: Sequence[Contacts], gaps: Sequence[Gaps]) -> tuple[list[int], Float64Array]:
-    """Edges of a traced outline that tools touch, and their standard deviations [m]; none of an outline that is exact."""
-    std = contacts[0].record.shape.outline_std
-    if std is None:
-        return [], np.zeros(0)
+def _outline(contacts: Sequence[Contacts], gaps: Sequence[Gaps]) -> tuple[list[int], Float64Array]:
+    """Edges of the outline that tools touch, and standard deviations of the place of the whole, along x and y, and of each of them [m]."""
+    shape = contacts[0].record.shape
     touched = np.unique(np.concatenate([one.edge for one in gaps]))
-    return touched.tolist(), std[touched]
+    of_edges = np.full(len(touched), _DRAWN) if shape.outline_std is None else shape.outline_std[touched]
+    whole = shape.outline_error or _DRAWN
+    return touched.tolist(), np.concatenate([[whole, whole], of_edges])
 
 
 def _rows(contacts: Sequence[Contacts], gaps: Sequence[Gaps], edges: Sequence[int]) -> _Rows:
@@ -104,7 +106,7 @@ def _rows(contacts: Sequence[Contacts], gaps: Sequence[Gaps], edges: Sequence[in
         together = one.by_pose @ push.shared_covariance @ one.by_pose.T / np.outer(std, std)
         size, turn = np.linalg.eigh(together)
         gap.append(turn.T @ (one.gap / std))
-        derivative.append(turn.T @ (np.hstack([one.by_unknown, of_edges]) / std[:, None]))
+        derivative.append(turn.T @ (np.hstack([one.by_unknown, -one.normal, of_edges]) / std[:, None]))
         shared.append(np.maximum(size, 0.0))
     return _Rows(np.concatenate(gap), np.vstack(derivative), np.concatenate(shared))
 
