@@ -14,7 +14,9 @@ ACCELERATION = 1.0
 """Of the tool at both ends of its way [m/s^2]."""
 
 
-def tangent_push(shape: ObjectShape, pose: Float64Array, edge: int, along: float, *, turn: float, speed: float, gap: float = 0.0) -> PushRecord:
+def tangent_push(
+    shape: ObjectShape, pose: Float64Array, edge: int, along: float, *, turn: float, speed: float, gap: float = 0.0
+) -> PushRecord:
     """A push of 50 mm into an edge at a part of its length, in which the object turns by `turn` [rad]; exact poses at 30 Hz.
 
     `gap`: by which the surface lies outside of the outline [m].
@@ -50,7 +52,9 @@ def pushes_around(shape: ObjectShape, n: int, rng: np.random.Generator, *, gap: 
     return [replace(record, order=order) for order, record in enumerate(records)]
 
 
-def observed(record: PushRecord, rng: np.random.Generator, *, std: Float64Array, shared: Float64Array, camera: CameraAccuracy) -> PushRecord:
+def observed(
+    record: PushRecord, rng: np.random.Generator, *, std: Float64Array, shared: Float64Array, camera: CameraAccuracy
+) -> PushRecord:
     """The push with noise of each frame and an error that all its frames share, (x, y, yaw) standard deviations, shape (3,)."""
     poses = record.poses
     pose = poses.pose + std * rng.normal(size=poses.pose.shape) + shared * rng.normal(size=3)

@@ -142,7 +142,9 @@ def _stop(record: PushRecord, observed: Observation) -> float:
     top = float(np.max(speed))
     if distance2 < _CERTAIN**2 or top == 0.0:
         return np.nan
-    stop = float(path.time[np.flatnonzero(speed > 0.05 * top)[-1]])
+    drives = int(np.flatnonzero(speed > 0.05 * top)[-1])
+    stops = np.append(np.flatnonzero(speed[drives:] < 1e-3 * top), len(speed) - 1 - drives)
+    stop = float(path.time[drives + stops[0]])
     slowing = int(np.flatnonzero(speed >= 0.95 * top)[-1])
     of_tool = float(np.sum(np.linalg.norm(np.diff(path.position[slowing:], axis=0), axis=1)))
     coasting = top**2 / (2.0 * _COASTING_FRICTION * _GRAVITY) - of_tool
@@ -162,9 +164,10 @@ def _followed(record: PushRecord, observed: Observation) -> bool:
     during = np.flatnonzero((poses.time > path.time[0]) & (np.interp(poses.time, path.time, left) > 0.0))
     if not len(during):
         return True
-    noise = np.sqrt(np.max(poses.covariance[during][:, :2, :2], axis=(1, 2)))
-    far = during[np.interp(poses.time[during], path.time, left) > 2.0 * _CERTAIN * noise]
+    covariance = poses.covariance[during] + observed.last_covariance
+    noise = np.sqrt(np.max(covariance[:, :2, :2], axis=(1, 2)))
+    far = np.flatnonzero(np.interp(poses.time[during], path.time, left) > 2.0 * _CERTAIN * noise)
     if not len(far):
         return False
-    moved = observed.pose[-1] - poses.pose[far[-1]]
-    return bool(moved @ np.linalg.solve(poses.covariance[far[-1]] + observed.last_covariance, moved) > _CERTAIN**2)
+    moved = observed.pose[-1] - poses.pose[during[far[-1]]]
+    return bool(moved @ np.linalg.solve(covariance[far[-1]], moved) > _CERTAIN**2)

@@ -24,7 +24,7 @@ _FACTORS: Final = np.exp(np.linspace(np.log(0.05), np.log(16.0), 27))
 _HUBER: Final = 2.5
 """Standard deviations beyond which a frame counts less (Huber 1964): 1 in 80 frames without outliers [-]."""
 _DRAWN: Final = 1e-3 / 3.0
-"""Standard deviation of the place of an edge of an outline that was measured or drawn [m]: `contact_tolerance` has 1 mm for three of them."""
+"""Standard deviation of the place of an edge of an outline that was measured or drawn [m]: a third of the 1 mm of `contact_tolerance`."""
 _FLOOR: Final = NoiseModel().floor_position
 """Standard deviation of a gap that no frame is better than [m]."""
 _SMALL: Final = 1e-6
