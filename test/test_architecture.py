@@ -28,6 +28,7 @@ ORDER = [
     "pushing",
     "physics",
     "identification",
+    "calibration",
     "simulators",
     "planning",
     "diagnosis",

@@ -130,7 +130,7 @@ class Overlap:
 
 
 @dataclass(frozen=True, slots=True)
-class _Frames:
+class MovingFrames:
     """The frames in which the object moves."""
 
     push: Float64Array
@@ -153,12 +153,13 @@ class _Frames:
 
     @property
     def n_pushes(self) -> int:
+        """Pushes in which the object is seen moving."""
         return len(np.unique(self.push))
 
 
 def overlap_of(streams: Streams) -> Overlap:
     """Compare pusher and object in the frames in which the object moves, and look for the cause where they do not meet."""
-    frames = _moving(streams)
+    frames = moving_frames(streams)
     pusher = frames.pusher() if len(frames.time) else np.zeros((0, 2))
     distance = frames.distance(pusher) if len(pusher) else np.zeros(0)
     since = frames.time - np.array([frames.time[frames.push == k].min() for k in frames.push]) if len(pusher) else np.zeros(0)
@@ -185,7 +186,7 @@ def _rms(distance: Float64Array) -> float:
     return float(np.sqrt(np.mean(distance**2)))
 
 
-def _moving(streams: Streams) -> _Frames:
+def moving_frames(streams: Streams) -> MovingFrames:
     """Frames strictly inside the motions of the object, numbered by the nearest run of the pusher.
 
     The object moves in a frame if it has moved in the 0.2 s before and moves on in the 0.2 s after it, at more than its noise and 2.5 mm/s,
@@ -211,7 +212,7 @@ def _moving(streams: Streams) -> _Frames:
     apart = np.abs(time[at, None] - middle) - half
     near = apart.min(axis=1) < 2.0 if len(middle) and len(at) else np.zeros(len(at), dtype=np.bool_)
     number = apart.argmin(axis=1) if len(middle) and len(at) else np.zeros(len(at))
-    return _Frames(np.asarray(number[near], dtype=np.float64), time[at][near], poses[at][near, 1:], streams)
+    return MovingFrames(np.asarray(number[near], dtype=np.float64), time[at][near], poses[at][near, 1:], streams)
 
 
 def _scatter(values: Float64Array) -> float:
@@ -233,7 +234,7 @@ def _best(causes: Sequence[Cause], tolerance: float) -> tuple[Cause, ...]:
     return tuple(cause for cause in ordered if cause.error <= 2.0 * least)[:3]
 
 
-def _causes(frames: _Frames) -> Iterator[Cause]:
+def _causes(frames: MovingFrames) -> Iterator[Cause]:
     """Each mistake that brings pusher and object together; one with more unknowns needs more pushes to be believed."""
     tolerance = frames.streams.tolerance
     found = [*(_unit_causes(frames) if frames.streams.units else ()), *_flipped_cause(frames), *_axes_causes(frames)]
@@ -254,7 +255,7 @@ def _cause(finding: str, mend: str, distance: Float64Array) -> _Found:
     return Cause(finding, mend, _rms(distance)), distance
 
 
-def _unit_causes(frames: _Frames) -> Iterator[_Found]:
+def _unit_causes(frames: MovingFrames) -> Iterator[_Found]:
     pusher, pose, outline = frames.pusher(), frames.pose, frames.streams.shape.outline
     for factor, unit in _UNITS:
         yield _cause(f"the lengths of the pusher are in {unit}", "check --pusher-length-unit", frames.distance(factor * pusher))
@@ -267,13 +268,13 @@ def _unit_causes(frames: _Frames) -> Iterator[_Found]:
         yield _cause(f"the yaw of the poses is in {unit}", "check --angle-unit", frames.distance(pusher, pose=turned))
 
 
-def _flipped_cause(frames: _Frames) -> Iterator[_Found]:
+def _flipped_cause(frames: MovingFrames) -> Iterator[_Found]:
     pusher, pose = frames.pusher(), frames.pose
     flipped = np.column_stack([pose[:, :2], -pose[:, 2]])
     yield _cause("the yaw has the other sign", "the z axis of the poses points down", frames.distance(pusher, pose=flipped))
 
 
-def _scale_cause(frames: _Frames) -> Iterator[_Found]:
+def _scale_cause(frames: MovingFrames) -> Iterator[_Found]:
     """Poses and pusher in one other unit, the one that fits the outline best; one in which nothing moves fits it by accident."""
     pusher, pose = frames.pusher(), frames.pose
     ways = [np.ptp(pose[frames.push == push, :2], axis=0).max() for push in np.unique(frames.push)]
@@ -290,7 +291,7 @@ def _scale_cause(frames: _Frames) -> Iterator[_Found]:
         yield min(found, key=lambda one: one[0].error)
 
 
-def _axes_causes(frames: _Frames) -> Iterator[_Found]:
+def _axes_causes(frames: MovingFrames) -> Iterator[_Found]:
     pusher = frames.pusher()
     exchanged = frames.distance(pusher, pose=frames.pose[:, [1, 0, 2]])
     yield _cause("x and y of the poses are exchanged", "exchange their columns", exchanged)
@@ -304,7 +305,7 @@ def _axes_causes(frames: _Frames) -> Iterator[_Found]:
         yield _cause("the pusher has other axes", mend, frames.distance(pusher @ turn[:2, :2].T))
 
 
-def _radius_cause(frames: _Frames) -> _Found:
+def _radius_cause(frames: MovingFrames) -> _Found:
     distance = frames.distance(frames.pusher())
     radius = frames.streams.radius + float(np.median(distance))
     if radius < 0:
@@ -317,7 +318,7 @@ def _radius_cause(frames: _Frames) -> _Found:
     return _cause(text, "the distance is the same for both, so measure both", distance - float(np.median(distance)))
 
 
-def _clock_cause(frames: _Frames, latest: float = 2.0, step: float = 0.01) -> _Found:
+def _clock_cause(frames: MovingFrames, latest: float = 2.0, step: float = 0.01) -> _Found:
     """The offset of two clocks up to `latest` [s], in steps of `step` [s]."""
     offsets = np.arange(-latest, latest + step, step)
     offset = min(offsets, key=lambda value: _rms(frames.distance(frames.pusher(float(value)))))
@@ -325,7 +326,7 @@ def _clock_cause(frames: _Frames, latest: float = 2.0, step: float = 0.01) -> _F
     return _cause(text, f"add {offset:.2f} to --time-offset", frames.distance(frames.pusher(float(offset))))
 
 
-def _outline_cause(frames: _Frames) -> _Found:
+def _outline_cause(frames: MovingFrames) -> _Found:
     x, y, _ = pose = _pose_of_outline(frames, np.zeros(1))
     return _cause(
         "the origin of the outline is not that of the poses",
@@ -334,7 +335,7 @@ def _outline_cause(frames: _Frames) -> _Found:
     )
 
 
-def _body_cause(frames: _Frames) -> _Found:
+def _body_cause(frames: MovingFrames) -> _Found:
     x, y, yaw = pose = _pose_of_outline(frames, np.arange(0.0, 2.0 * np.pi, np.pi / 4))
     return _cause(
         "the axes of the outline are not those of the poses",
@@ -343,7 +344,7 @@ def _body_cause(frames: _Frames) -> _Found:
     )
 
 
-def _pose_of_outline(frames: _Frames, yaws: Float64Array) -> Float64Array:
+def _pose_of_outline(frames: MovingFrames, yaws: Float64Array) -> Float64Array:
     """Pose of the outline's frame in that of the poses (x [m], y [m], yaw [rad]), fitted from each of `yaws` [rad]; from 0 alone, without
     its yaw."""
     pusher, outline = frames.pusher(), frames.streams.shape.outline
@@ -357,7 +358,7 @@ def _pose_of_outline(frames: _Frames, yaws: Float64Array) -> Float64Array:
     return np.append(_fitted(distance, best, frames.streams.tolerance), np.zeros(3 - free))
 
 
-def _frame_cause(frames: _Frames) -> _Found:
+def _frame_cause(frames: MovingFrames) -> _Found:
     """The five best starts are fitted: the distance to an outline has several minima."""
     pusher = frames.pusher()
 
@@ -375,7 +376,7 @@ def _frame_cause(frames: _Frames) -> _Found:
     return _cause("the pusher has another frame", mend, frames.distance(transform_points(pose, pusher)))
 
 
-def _turn_of_ways(frames: _Frames, pusher: Float64Array) -> float:
+def _turn_of_ways(frames: MovingFrames, pusher: Float64Array) -> float:
     """By what the way of the pusher is to be turned to point along that of the object, in the mean over the pushes [rad]."""
     turn = 0.0j
     for push in np.unique(frames.push):

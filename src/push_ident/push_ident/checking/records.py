@@ -57,7 +57,7 @@ def check_records(records: Sequence[PushRecord], *, tare: bool = True) -> Record
     if any(record.pusher.polygon is not None for record in records):
         return RecordCheck(tuple(records), None)
     tolerance = contact_tolerance_of(records)
-    overlap = overlap_of(_one_stream(records, tolerance))
+    overlap = overlap_of(one_stream(records, tolerance))
     # Of end poses no frame shows the motion: the pusher must at least come to where the object stood.
     by_ends = {number: _contact(record, tolerance) for number, record in enumerate(records) if number not in overlap.push}
     warnings = contact_warnings({number: contact for number, contact in by_ends.items() if contact.moved}, tolerance)
@@ -77,7 +77,7 @@ def _contact(record: PushRecord, tolerance: float) -> Contact:
     return contact_of(poses.time, poses.pose, path, shape=record.shape, radius=pusher.radius, tolerance=tolerance)
 
 
-def _one_stream(records: Sequence[PushRecord], tolerance: float) -> Streams:
+def one_stream(records: Sequence[PushRecord], tolerance: float) -> Streams:
     """The pushes one after the other, each on a time of its own."""
     poses: list[Float64Array] = []
     runs: list[Float64Array] = []

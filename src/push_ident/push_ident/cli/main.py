@@ -23,6 +23,7 @@ LazyGroup.lazy_subcommands = {
         ("diagnose", "diagnose:diagnose_command", "Report which missing effect causes a gap, and where"),
         ("fix", "fix:fix_command", "Correct a scene of MuJoCo by recorded pushes"),
         ("selftest", "selftest:selftest_command", "Show what recorded pushes can tell, and what not"),
+        ("check-calibration", "check_calibration:check_calibration_command", "Check where camera and tool stand by the contacts of pushes"),
         ("fleet", "fleet:fleet_command", "Identify many bags in parallel"),
         ("plan-pushes", "plan_pushes:plan_pushes_command", "Plan the first pushes of an object from its outline"),
         ("export", "export:export_command", "Write a model for a simulator"),
@@ -39,7 +40,7 @@ LazyGroup.lazy_subcommands = {
         ("salvage", "salvage:salvage_command", "Copy the readable messages of a damaged bag"),
     )
 }
-_READ_FILES = frozenset({"look", "identify", "predict", "diagnose", "fix", "selftest", "import", "salvage"})
+_READ_FILES = frozenset({"look", "identify", "predict", "diagnose", "fix", "selftest", "check-calibration", "import", "salvage"})
 """Commands that read what others recorded, in this process."""
 app = typer.Typer(
     name="push-ident",

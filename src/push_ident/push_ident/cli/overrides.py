@@ -51,7 +51,28 @@ def overrides_of(files: Sequence[Path], remaps: Sequence[str], nodes: Sequence[s
     return Overrides(tuple(files), tuple(remaps))
 
 
+def parameters_of(file: Path, node: str) -> dict[str, Any]:
+    """Parameters that a parameter file gives to a node, by name. Raises InputError for a file that is no parameter file."""
+    found: dict[str, Any] = {}
+    for name, parameters in _read(file).items():
+        if _node_of(name) in ("", node):
+            found |= parameters
+    return found
+
+
 def _check_file(file: Path, nodes: Sequence[str]) -> None:
+    for name in _read(file):
+        if _node_of(name) not in ("", *nodes):
+            raise InputError(f"--params {file}: names the node {plain_text(name)}, expected /** or one of {', '.join(nodes)}.")
+
+
+def _node_of(name: str) -> str:
+    """The node that a section is for; empty: every node."""
+    return name.removeprefix(_EVERY_NODE).strip("/")
+
+
+def _read(file: Path) -> dict[str, dict[str, Any]]:
+    """Parameters by the names of the sections."""
     try:
         content: Any = yaml.safe_load(read_regular(file))
     except (OSError, yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
@@ -60,7 +81,6 @@ def _check_file(file: Path, nodes: Sequence[str]) -> None:
     if not isinstance(content, dict) or not content:
         raise InputError(f"--params {file}: holds no nodes, expected `NODE:` with `ros__parameters:` below it.")
     for name, below in content.items():
-        if str(name) != _EVERY_NODE and str(name).removeprefix(_EVERY_NODE).strip("/") not in nodes:
-            raise InputError(f"--params {file}: names the node {plain_text(str(name))}, expected /** or one of {', '.join(nodes)}.")
         if not isinstance(below, dict) or not isinstance(below.get("ros__parameters"), dict):
             raise InputError(f"--params {file}: {plain_text(str(name))} has no `ros__parameters:` with parameters below it.")
+    return {str(name): below["ros__parameters"] for name, below in content.items()}

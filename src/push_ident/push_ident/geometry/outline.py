@@ -85,6 +85,24 @@ def _distance(points: Float64Array, start: Float64Array) -> Float64Array:
     return np.where(_inside(points, start), -distance, distance)
 
 
+def outline_contact(points: Float64Array, polygon: Float64Array) -> tuple[Float64Array, Float64Array, NDArray[np.intp]]:
+    """Distance of each of `points` (n, 2) to the outline [m], negative inside, shape (n,), its gradient by the point, shape (n, 2), and the
+    nearest edge, shape (n,).
+
+    The gradient is the outward normal of the edge, or points away from the nearest corner.
+    """
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    from_start = points[:, None, :] - polygon
+    along = np.clip(np.sum(from_start * edge, axis=2) / np.maximum(np.sum(edge * edge, axis=1), 1e-300), 0.0, 1.0)
+    away = from_start - along[..., None] * edge
+    nearest = np.argmin(np.linalg.norm(away, axis=2), axis=1)
+    away = away[np.arange(len(points)), nearest]
+    distance = np.linalg.norm(away, axis=1) * np.where(_inside(points, polygon), -1.0, 1.0)
+    on_it = np.abs(distance) < 1e-9  # [m]: the difference has lost its direction
+    gradient = np.where(on_it[:, None], edge_normals(polygon)[nearest], away / np.where(on_it, 1.0, distance)[:, None])
+    return distance, gradient, nearest
+
+
 def _in_blocks(function: Callable[[Float64Array, Float64Array], Any], points: Float64Array, polygon: Float64Array) -> NDArray[Any]:
     """`function` of the points, so many at once that all pairs of points and vertices fit into little memory."""
     size = max(1, 1_000_000 // max(1, len(polygon)))  # pairs: 50 MB

@@ -41,6 +41,8 @@ class LoadedPushes(Sequence[PushRecord]):
     """Data that was missing, dropped or assumed; one line each."""
     nuisances: tuple[str, ...] = ()
     """Names of effects that stand for what the bags do not give: the radius of the pusher, or an outline."""
+    camera_in_table: Float64Array | None = None
+    """Pose of the depth camera of the first bag that has it, or the one that was given, homogeneous, shape (4, 4)."""
 
     def __len__(self) -> int:
         return len(self.records)
@@ -102,8 +104,10 @@ def load_pushes(
     records: list[PushRecord] = []
     notes: list[str] = []
     is_contact_measured = True
+    camera = None
     for path in paths:
         contents = read_bag(path, options)
+        camera = contents.camera_in_table if camera is None else camera
         if not contents.has_poses:
             if on_progress:
                 on_progress(f"{path.name}: no object poses; tracking the object in {contents.n_depth} depth images")
@@ -129,7 +133,7 @@ def load_pushes(
                 f"{record.source} has {len(record.shape.cells)} other cells than {first.source}; "
                 "only bags with the same cells of one object can be identified together, such as those of one run."
             )
-    return LoadedPushes(object_id, records, notes, () if is_contact_measured else _CONTACT)
+    return LoadedPushes(object_id, records, notes, () if is_contact_measured else _CONTACT, camera_in_table if camera is None else camera)
 
 
 def _possible(pushes: list[PushRecord], prior: Prior) -> tuple[list[PushRecord], list[str]]:
