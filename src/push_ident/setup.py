@@ -32,6 +32,7 @@ extras = {
     "pcd": ["open3d>=0.20"],
     "report": ["jinja2>=3.1", "matplotlib>=3.11"],
     "torch": ["torch>=2.13"],
+    "viewer": ["rerun-sdk>=0.41"],
 }
 
 (version,) = re.findall(r'^__version__ = "(.+)"$', Path(package, "__init__.py").read_text(encoding="utf-8"), re.MULTILINE)
