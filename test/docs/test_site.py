@@ -17,7 +17,8 @@ from push_ident.cli.main import app
 
 ROOT_DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONVENTIONS.md", "bags/README.md")
 ROOT_DOCUMENTS += ("changelog/README.md", "CONTRIBUTING.md", "CHANGELOG.md")
-ELSEWHERE = ("camera.yaml", "camera_info.yaml", "joint_limits.yaml", "my_cell.yaml", "my_robot.yaml", "parameters.yaml", "perception.yaml")
+ELSEWHERE = ("camera.yaml", "camera_info.yaml", "edge.yaml", "joint_limits.yaml", "my_cell.yaml", "my_robot.yaml", "parameters.yaml")
+ELSEWHERE += ("perception.yaml", "slow.yaml")
 """Files that documents name and that are made by a command or belong to an arm."""
 
 SITE_STYLE = (ROOT / "docs" / "assets" / "site.css").read_text(encoding="utf-8")
