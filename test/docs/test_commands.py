@@ -28,7 +28,11 @@ from push_ident_sim.executables import NODES as SIM_NODES
 
 PAGES = [
     *sorted((ROOT / "docs").rglob("*.md")),
-    *(ROOT / name for name in ("README.md", "SAFETY.md", "CONTRIBUTING.md", "CONVENTIONS.md", "ARCHITECTURE.md", "bags/README.md")),
+    *sorted((ROOT / ".github").rglob("*.md")),
+    *(
+        ROOT / name
+        for name in ("README.md", "SAFETY.md", "SECURITY.md", "CONTRIBUTING.md", "CONVENTIONS.md", "ARCHITECTURE.md", "bags/README.md")
+    ),
 ]
 PROGRAMS = ("push-ident", "ros2", "make", "python", "pip", "rviz2", "rerun", "rosbags-convert", "pytest", "cp", "printf")
 VERBS = {

@@ -16,7 +16,7 @@ from helpers.paths import EXAMPLE_BAG, ROOT
 from push_ident.cli.main import app
 
 ROOT_DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONVENTIONS.md", "bags/README.md")
-ROOT_DOCUMENTS += ("changelog/README.md", "CONTRIBUTING.md", "CHANGELOG.md")
+ROOT_DOCUMENTS += ("changelog/README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
 ELSEWHERE = ("camera.yaml", "camera_info.yaml", "edge.yaml", "joint_limits.yaml", "my_cell.yaml", "my_robot.yaml", "parameters.yaml")
 ELSEWHERE += ("perception.yaml", "slow.yaml")
 """Files that documents name and that are made by a command or belong to an arm."""
