@@ -37,6 +37,7 @@ ROOT_DOCUMENTS = {
     "README.md": "index.md",
     "ARCHITECTURE.md": "architecture.md",
     "SAFETY.md": "safety.md",
+    "SECURITY.md": "security.md",
     "CONVENTIONS.md": "reference/conventions.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",

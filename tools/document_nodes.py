@@ -29,7 +29,7 @@ HEAD = """# Nodes
 
 Made from the code of the nodes. Names of topics are relative and can be remapped; `<id>` is the id of an object. Parameters marked
 *fixed* are read at the start. Their values are in `src/*/config/*.yaml`. A player publishes, and a recorder takes in, every topic of the
-[contract of bags](../how-to/own-data.md).
+[contract of bags](../how-to/own-data.md). A subscriber of a *latched* topic (transient local) gets its last message whenever it comes.
 
 All nodes are lifecycle nodes that start themselves, unless `autostart` is false. What a node cannot use it refuses, and it names the last
 refusal in `/diagnostics`: [decision 37](../decisions/0037-guarded-nodes.md).
@@ -56,11 +56,12 @@ class Module:
     imports: set[str] = field(default_factory=set)
 
 
-def modules() -> dict[str, Module]:
+def modules(folders: tuple[str, ...] = PACKAGES) -> dict[str, Module]:
+    """Modules below folders of the packages, by name."""
     found = {}
-    for package in PACKAGES:
-        root = SOURCE / package
-        for path in sorted((root / package).rglob("*.py")):
+    for folder in folders:
+        root = SOURCE / folder.partition("/")[0]
+        for path in sorted((root / folder).rglob("*.py")):
             parts = path.relative_to(root).with_suffix("").parts
             name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
             found[name] = Module(name, path, ast.parse(path.read_text(encoding="utf-8")))
@@ -114,8 +115,9 @@ def entities(module: Module, known: dict[str, Module]) -> Iterator[tuple[str, st
             arguments = call.args[1:] if called.startswith("Action") else call.args
             if len(arguments) < 2:
                 continue
+            latched = ", latched" if called.endswith("publisher") and any("LATCHED" in ast.unparse(a) for a in arguments[2:]) else ""
             for kind, topic in pairs(arguments[0], arguments[1], function, module, known):
-                yield CALLS[called], topic, kind
+                yield CALLS[called], topic, kind + latched
 
 
 def pairs(

@@ -25,6 +25,19 @@ PLACES = {
 """File, and where the version stands in it."""
 
 
+STAND_IN = "push-ident.example"
+"""A reserved name in place of the owner's own addresses, which only the owner knows."""
+ADDRESSED = ("src/*/package.xml", "src/*/setup.py", "SECURITY.md")
+
+
+def check_owner(root: Path) -> None:
+    """Exit with the files where the owner's address is still to be given."""
+    files = [path for pattern in ADDRESSED for path in sorted(root.glob(pattern)) if STAND_IN in path.read_text(encoding="utf-8")]
+    if files:
+        names = ", ".join(str(path.relative_to(root)) for path in files)
+        sys.exit(f"{STAND_IN} still stands for the maintainer's e-mail, website, repository and issues in {names}; put the real ones in")
+
+
 def replaced(file: str, pattern: str, value: str, root: Path) -> None:
     """Replace the one place of a pattern in a file."""
     path = root / file
@@ -35,7 +48,7 @@ def replaced(file: str, pattern: str, value: str, root: Path) -> None:
 
 
 def main() -> None:
-    """Exit status 1 where the version has another form, or a file has not its place."""
+    """Exit status 1 where the version has another form, a file has not its place, or the owner's address is missing."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("version")
     parser.add_argument("--date", type=datetime.date.fromisoformat, default=datetime.date.today())
@@ -43,6 +56,7 @@ def main() -> None:
     given = parser.parse_args()
     if not re.fullmatch(r"\d+\.\d+\.\d+", given.version):
         sys.exit(f"the version is {given.version}, expected MAJOR.MINOR.PATCH")
+    check_owner(given.root)
     for file, pattern in PLACES.items():
         replaced(file, pattern, given.version, given.root)
     dated = f'version: {given.version}\ndate-released: "{given.date}"'

@@ -32,6 +32,7 @@ extras = {
     "pcd": ["open3d>=0.20"],
     "report": ["jinja2>=3.1", "matplotlib>=3.11"],
     "torch": ["torch>=2.13"],
+    "viewer": ["rerun-sdk>=0.41"],
 }
 
 (version,) = re.findall(r'^__version__ = "(.+)"$', Path(package, "__init__.py").read_text(encoding="utf-8"), re.MULTILINE)
@@ -54,6 +55,10 @@ setup(
     extras_require={**extras, "all": sorted({name for names in extras.values() for name in names}), "test": ["pytest"]},
     python_requires=">=3.11",
     zip_safe=False,
+    url="https://push-ident.example",
+    project_urls={"Source": "https://push-ident.example/push_ident.git", "Issues": "https://push-ident.example/issues"},
+    author="push_ident maintainers",
+    author_email="maintainers@push-ident.example",
     maintainer="push_ident maintainers",
     maintainer_email="maintainers@push-ident.example",
     description="Identifies per-cell mass and support friction of unknown objects by pushing them, and predicts their motion.",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import html
-import json
 import os
 import re
 import runpy
@@ -13,14 +11,14 @@ from pathlib import Path
 
 import pytest
 import typer.main
-from yaml import safe_load
 
-from helpers.paths import CONFIG, EXAMPLE_BAG, ROOT
+from helpers.paths import EXAMPLE_BAG, ROOT
 from push_ident.cli.main import app
 
 ROOT_DOCUMENTS = ("README.md", "ARCHITECTURE.md", "CONVENTIONS.md", "bags/README.md")
-ROOT_DOCUMENTS += ("changelog/README.md", "CONTRIBUTING.md", "CHANGELOG.md")
-ELSEWHERE = ("camera.yaml", "camera_info.yaml", "joint_limits.yaml", "my_cell.yaml", "my_robot.yaml", "parameters.yaml", "perception.yaml")
+ROOT_DOCUMENTS += ("changelog/README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
+ELSEWHERE = ("camera.yaml", "camera_info.yaml", "edge.yaml", "joint_limits.yaml", "my_cell.yaml", "my_robot.yaml", "parameters.yaml")
+ELSEWHERE += ("perception.yaml", "slow.yaml")
 """Files that documents name and that are made by a command or belong to an arm."""
 
 SITE_STYLE = (ROOT / "docs" / "assets" / "site.css").read_text(encoding="utf-8")
@@ -63,18 +61,6 @@ def test_reference_has_every_command_node_message_and_effect(site: Path) -> None
     }
     missing = {page: [name for name in names if name not in pages[page]] for page, names in expected.items()}
     assert not any(missing.values()), missing
-
-
-@pytest.mark.release
-def test_layouts_of_viewers_name_topics_that_the_nodes_publish(site: Path) -> None:
-    page = (site / "reference" / "nodes.html").read_text(encoding="utf-8")
-    rviz = safe_load((CONFIG / "push_ident.rviz").read_text(encoding="utf-8"))
-    displays = [d for group in rviz["Visualization Manager"]["Displays"] for d in (group.get("Displays") or [group])]
-    topics = {d["Topic"]["Value"] for d in displays if "Topic" in d}
-    topics |= set(json.loads((CONFIG / "foxglove_layout.json").read_text(encoding="utf-8"))["configById"]["3D!table"]["topics"])
-    for topic in topics:
-        name = html.escape(re.sub("^objects/[^/]+", "objects/<id>", topic.removeprefix("/")))
-        assert re.search(rf"<td>publishes</td>\s*<td><code>{re.escape(name)}</code></td>", page), topic
 
 
 def test_links_of_the_documents_at_the_root_lead_somewhere_and_files_that_documents_name_exist() -> None:

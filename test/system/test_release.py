@@ -22,6 +22,8 @@ VERSIONED = (
     "CITATION.cff",
 )
 
+ADDRESSED = ("src/push_ident/setup.py", "SECURITY.md")
+
 
 def release(root: Path, version: str) -> subprocess.CompletedProcess[str]:
     call = [sys.executable, ROOT / "tools" / "release.py", version, "--date", "2031-02-03", "--root", root]
@@ -30,10 +32,11 @@ def release(root: Path, version: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """What a release touches, and two fragments."""
-    for name in (*VERSIONED, "pyproject.toml", "CHANGELOG.md", "tools/changelog.md.j2", "changelog/README.md"):
+    """What a release touches, with an address of the owner, and two fragments."""
+    for name in (*VERSIONED, *ADDRESSED, "pyproject.toml", "CHANGELOG.md", "tools/changelog.md.j2", "changelog/README.md"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / name, tmp_path / name)
+        text = (ROOT / name).read_text(encoding="utf-8")
+        (tmp_path / name).write_text(text.replace("push-ident.example", "push-ident.invalid"), encoding="utf-8")
     (tmp_path / "changelog" / "wheel.added.md").write_text("First line\nand second.\n")
     (tmp_path / "changelog" / "door.fixed.md").write_text("A door.\n")
     return tmp_path
@@ -55,7 +58,17 @@ def test_release_writes_one_version_and_gathers_the_fragments(copy: Path) -> Non
 def test_a_version_of_another_form_changes_nothing(copy: Path) -> None:
     done = release(copy, "v2")
     assert done.returncode == 1 and "MAJOR.MINOR.PATCH" in done.stderr
-    assert all((copy / name).read_bytes() == (ROOT / name).read_bytes() for name in VERSIONED)
+    assert push_ident.__version__ in (copy / "CITATION.cff").read_text() and (copy / "changelog" / "door.fixed.md").exists()
+
+
+@pytest.mark.parametrize("name", ["src/push_ident_msgs/package.xml", "src/push_ident_sim/setup.py", "SECURITY.md"])
+def test_no_release_is_made_without_an_address_of_the_owner(copy: Path, name: str) -> None:
+    shutil.copy(ROOT / name, copy / name)
+    if "push-ident.example" not in (copy / name).read_text():
+        pytest.skip("the owner has given an address")
+    done = release(copy, "7.8.9")
+    assert done.returncode == 1 and name in done.stderr
+    assert "7.8.9" not in (copy / "CITATION.cff").read_text()
 
 
 def test_every_fragment_has_a_kind_and_the_citation_the_paper_and_this_version() -> None:

@@ -16,6 +16,7 @@ EXTRAS: Final = {
     "pcd": ("open3d",),
     "report": ("jinja2", "matplotlib"),
     "torch": ("torch",),
+    "viewer": ("rerun",),
 }
 """Extra of the wheel (`setup.py`): the modules that it brings."""
 _ROS: Final = frozenset({"ament_index_python", "builtin_interfaces", "rclpy", "push_ident_msgs", "rosgraph_msgs"})

@@ -72,6 +72,11 @@ class OpenBag:
         """
         self.path = path
         self._readers, self._decompress = readers, decompress
+        self.files = [Path(str(reader.path)) for reader in readers]
+        """Its storage files, uncompressed, in order of time; those of a compressed bag are there as long as it is open."""
+        self.start_ns = min(reader.start_time for reader in readers)
+        """Log time of its first message [ns]."""
+        self.is_message_compressed = decompress is not None
         self._is_ros1 = any(isinstance(reader, Rosbag1Reader) for reader in readers)
         self._store = get_typestore(Stores.EMPTY)
         self._store.max_sequence_length = LIMITS.MESSAGE.value

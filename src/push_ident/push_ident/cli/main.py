@@ -18,6 +18,7 @@ LazyGroup.lazy_subcommands = {
     name: LazyCommand(f"push_ident.cli.{place}", summary)
     for name, place, summary in (
         ("look", "look:look_command", "Find table, noise and objects in depth images"),
+        ("view", "view:view_command", "Write a bag for the viewer Rerun"),
         ("identify", "identify:identify_command", "Identify the mass and friction maps from recorded pushes"),
         ("predict", "predict:predict_command", "Predict recorded pushes with a model and compare"),
         ("diagnose", "diagnose:diagnose_command", "Report which missing effect causes a gap, and where"),
@@ -40,7 +41,7 @@ LazyGroup.lazy_subcommands = {
         ("salvage", "salvage:salvage_command", "Copy the readable messages of a damaged bag"),
     )
 }
-_READ_FILES = frozenset({"look", "identify", "predict", "diagnose", "fix", "selftest", "check-calibration", "import", "salvage"})
+_READ_FILES = frozenset({"look", "identify", "predict", "diagnose", "fix", "selftest", "check-calibration", "import", "salvage", "view"})
 """Commands that read what others recorded, in this process."""
 app = typer.Typer(
     name="push-ident",

@@ -139,7 +139,6 @@ class _PushExecutor(Component):
         self._hand = make_hand(node, values, housekeeping)
         self._recording = RecordingPort(node, housekeeping)
         self._objects = TrackedObjects(node, housekeeping, lambda: self._is_active and self._execution.is_pushing)
-        self._objects = TrackedObjects(node, housekeeping)
         self._controller = make_controller(
             node, values["free_motions"], path_tolerance=values["path_tolerance"], goal_tolerance=values["goal_tolerance"]
         )
