@@ -18,11 +18,12 @@ from rclpy.qos import QoSProfile
 
 import push_ident.nodes  # noqa: F401  the network of this machine, as the nodes have it
 
-PATIENCE = 10.0  # for the graph and for an answer [s]
+PATIENCE = 10.0  # for the graph [s]
+ANSWER = 90.0  # for an answer: the first solve of an installation compiles its kernels [s]
 
 
-def ended(why):
-    return sys.exit(f"ask_ros: {why} within {PATIENCE:.0f} s; is the cell running, and ROS_DOMAIN_ID the same?")
+def ended(why, seconds=PATIENCE):
+    return sys.exit(f"ask_ros: {why} within {seconds:.0f} s; is the cell running, and ROS_DOMAIN_ID the same?")
 
 
 def found(node, look, what):
@@ -36,8 +37,8 @@ def found(node, look, what):
 
 
 def answer(node, future):
-    rclpy.spin_until_future_complete(node, future, timeout_sec=PATIENCE)
-    return future.result() if future.done() else ended("no answer")
+    rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER)
+    return future.result() if future.done() else ended("no answer", ANSWER)
 
 
 def type_named(name):

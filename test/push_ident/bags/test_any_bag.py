@@ -80,14 +80,15 @@ def model(reader: ProcessPoolExecutor, tmp_path_factory: pytest.TempPathFactory)
 @pytest.mark.long
 @pytest.mark.fuzz
 @fuzzed(8, shrink=False)
-@given(st.deferred(lambda: bags(SOUND)), st.sampled_from(["identify", "diagnose", "predict"]))
+@given(st.deferred(lambda: bags(SOUND)), st.sampled_from(["identify", "diagnose", "predict", "view"]))
 def test_any_bag_is_answered_or_refused_in_one_line(
     reader: ProcessPoolExecutor, model: Path, tmp_path_factory: pytest.TempPathFactory, write: Callable[[Path], None], command: str
 ) -> None:
     folder = tmp_path_factory.mktemp("any_bag")
     try:
         write(folder / "bag")
-        done = reader.submit(run_here, command, *([model] if command == "predict" else []), folder / "bag").result(LONGEST)
+        out = ["--out", folder / "view.rrd"] if command == "view" else []
+        done = reader.submit(run_here, command, *([model] if command == "predict" else []), folder / "bag", *out).result(LONGEST)
         refused = [line for line in done.stderr.splitlines() if line.startswith("push-ident: ")]
         assert done.returncode in (0, 1) and len(refused) == done.returncode and "Traceback" not in done.stderr, done.stderr
     finally:

@@ -19,6 +19,7 @@ READ = ("look", "identify", "predict", "diagnose")
 TRACKED = ("import csv", "import rosbag")
 PRINTED_BY = {
     "axes": TRACKED,
+    "bag_view": ("view",),
     "cmu_icra16": ("import cmu-icra16",),
     "cmu_mocap": ("import cmu-mocap",),
     "depth_images": ("look",),
@@ -52,7 +53,7 @@ ONLY_WITH = {
 }
 """Remedies of shared modules that are printed for one command only."""
 OF_OTHERS = {"--ros-args", "--enclave", "--params-file", "--log-level", "--head", "--port", "--bind", "--web-viewer-port", "--serve-web"}
-OF_OTHERS |= {"--server-memory-limit", "--help", "--version"}
+OF_OTHERS |= {"--server-memory-limit", "--help", "--version", "--src", "--dst", "--dst-storage"}
 """Of programs that are started, and of `push-ident` without a command."""
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
 COMMAND = re.compile(r"(?:`?push-ident |`)((?:import )?[a-z][a-z0-9-]*)")

@@ -1,4 +1,4 @@
-"""The content of the viewer, written with Rerun; no other module uses it.
+"""The content of the live viewer, written with Rerun; what a bag shows there without nodes: `offline/bag_view.py`.
 
 Entities are named by the frame they live in: `table` holds everything; `table/camera` is the depth camera, so that whatever stands on
 the table can also be drawn into its picture.
