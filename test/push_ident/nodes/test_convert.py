@@ -48,6 +48,25 @@ def test_planar_poses_come_back_and_their_full_covariance_is_positive_definite()
     assert np.linalg.eigvalsh(np.reshape(msg.pose.covariance, (6, 6)))[0] > 0
 
 
+@pytest.mark.parametrize(
+    ("entries", "value", "unknown"),
+    [
+        (range(36), 0.0, [0, 1, 2]),
+        ([0], -1.0, [0, 1, 2]),  # as sensor_msgs/Imu
+        ([35], 0.0, [2]),
+        ([0, 7], 0.0, [0, 1]),
+        ([7], 0.0, [0, 1]),
+    ],
+)
+def test_what_of_a_covariance_is_zero_is_unknown(entries, value, unknown):
+    msg = messages.planar_pose_to_msg(STAMP, [0.12, -0.34, 2.5], COVARIANCE)
+    msg.pose.covariance[list(entries)] = value
+    _, _, covariance = messages.planar_pose_from_msg(msg)
+    expected = COVARIANCE.copy()
+    expected[unknown] = expected[:, unknown] = 0.0
+    np.testing.assert_allclose(covariance, expected)
+
+
 @pytest.mark.parametrize("name", wrong_poses())
 def test_poses_that_cannot_be_are_refused(name):
     with pytest.raises(InputError) as caught:

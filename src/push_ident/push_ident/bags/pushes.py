@@ -17,7 +17,7 @@ from push_ident.pushing.pose_noise import PAUSE
 from push_ident.pushing.regular_path import stamps_jitter
 from push_ident.types import CameraAccuracy, PushRecord
 
-_NO_COVARIANCE: Final = "Record the object at rest around pushes, or state how poses scatter: --pose-std METRES,RADIANS."
+_OTHER_NOISE: Final = "`push-ident identify`, `predict`, `selftest`, `diagnose` and `fleet` take others with --pose-std METRES,RADIANS."
 
 
 def split_pushes(contents: BagContents, object_id: str) -> list[PushRecord]:
@@ -51,10 +51,10 @@ def split_pushes(contents: BagContents, object_id: str) -> list[PushRecord]:
     ]
     skipped += _jitter_note(contents, records)
     if records:
-        skipped += [f"object {object_id}: {text}; --pose-std states others." for text in cutter.noise_texts().values()]
+        skipped += [f"object {object_id}: {text}. {_OTHER_NOISE}" for text in cutter.noise_texts().values()]
     contents.notes.extend(note for note in skipped if note not in contents.notes)
     if not records:
-        remedy = f" {_NO_COVARIANCE}" if cutter.noise_texts() else ""
+        remedy = f" Record rests around pushes; {_OTHER_NOISE}" if cutter.noise_texts() else ""
         raise BagError(f"{contents.path}: none of {len(pushes)} pushes is usable; {skipped[0] if skipped else 'there are none'}{remedy}")
     return records
 

@@ -69,6 +69,7 @@ _SimulatorOption = Annotated[
         show_default=False,
     ),
 ]
+_PusherFrictionOption = Annotated[float, typer.Option(callback=above_zero, help="Nominal pusher friction: another value is an effect.")]
 
 
 def diagnose_command(
@@ -94,9 +95,7 @@ def diagnose_command(
     total_mass: TotalMassOption = None,
     nominal_mass: NominalMassOption = _NOMINAL.total_mass,
     friction: FrictionOption = _NOMINAL.friction,
-    pusher_friction: Annotated[
-        float, typer.Option(callback=above_zero, help="Nominal pusher friction: another value is an effect.")
-    ] = _NOMINAL.pusher_friction,
+    pusher_friction: _PusherFrictionOption = _NOMINAL.pusher_friction,
 ) -> None:
     """Report where the simulation differs from recorded pushes, which missing effect causes it, and how far the gap shrinks with it."""
     if out is not None:

@@ -82,9 +82,8 @@ def fleet_command(
         f"{len(done)} of {len(outcomes)} bags identified; median error on held-out pushes "
         f"{millimetres(float(np.median(errors)) if errors else float('nan'))}"
     )
-    for outcome in outcomes:
-        if outcome["state"] == "failed":
-            warn(f"failed: {outcome['bag']}: {outcome['error']}")
+    for outcome in (one for one in outcomes if one["state"] == "failed"):
+        warn(f"failed: {outcome['bag']}: {outcome['error']}")
     say(f"written: {out / 'index.html'}, {out / 'results.parquet'}")
     write_json(json, {"bags": outcomes})
     if not done:
