@@ -9,6 +9,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from helpers.bags import L_SHAPE, bag_error, write_push, write_pusher_logged
+from helpers.paths import EXAMPLE_BAG
 from push_ident.bags.contract import Role
 from push_ident.bags.reader import read_bag
 from push_ident.bags.salvage import salvage
@@ -83,6 +84,11 @@ def test_a_bag_cut_short_names_what_can_be_recovered_and_salvage_recovers_it(tmp
     contents = read_bag(tmp_path / "new")
     assert sum(contents.topics.values()) == report.total
     assert contents.topics == report.messages
+
+
+def test_salvage_of_a_whole_bag_loses_nothing_also_where_its_types_are_of_an_older_version(tmp_path: Path) -> None:
+    report = salvage(EXAMPLE_BAG, tmp_path / "new")  # its push records are older than the installed type
+    assert report.undecodable == 0 and report.messages == read_bag(EXAMPLE_BAG).topics
 
 
 def test_salvage_leaves_out_a_chunk_with_a_flipped_byte_and_messages_that_do_not_decode(tmp_path: Path) -> None:

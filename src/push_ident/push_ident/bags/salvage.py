@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from push_ident.bags.contract import role_of, size_limit
 from push_ident.bags.mcap_records import Channel, IntactRecords, Message, Schema
@@ -71,7 +75,7 @@ def salvage(path: Path, out: Path) -> SalvageReport:
                 channels[record.id] = record
                 LIMITS.TOPICS.check(len(channels), "the file", error=BagError, remedy="It is damaged.")
             elif (known := channels.get(record.channel_id)) is not None and (schema := schemas.get(known.schema_id)) is not None:
-                if record.log_time >= 2**63 or not _decodes(known.topic, schema.name, record.data):
+                if record.log_time >= 2**63 or not _decodes(known.topic, schema, record.data):
                     undecodable += 1
                     continue
                 definition = (schema.encoding, schema.data)
@@ -84,19 +88,29 @@ def salvage(path: Path, out: Path) -> SalvageReport:
     return SalvageReport(out, dict(sorted(counts.items())), records.damaged_chunks, undecodable, records.end)
 
 
-def _decodes(topic: str, msgtype: str, data: bytes) -> bool:
+def _decodes(topic: str, schema: Schema, data: bytes) -> bool:
     """Whether a message of the contract can be read; one that cannot would make the whole new bag unreadable."""
     role = role_of(topic)
-    if role is None or role.role.msgtype != msgtype or msgtype not in jazzy_typestore().fielddefs:
+    if role is None or role.role.msgtype != schema.name:
         return True
-    if len(data) > size_limit(msgtype).value:
+    if len(data) > size_limit(schema.name).value:
         return False  # the reader refuses it
     try:
-        jazzy_typestore().deserialize_cdr(data, msgtype)
+        _typestore_of(schema.name, schema.encoding, schema.data).deserialize_cdr(data, schema.name)
     except Exception:
         # The generated decoder may raise any exception on damaged bytes.
         return False
     return True
+
+
+@lru_cache(maxsize=64)
+def _typestore_of(msgtype: str, encoding: str, definition: bytes) -> Typestore:
+    """That of the file's own definition, which may be of another version of the type than the one installed."""
+    if encoding != "ros2msg":
+        return jazzy_typestore()
+    store = get_typestore(Stores.EMPTY)
+    store.register({**jazzy_typestore().fielddefs, **get_types_from_msg(definition.decode("utf-8"), msgtype)})
+    return store
 
 
 def _mcap_in(path: Path) -> Path:

@@ -19,3 +19,5 @@ def salvage_command(
     """Copy all readable messages of a truncated or damaged bag into a new bag."""
     report = salvage(bag, out)
     say(f"{report.total} messages recovered into {out}")
+    if report.undecodable:
+        say(f"{report.undecodable} left out: they are not of the type that the bag states for their topic", style="yellow")
