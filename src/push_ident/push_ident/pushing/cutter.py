@@ -49,7 +49,8 @@ class CutterSettings:
     """A stream without a sample between so many calls of `finished` has delivered all it had. A node handles one waiting message of each
     topic between two calls of a timer, so that no message can be waiting then."""
     max_rest: float = 60.0
-    """Longest time from a push to a pose that shows the object at rest before or after it [s]."""
+    """Longest time from a push to a pose that shows the object at rest before or after it, or to the rests that show the noise of its poses
+    [s]."""
     record_delay: float = 10.0
     """Longest time from the end of a push to its record [s]: an executor may first take the arm home."""
     rounding: float = 5e-7
@@ -358,6 +359,10 @@ class PushCutter:
             is_tail = self._is_tail(run, self._handed_out_until)
             is_overdue = flush or passed > run.end + _SETTINGS.record_delay or any(r.start >= run.end for r in self._records)
             if unrecorded and not is_tail and not is_overdue:
+                break
+            # The rests up to the next push may show it.
+            lacks_noise = any(noise.is_needed and noise.std() is None for noise in self._noise.values())
+            if lacks_noise and not flush and passed <= run.end + _SETTINGS.max_rest:
                 break
             self._ended.popleft()
             if is_tail:

@@ -298,7 +298,8 @@ class _Identification(Component):
     def _finish(self, push: list[PushRecord]) -> None:
         self._is_pushing = False
         if not push:
-            self._collector.refuse("pushes", "identify", "a push is left out: no object has poses before and after it; is it hidden?")
+            why = self._collector.what_is_missing() or "no object has poses before and after it; is it hidden?"
+            self._collector.refuse("pushes", "identify", f"a push is left out: {why}")
         for record in push:
             session = self._sessions[record.object_id]
             known_again = session.n_known_again
