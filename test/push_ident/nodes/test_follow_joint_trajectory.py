@@ -1,6 +1,6 @@
 """push_executor_node with `free_motions: follow_joint_trajectory` before a controller that is a process of its own.
 
-About 45 s on 2 cores, most of it waiting for an arm that moves in real time.
+About 30 s on 2 cores that others use as well, most of it waiting for processes to start and for an arm that moves in real time.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus, GoalStatusArray
-from builtin_interfaces.msg import Duration
+from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionClient
 from rclpy.context import Context
@@ -29,6 +29,7 @@ from push_ident.pushing.push import PushCode
 pytestmark = pytest.mark.alone
 
 PATH_TOLERANCE = 0.01
+NOW = Time()
 BRAKING = 0.2
 """Of a joint at 2 rad/s with 10 rad/s^2 [s]."""
 
@@ -80,7 +81,7 @@ def start_controller(domain: int, cell: DrivenCell, folder: Path) -> ControllerP
 
 @pytest.fixture(scope="module")
 def node(domain: int, controllers: object, the_driven_cell: DrivenCell, tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeProcess]:
-    given = {"free_motions": "follow_joint_trajectory", "path_tolerance": PATH_TOLERANCE}
+    given = {"free_motions": "follow_joint_trajectory", "path_tolerance": PATH_TOLERANCE, "stamp_commands": True}
     process = start_node(domain, tmp_path_factory.mktemp("node"), **given)
     try:
         wait_until_ready(the_driven_cell)
@@ -187,6 +188,30 @@ def test_goal_that_is_rejected_moves_nothing(cell: DrivenCell) -> None:
     assert cell.q == pytest.approx(begin, abs=1e-3)
 
 
+def test_stand_in_takes_what_joint_trajectory_controller_takes(cell: DrivenCell) -> None:
+    names, here = list(cell.kinematics.joint_names), cell.q.tolist()
+
+    def is_accepted(*points: JointTrajectoryPoint, joints: list[str] = names, stamp: Time = NOW) -> bool:
+        trajectory = JointTrajectory(joint_names=joints, points=points)
+        trajectory.header.stamp = stamp
+        sent = ask(cell, lambda: cell.follow.send_goal_async(FollowJointTrajectory.Goal(trajectory=trajectory)))
+        wait_for(sent.done)
+        return bool(sent.result().accepted)
+
+    def point(milliseconds: int, **fields: list[float]) -> JointTrajectoryPoint:
+        return JointTrajectoryPoint(**({"positions": here} | fields), time_from_start=Duration(nanosec=milliseconds * 10**6))
+
+    assert is_accepted(point(100), point(200, velocities=[0.0] * len(here)))
+    assert not is_accepted()
+    assert not is_accepted(point(100), stamp=Time(sec=1)), "its end is in the past"
+    assert not is_accepted(point(200), point(100)), "times do not increase"
+    assert not is_accepted(point(100, velocities=[0.1] * len(here))), "it does not end at rest"
+    assert not is_accepted(point(100, positions=here[1:])) and not is_accepted(point(100, positions=[np.nan, *here[1:]]))
+    assert not is_accepted(point(100), joints=["other", *names[1:]])
+    wait_for(lambda: not running(cell))
+
+
+@pytest.mark.long
 def test_controller_that_dies_ends_the_push_and_no_other_begins_before_it_answers_again(
     cell: DrivenCell, controllers: list[ControllerProcess], domain: int, tmp_path: Path
 ) -> None:
