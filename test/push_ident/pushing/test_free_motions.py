@@ -158,3 +158,17 @@ def test_goal_is_ended_as_quickly_as_pieces_at_any_moment(kinematics: ArmKinemat
     for moment in moments:
         by_goal, by_pieces = (time_to_stand(kinematics, settings, moment) for settings in (GOALS, SETTINGS))
         assert by_goal < min(by_pieces + 0.035, 0.2), moment
+
+
+def test_goal_is_canceled_where_no_hold_can_be_sent(bench: Bench) -> None:
+    def fail(*args: object) -> None:
+        raise OSError("the network is down")
+
+    def cancel(cell: Cell) -> None:
+        bench.client.is_cancel_requested = True
+        setattr(cell, "send", fail)  # noqa: B010
+
+    during_goal(bench, cancel)
+    with pytest.raises(OSError, match="the network is down"):
+        push_with(bench, GOALS)
+    assert bench.cell.goals[0][2].canceled_at < np.inf
