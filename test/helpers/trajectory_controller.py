@@ -44,6 +44,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from push_ident.errors import InputError
 from push_ident.nodes.convert.messages import stamp_from_msg
 from push_ident_sim.cell.trajectory import JointTrajectory as Followed
 
@@ -147,8 +148,9 @@ class TrajectoryController(Node):
         velocity = np.array([p.velocities for p in msg.points])[:, order] if moves else None
         start = None if msg.header.stamp == Time() else stamp_from_msg(msg.header.stamp)
         now = self._now()
-        self._followed = Followed(times, position, velocity).from_state(now, *self._followed.sample(now), start)
-        self._is_holding = False
+        with suppress(InputError):  # its end has passed since it was looked at
+            self._followed = Followed(times, position, velocity).from_state(now, *self._followed.sample(now), start)
+            self._is_holding = False
 
     def _hold(self) -> None:
         self._followed, self._is_holding = Followed.hold(self._actual), True
