@@ -44,6 +44,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from push_ident.errors import InputError
 from push_ident.nodes.convert.messages import stamp_from_msg
 from push_ident_sim.cell.trajectory import JointTrajectory as Followed
 
@@ -80,7 +81,7 @@ class TrajectoryController(Node):
         self._cmd_timeout = self._parameter("cmd_timeout", 0.0)
         self._monitor_period = 1.0 / self._parameter("action_monitor_rate", 20.0)
         self._followed, self._is_holding = Followed.hold(self._actual), True
-        self._commanded, self._last = (self._actual, np.zeros(n)), self._now()
+        self._last = self._now()
         self._lock = threading.RLock()
         self._active: Active | None = None
         self._blocked: set[int] = set()
@@ -146,12 +147,13 @@ class TrajectoryController(Node):
         moves = len(msg.points[0].velocities) > 0
         velocity = np.array([p.velocities for p in msg.points])[:, order] if moves else None
         start = None if msg.header.stamp == Time() else stamp_from_msg(msg.header.stamp)
-        self._followed = Followed(times, position, velocity).from_state(self._now(), *self._commanded, start)
-        self._is_holding = False
+        now = self._now()
+        with suppress(InputError):  # its end has passed since it was looked at
+            self._followed = Followed(times, position, velocity).from_state(now, *self._followed.sample(now), start)
+            self._is_holding = False
 
     def _hold(self) -> None:
         self._followed, self._is_holding = Followed.hold(self._actual), True
-        self._commanded = self._actual, np.zeros(len(self._joints))
 
     def _on_topic(self, msg: JointTrajectory) -> None:
         with self._lock:
@@ -204,7 +206,7 @@ class TrajectoryController(Node):
     def _update(self) -> None:
         with self._lock:
             now = self._now()
-            desired, velocity = self._commanded = self._followed.sample(now)
+            desired, velocity = self._followed.sample(now)
             before, self._actual = self._actual, desired.copy()
             for joint in self._blocked:
                 self._actual[joint] = before[joint]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import count
 
 import numpy as np
@@ -15,6 +16,7 @@ from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.pushing.arm_motion import JointLimits
 from push_ident.pushing.command_link import stand_at
 from push_ident.pushing.motion import joint_limits
+from push_ident.pushing.push_request import FOLLOW
 from push_ident.pushing.trajectory import JointTrajectory
 from push_ident.types import Float64Array
 
@@ -112,6 +114,9 @@ class ArmTruth:
         self._since = self._cell.time
 
 
+GOALS = replace(SETTINGS, limits=replace(SETTINGS.limits, free_motions=FOLLOW))
+
+
 @pytest.mark.parametrize("stream", range(STREAMS))
 def test_no_stream_of_states_makes_the_arm_exceed_a_limit(kinematics: ArmKinematics, stream: int) -> None:
     rng = np.random.default_rng([SEED, stream])
@@ -123,7 +128,7 @@ def test_no_stream_of_states_makes_the_arm_exceed_a_limit(kinematics: ArmKinemat
     corruptions = [Corruption(rng, kinds, kinematics.n_joints) for _ in range(rng.integers(1, 4))]
     bench.cell.corrupt = corrupting(corruptions)
     for _ in range(1 + (rng.random() < 0.25)):
-        outcome = bench.push(CONTACT)
+        outcome = bench.push(CONTACT, GOALS if stream % 4 == 3 else SETTINGS)
         bench.cell.sleep(0.5)
     truth.look()
     assert max(truth.velocity, truth.acceleration) <= 1.0 + ROUNDING, f"{bench.cell.is_simulated} {corruptions}: {outcome.error}"

@@ -179,7 +179,8 @@ class _UnderWay:
         for share in self.limits.acceleration_shares:
             # Where the clock has gained on wall time the arm may be further behind than it seems: it gets that much longer.
             piece = self.pacing.piece(time, SPLICE + self.clock.ahead, share, free_until)
-            if self._hand_over(piece, time) if free_until else self._link.move(piece, time, is_stamped=self._is_stamped):
+            by_goal = free_until is not None
+            if self._hand_over(piece, time) if by_goal else self._link.move(piece, time, is_stamped=self._is_stamped):
                 self._deadline = None
                 return True
             self.pacing.take_back()
@@ -202,9 +203,12 @@ class _UnderWay:
         if goal is not None and goal.fault is not None:
             self._link.leave()
             return
-        is_sent = self._brake()
-        if goal is not None:
-            self._end(goal, is_braking=is_sent)
+        is_sent = False
+        try:
+            is_sent = self._brake()
+        finally:
+            if goal is not None:
+                self._end(goal, is_braking=is_sent)
 
     def _brake(self) -> bool:
         time = self.clock.now()
@@ -224,10 +228,10 @@ class _UnderWay:
         until = self.pacing.ends + self.limits.tracking_lag
         while is_braking and goal.is_accepted and not goal.is_over and self.clock.now() < until:
             self.clock.sleep(self.limits.period)
-        if not goal.is_over:
+        is_ended = goal.is_over
+        if not is_ended:
             goal.cancel()
-            self._link.leave()
-        elif goal.fault is not None:
+        if not is_ended or goal.fault is not None:
             self._link.leave()
 
     def _catch_up(self, state: ArmState, stood_at: float, time: float) -> None:

@@ -120,6 +120,7 @@ class GripperHand:
         if closing.is_over:
             self._closed_at = self._now_at
             return closing.why
+        closing.cancel()
         return f"the driver of the gripper on {self._name} {why}"
 
     def _find(self) -> bool:
