@@ -83,13 +83,14 @@ def check_calibration_command(
         need("report")
     left_out = parse_numbers(without, "--without") if without else []
     options, in_table, configured = read_options(map_, depth_unit), read_camera(camera), _configured(robot, params)
+    pose = configured.camera_in_table if in_table is None else in_table
     with progress() as report:
-        loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, options=options, on_progress=report)
+        loaded = load_pushes(bags, object_id=object_id, camera_in_table=pose, options=options, on_progress=report)
         loaded, kept = leave_out(loaded, left_out, no_forces=False)
         report("fitting the contacts")
         records = configured.of([loaded[i] for i in kept])
         check = check_calibration(records)
-    pose = configured.camera_in_table if loaded.camera_in_table is None else loaded.camera_in_table
+    pose = loaded.camera_in_table
     notes = [*loaded.notes]
     if configured.radius is not None and (used := loaded[0].pusher.radius) != configured.radius:
         notes.append(
