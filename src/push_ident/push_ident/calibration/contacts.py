@@ -161,7 +161,7 @@ def _followed(record: PushRecord, observed: Observation) -> bool:
     path, poses = record.pusher, record.poses
     steps = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
     left = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
-    during = np.flatnonzero((poses.time > path.time[0]) & (np.interp(poses.time, path.time, left) > 0.0))
+    during = 1 + np.flatnonzero((poses.time[1:-1] > path.time[0]) & (np.interp(poses.time[1:-1], path.time, left) > 0.0))
     if not len(during):
         return True
     covariance = poses.covariance[during] + observed.last_covariance

@@ -27,8 +27,8 @@ _DRAWN: Final = 1e-3 / 3.0
 """Standard deviation of the place of an edge of an outline that was measured or drawn [m]: a third of the 1 mm of `contact_tolerance`."""
 _FLOOR: Final = NoiseModel().floor_position
 """Standard deviation of a gap that no frame is better than [m]."""
-_SMALL: Final = 1e-6
-"""Step from which on the fit has converged [m, rad, s]: far below any noise."""
+_SMALL: Final = 0.1
+"""Step from which on the fit has converged [standard deviations]: what is left adds 1 % to the squared error."""
 _ROUNDS: Final = 20
 """Linearizations; three are enough within some millimetres, a camera that is wrong by centimetres needs ten."""
 NOTHING: Final = np.array([1.0, 1.0, 1.0, 1.0, 1.0])
@@ -66,14 +66,15 @@ def estimate(contacts: Sequence[Contacts], prior_std: Float64Array = NOTHING) ->
     `prior_std`: standard deviations of the unknowns about 0, shape (5,).
     """
     unknowns = np.zeros(N_UNKNOWNS)
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
         gaps = [gaps_of(one, unknowns) for one in contacts]
         edges, outline_std = _outline(contacts, gaps)
         precision = 1.0 / np.concatenate([prior_std, outline_std]) ** 2
         pull = -precision * np.concatenate([unknowns, np.zeros(len(outline_std))])
         step, covariance, shared = _averaged(_rows(contacts, gaps, edges), precision, pull)
-        unknowns = unknowns + step[:N_UNKNOWNS]
-        if converged := bool(np.all(np.abs(step[:N_UNKNOWNS]) < _SMALL)):
+        # Where two edges take turns as the nearest one, whole steps would, too.
+        unknowns = unknowns + (1.0 if number < _ROUNDS // 2 else 0.5) * step[:N_UNKNOWNS]
+        if converged := bool(np.all(np.abs(step[:N_UNKNOWNS]) < _SMALL * np.sqrt(np.diag(covariance)[:N_UNKNOWNS]))):
             break
     of_pushes = [
         np.median(np.einsum("ni,ij,nj->n", one.by_pose, push.shared_covariance, one.by_pose))

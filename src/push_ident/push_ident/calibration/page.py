@@ -32,6 +32,6 @@ def _gaps(check: CalibrationCheck) -> str:
     for contacts in check.contacts:
         sizes = [1e3 * float(np.sqrt(np.mean(gaps_of(contacts, u).gap ** 2))) for u in (np.zeros(N_UNKNOWNS), check.unknowns)]
         towards = -np.mean(gaps_of(contacts, check.unknowns).outward, axis=0)
-        label = f"{contacts.record.order + 1} to ({towards[0]:.1f}, {towards[1]:.1f})"
+        label = f"{contacts.record.order + 1} to {np.degrees(np.arctan2(towards[1], towards[0])):.0f}°"
         rows.append(Row(label, tuple(Mark(k, size, f"{size:.2f} mm") for k, size in enumerate(sizes))))
     return row_chart("Gap between tool and outline", rows, series, "mm", axis="gap between tool and outline")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from push_ident.calibration.check import Verdict, check_calibration
+from push_ident.calibration.check import CalibrationCheck, Verdict, check_calibration
 from push_ident.calibration.wording import HEADINGS, calibration_json, camera_file, rows_of, sentences_of
 from push_ident.cli.checks import parse_numbers
 from push_ident.cli.identify import (
@@ -83,13 +83,14 @@ def check_calibration_command(
         need("report")
     left_out = parse_numbers(without, "--without") if without else []
     options, in_table, configured = read_options(map_, depth_unit), read_camera(camera), _configured(robot, params)
+    pose = configured.camera_in_table if in_table is None else in_table
     with progress() as report:
-        loaded = load_pushes(bags, object_id=object_id, camera_in_table=in_table, options=options, on_progress=report)
+        loaded = load_pushes(bags, object_id=object_id, camera_in_table=pose, options=options, on_progress=report)
         loaded, kept = leave_out(loaded, left_out, no_forces=False)
         report("fitting the contacts")
         records = configured.of([loaded[i] for i in kept])
         check = check_calibration(records)
-    pose = configured.camera_in_table if loaded.camera_in_table is None else loaded.camera_in_table
+    pose = loaded.camera_in_table
     notes = [*loaded.notes]
     if configured.radius is not None and (used := loaded[0].pusher.radius) != configured.radius:
         notes.append(
@@ -97,14 +98,7 @@ def check_calibration_command(
         )
     for note in notes:
         warn(f"note: {note}")
-    table = Table(*HEADINGS, title=f"object {loaded.object_id}: camera and tool")
-    for row in rows_of(check):
-        table.add_row(*row)
-    console.print(table)
-    for sentence in sentences_of(check):
-        say(sentence)
-    for text in check.warnings:
-        warn(f"warning: {text}")
+    _show(check, loaded.object_id)
     content = calibration_json(check, pose) | {"notes": notes}
     for file in (json, None if out is None else out / "result.json"):
         write_json(file, content)
@@ -123,6 +117,17 @@ def check_calibration_command(
             warn("note: no bag has the pose of the camera, so that no corrected one is written; give --params, --robot or --camera.")
     if check.verdict is not Verdict.AGREES:
         raise typer.Exit(1)
+
+
+def _show(check: CalibrationCheck, object_id: str) -> None:
+    table = Table(*HEADINGS, title=f"object {object_id}: camera and tool")
+    for row in rows_of(check):
+        table.add_row(*row)
+    console.print(table)
+    for sentence in sentences_of(check):
+        say(sentence)
+    for text in check.warnings:
+        warn(f"warning: {text}")
 
 
 def _configured(robot: Path | None, params: Path | None) -> _Configured:

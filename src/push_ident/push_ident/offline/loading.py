@@ -196,7 +196,10 @@ def track_from_depth(contents: BagContents, camera_in_table: Float64Array | None
     except PerceptionError as error:
         if (wrong := wrong_unit(next(contents.depth_frames()), camera)) is None:
             raise PerceptionError(f"{contents.path}: {error}") from None
-        remedy = f"`push-ident identify`, `predict`, `selftest`, `diagnose`, `fleet` and `replay` take it as --depth-unit {wrong.unit:g}"
+        remedy = (
+            "`push-ident identify`, `predict`, `selftest`, `diagnose`, `check-calibration`, `fleet` and `replay` take it as "
+            f"--depth-unit {wrong.unit:g}"
+        )
         raise PerceptionError(f"{contents.path}: {wrong}; {remedy}.") from None
     objects = {
         object_id: ObjectTrack(shape=shape, time=track.time, pose=track.pose, covariance=track.covariance)
