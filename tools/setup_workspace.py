@@ -1,7 +1,8 @@
 """`make setup`: from a bare machine to a working workspace, in one repeatable command.
 
 Arguments name further lists in requirements/: `dev docs fleet torch` are what tests and checks need, `pcd` and `mit` read more files.
-It runs on the interpreter from which the virtual environment is made and needs only its standard library. Each step writes a stamp of its inputs; a step whose inputs match its stamp is skipped. The longest, the compiler of the kernels, runs beside those after it.
+It runs on the interpreter from which the virtual environment is made and needs only its standard library. Each step writes a stamp of
+its inputs; a step whose inputs match its stamp is skipped. The longest, the compiler of the kernels, runs beside those after it.
 """
 
 from __future__ import annotations
@@ -339,7 +340,7 @@ def build(ros: Ros) -> None:
         environ.pop(name, None)
     environ["PATH"] = os.pathsep.join([str(VENV / "bin"), environ.get("PATH", os.defpath)])
     environ["MAKEFLAGS"] = f"-j{len(os.sched_getaffinity(0))}"
-    cmake = [f"-DPython3_EXECUTABLE={VENV_PYTHON}", "-DCMAKE_BUILD_TYPE=MinSizeRel", "-DBUILD_TESTING=OFF"]
+    cmake = [f"-DPython3_EXECUTABLE={VENV_PYTHON}", "-DCMAKE_BUILD_TYPE=MinSizeRel"]
     if ros.is_wheels:
         environ.pop("PYTHONPATH", None)
         environ["AMENT_PREFIX_PATH"] = environ["CMAKE_PREFIX_PATH"] = str(VENV)

@@ -122,6 +122,19 @@ def test_arguments_and_values_of_the_user_survive_the_restart_of_the_interpreter
     assert done.stdout.startswith("['a b', '', '--c=*'] 1 SUBNET ") and done.stdout.strip().split(":")[-1] == "/some/folder"
 
 
+@pytest.mark.release
+def test_colcon_test_runs_the_part_of_each_package_and_leaves_result_files(tmp_path: Path) -> None:
+    few = "interface_is_a_type or effect_in_one_file or se2 or (sensors and box)"
+    results = ["--test-result-base", str(tmp_path)]
+    call = [sys.executable, "-c", "from colcon_core.command import main; main()", "--log-base", os.devnull]
+    packages = ["--base-paths", "src", "--packages-select", *PACKAGES]
+    done = subprocess.run([*call, "test", *packages, *results, "--pytest-args", "-k", few], cwd=ROOT, capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0, done.stdout + done.stderr
+    shown = subprocess.run([*call, "test-result", "--all", *results], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    lines = [re.fullmatch(r".*/(push_ident\w*)/.*\.xml: (\d+) tests?, 0 errors, 0 failures, 0 skipped", line) for line in shown.stdout.splitlines()]
+    assert {line[1] for line in lines if line and int(line[2]) > 0} == set(PACKAGES), shown.stdout
+
+
 def test_no_requirement_is_left_unpinned() -> None:
     for path in sorted((ROOT / "requirements").glob("*.txt")):
         lines = [line.split("#")[0].strip() for line in path.read_text().splitlines()]
