@@ -30,7 +30,7 @@ extras = {
     "mit": ["h5py>=3.16"],
     "mujoco": ["mujoco>=3.3,<4"],
     "pcd": ["open3d>=0.20"],
-    "report": ["jinja2>=3.1.2", "matplotlib>=3.6.3"],
+    "report": ["jinja2>=3.1.2", "markupsafe>=2.1.5", "matplotlib>=3.6.3"],
     "torch": ["torch>=2.13"],
 }
 
