@@ -110,15 +110,8 @@ test-release: FURTHER = $(DEV) pcd
 test-release: setup  ## the tests that a release needs beside those: browser, wheel, strict site, notebook, SROS 2
 	OMP_NUM_THREADS=1 $(VENV)/pytest -m release $(call with_marker,release)
 
-# Kernels of another numba have a cache of their own.
-OLDEST := $(CURDIR)/out/oldest
-WITHOUT_ROS := api bags checking geometry perception survey identification/test_identify.py identification/files diagnosis/test_diagnose.py \
-  physics/test_simulation.py physics/test_effects.py test_library.py
-test-oldest: setup-dev  ## tests that need no ROS, with the oldest packages that setup.py allows (minutes)
-	$(VENV)/uv venv --quiet --clear --python $(VENV)/python $(OLDEST)
-	$(VENV)/uv pip install --quiet --python $(OLDEST)/bin/python -r requirements/oldest.txt -r requirements/sim.txt -r requirements/dev.txt
-	OMP_NUM_THREADS=1 NUMBA_CACHE_DIR=$(OLDEST)/kernels PYTHONPATH=src/push_ident:src/push_ident_sim $(OLDEST)/bin/python -m pytest \
-	  -m "not alone and not live and not long and not release" $(addprefix test/push_ident/,$(WITHOUT_ROS))
+test-oldest: setup-dev  ## part of the tests with the oldest packages that setup.py allows, numpy 1.26 among them (ten minutes)
+	$(VENV)/python tools/test_oldest.py
 
 lint: setup-dev  ## ruff and mypy
 	$(VENV)/ruff check

@@ -10,7 +10,7 @@ package = "push_ident"
 # requirements/oldest.txt. Those of numpy, scipy, OpenCV, rich, PyYAML, Jinja2 and Matplotlib are what Ubuntu 24.04 has.
 requires = [
     "backports-zstd>=1.0; python_version < '3.14'",
-    "mcap>=1.1",
+    "mcap>=1.5",
     "numba>=0.68",  # an IntEnum as an index
     "numpy>=1.26.4",
     "opencv-python-headless>=4.6",
