@@ -340,7 +340,7 @@ def build(ros: Ros) -> None:
         environ.pop(name, None)
     environ["PATH"] = os.pathsep.join([str(VENV / "bin"), environ.get("PATH", os.defpath)])
     environ["MAKEFLAGS"] = f"-j{len(os.sched_getaffinity(0))}"
-    cmake = [f"-DPython3_EXECUTABLE={VENV_PYTHON}", "-DCMAKE_BUILD_TYPE=MinSizeRel"]
+    cmake = [f"-DPython3_EXECUTABLE={VENV_PYTHON}", "-DCMAKE_BUILD_TYPE=MinSizeRel", "-DBUILD_TESTING=ON"]
     if ros.is_wheels:
         environ.pop("PYTHONPATH", None)
         environ["AMENT_PREFIX_PATH"] = environ["CMAKE_PREFIX_PATH"] = str(VENV)
