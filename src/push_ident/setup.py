@@ -20,7 +20,7 @@ requires = [
     "rosbags>=0.11.9",  # reads definitions of messages through its internals
     "scipy>=1.11.4",
     "threadpoolctl>=3.1",
-    "typer>=0.16",
+    "typer>=0.19",  # choices as Literal
 ]
 # Modules of each: push_ident/extras.py. Other least versions are those of the pins in requirements/, with which the tests run.
 extras = {
