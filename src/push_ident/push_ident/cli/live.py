@@ -238,9 +238,8 @@ def doctor_command(
     table = Table(title="installed", show_header=False)
     table.add_row("python", f"{sys.version.split()[0]}, {sys.executable}")
     for name, version in installed.items():
-        table.add_row(
-            name, version or (f"not installed: pip install 'push_ident\\[{_EXTRA_OF[name]}]'" if name in _EXTRA_OF else "missing")
-        )
+        absent = f"not installed: pip install 'push_ident\\[{_EXTRA_OF[name]}]'" if name in _EXTRA_OF else "missing"
+        table.add_row(name, version or absent)
     console.print(table)
     ros = _ros(problems)
     console.print(*(f"{key}: {value}" for key, value in ros.items()), sep="\n", highlight=False, soft_wrap=True)
