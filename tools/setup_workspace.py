@@ -113,12 +113,12 @@ def steps(ros: Ros, further: Sequence[str]) -> list[Step]:
     ros_name = "ROS 2 Jazzy wheels" if ros.is_wheels else f"ROS 2 Jazzy of {ros.prefixes[-1]}"
     command = VENV / "bin" / "push-ident"
     packages = ["python", "viewer", "colcon", *(["arm", "ros"] if ros.is_wheels else [])]
+    last = [] if ros.is_wheels else ["noble"]
     result = [
         Step("system", "compilers", lambda: "", install_system_packages),
         Step("venv", f".venv of Python {version}", lambda: f"{version} {ros.prefixes} {VENV}", lambda: make_venv(ros), (VENV_PYTHON,)),
         Step("installer", "uv", lambda: digest(REQUIREMENTS / "installer.txt"), install_uv),
-        install_step("packages", "numpy, scipy, numba, OpenCV, Rerun, colcon and more", packages),
-        *([] if ros.is_wheels else [install_step("noble", "numpy and OpenCV as this ROS has them", ["noble"])]),
+        install_step("packages", "numpy, scipy, numba, OpenCV, Rerun, colcon and more", packages, last),
         Step(
             "kernels",
             "kernels of physics and perception compiled, beside the other steps (two minutes)",
@@ -143,7 +143,7 @@ def steps(ros: Ros, further: Sequence[str]) -> list[Step]:
         ),
     ]
     torch = Step("torch", "PyTorch, the CPU build where available", lambda: digest(REQUIREMENTS / "torch.txt"), install_torch)
-    result[-2:-2] = [torch if name == "torch" else install_step(name, f"requirements/{name}.txt", [name]) for name in further]
+    result[-2:-2] = [torch if name == "torch" else install_step(name, f"requirements/{name}.txt", [name], last) for name in further]
     return result
 
 
@@ -269,10 +269,15 @@ def venv_settings() -> dict[str, str]:
     return dict(re.findall(r"^([\w-]+) *= *(.*)$", config.read_text(), re.MULTILINE)) if config.is_file() else {}
 
 
-def install_step(name: str, what: str, lists: list[str]) -> Step:
-    """Install complete lists of requirements. No dependencies are resolved, so nothing outside the lists is installed."""
-    paths = [REQUIREMENTS / f"{part}.txt" for part in lists]
-    return Step(name, what, lambda: digest(*paths), lambda: install(*(word for path in paths for word in ("-r", str(path)))))
+def install_step(name: str, what: str, lists: Sequence[str], last: Sequence[str] = ()) -> Step:
+    """Install complete lists of requirements, then those that replace some. No dependencies are resolved: nothing else is installed."""
+    parts = [[REQUIREMENTS / f"{part}.txt" for part in names] for names in (lists, last) if names]
+
+    def run() -> None:
+        for paths in parts:
+            install(*(word for path in paths for word in ("-r", str(path))))
+
+    return Step(name, what, lambda: digest(*(path for paths in parts for path in paths)), run)
 
 
 def install(*arguments: str, check: bool = True) -> bool:
