@@ -22,5 +22,6 @@ endfunction()
 if(PROJECT_IS_TOP_LEVEL)
   cmake_language(DEFER CALL push_ident_drop_foreign_python_headers)
   find_package(rosidl_default_generators REQUIRED)
-  list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "^rosidl_typesupport_(introspection_cpp|cpp):")
+  list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE
+    REGEX "^rosidl_(generator_cpp|typesupport_(cpp|fastrtps_cpp|introspection_cpp)):")
 endif()

@@ -1,12 +1,12 @@
 """`make setup`: from a bare machine to a working workspace, in one repeatable command.
 
-It runs on the interpreter from which the virtual environment is made and needs only its standard library.
-Each step writes a stamp of its inputs; a step whose inputs match its stamp is skipped.
+Arguments name further lists in requirements/: `dev docs fleet torch` are what tests and checks need, `pcd` and `mit` read more files.
+It runs on the interpreter from which the virtual environment is made and needs only its standard library. Each step writes a stamp of
+its inputs; a step whose inputs match its stamp is skipped. The longest, the compiler of the kernels, runs beside those after it.
 """
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import importlib.util
 import json
@@ -18,7 +18,8 @@ import subprocess
 import sys
 import sysconfig
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,17 +39,6 @@ TORCH_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 
 SYSTEM_COMMANDS = {"gcc": "gcc", "g++": "g++", "cmake": "cmake", "make": "make"}
 """Commands that the build needs, and their Debian packages."""
-
-SYSTEM_LIBRARIES = {
-    "libusb-1.0.so.0": "libusb-1.0-0",
-    "libGL.so.1": "libgl1",
-    "libEGL.so.1": "libegl1",
-    "libX11.so.6": "libx11-6",
-    "libudev.so.1": "libudev1",
-    "libidn2.so.0": "libidn2-0",
-    "libgomp.so.1": "libgomp1",
-}
-"""Libraries that Open3D loads, and their Debian packages."""
 
 
 class SetupError(Exception):
@@ -94,6 +84,8 @@ class Step:
     run: Callable[[], object]
     products: tuple[Path, ...] = ()
     """Files that the step makes; without one of them it runs again."""
+    beside: bool = False
+    """Whether the steps after it need not wait for it."""
 
 
 def main() -> int:
@@ -104,7 +96,7 @@ def main() -> int:
         check_ros(ros)
         LOG.parent.mkdir(exist_ok=True)
         LOG.write_text("")
-        run_steps(steps(ros))
+        run_steps(steps(ros, sys.argv[1:]))
     except SetupError as error:
         print(f"make setup: {error}", file=sys.stderr)
         return 1
@@ -114,27 +106,27 @@ def main() -> int:
     return 0
 
 
-def steps(ros: Ros) -> list[Step]:
-    """All steps, in order."""
+def steps(ros: Ros, further: Sequence[str]) -> list[Step]:
+    """All steps, in order; those of `further` lists before the build."""
     version = "{}.{}".format(*sys.version_info[:2])
-    rebuilt = " (pybullet has no wheel for it: built from source, takes some minutes)" if sys.version_info >= (3, 12) else ""
+    rebuilt = "; PyBullet has no wheel for it and is built from source, some minutes" if sys.version_info >= (3, 12) else ""
     ros_name = "ROS 2 Jazzy wheels" if ros.is_wheels else f"ROS 2 Jazzy of {ros.prefixes[-1]}"
     command = VENV / "bin" / "push-ident"
+    packages = ["python", "viewer", "colcon", *(["arm", "ros"] if ros.is_wheels else [])]
+    last = [] if ros.is_wheels else ["noble"]
     result = [
-        Step("system", "compilers and the libraries of Open3D", lambda: "", install_system_packages),
+        Step("system", "compilers", lambda: "", install_system_packages),
         Step("venv", f".venv of Python {version}", lambda: f"{version} {ros.prefixes} {VENV}", lambda: make_venv(ros), (VENV_PYTHON,)),
-        Step("torch", "PyTorch, the CPU build where available", lambda: digest(REQUIREMENTS / "torch.txt"), install_torch),
-        pip_step("python", "numpy, scipy, numba, Open3D, OpenCV and more"),
-        pip_step("sim", f"PyBullet{rebuilt}"),
-        pip_step("dev", "pytest, hypothesis, ruff, mypy"),
-        pip_step("docs", "MkDocs, for the documentation site"),
-        pip_step("viewer", "Rerun, for the live view"),
-        pip_step("fleet", "Ray, for fleets of bags"),
-        pip_step("colcon", "colcon"),
-    ]
-    if ros.is_wheels:
-        result.append(pip_step("ros", ros_name))
-    result += [
+        Step("installer", "uv", lambda: digest(REQUIREMENTS / "installer.txt"), install_uv),
+        install_step("packages", "numpy, scipy, numba, OpenCV, Rerun, colcon and more", packages, last),
+        Step(
+            "kernels",
+            "kernels of physics and perception compiled, beside the other steps (two minutes)",
+            made_from=lambda: digest(*KERNELS),
+            run=compile_kernels,
+            beside=True,
+        ),
+        install_step("sim", f"simulators: PyBullet, Embree, MuJoCo{rebuilt}", ["sim"]),
         Step(
             "build",
             f"colcon build on {ros_name} (about a minute)",
@@ -149,30 +141,42 @@ def steps(ros: Ros) -> list[Step]:
             run=lambda: write_environment(ros),
             products=(command,),
         ),
-        Step("kernels", "kernels of physics and perception compiled", made_from=lambda: digest(*KERNELS), run=compile_kernels),
     ]
+    torch = Step("torch", "PyTorch, the CPU build where available", lambda: digest(REQUIREMENTS / "torch.txt"), install_torch)
+    result[-2:-2] = [torch if name == "torch" else install_step(name, f"requirements/{name}.txt", [name], last) for name in further]
     return result
 
 
 def run_steps(todo: list[Step]) -> None:
     """Run the steps whose inputs changed."""
-    for number, step in enumerate(todo, 1):
-        head = f"[{number}/{len(todo)}] {step.what}"
-        stamp = STAMPS / step.name
-        if step.name == "system":
-            step.run()  # fast, and it checks files outside the repository
-            print(f"{head}: found")
-            continue
-        made_from = step.made_from()
-        if stamp.is_file() and stamp.read_text() == made_from and all(path.exists() for path in step.products):
-            print(f"{head}: up to date")
-            continue
-        print(f"{head} ...", flush=True)
-        start = time.monotonic()
-        step.run()
-        STAMPS.mkdir(exist_ok=True)
-        stamp.write_text(made_from)
-        print(f"      done in {time.monotonic() - start:.0f} s", flush=True)
+    with ThreadPoolExecutor() as others:
+        beside: list[Future[None]] = []
+        for number, step in enumerate(todo, 1):
+            head = f"[{number}/{len(todo)}] {step.what}"
+            if step.name == "system":
+                step.run()  # fast, and it checks files outside the repository
+                print(f"{head}: found")
+                continue
+            made_from, stamp = step.made_from(), STAMPS / step.name
+            if stamp.is_file() and stamp.read_text() == made_from and all(path.exists() for path in step.products):
+                print(f"{head}: up to date")
+                continue
+            print(f"{head} ...", flush=True)
+            if step.beside:
+                beside.append(others.submit(run_step, step, made_from))
+            else:
+                run_step(step, made_from)
+        for future in beside:
+            future.result()
+
+
+def run_step(step: Step, made_from: str) -> None:
+    """Run a step and keep what it was made from."""
+    start = time.monotonic()
+    step.run()
+    STAMPS.mkdir(exist_ok=True)
+    (STAMPS / step.name).write_text(made_from)
+    print(f"      {step.name}: done in {time.monotonic() - start:.0f} s", flush=True)
 
 
 # --- the machine
@@ -197,18 +201,13 @@ def check_ros(ros: Ros) -> None:
 
 
 def missing_system_packages() -> list[str]:
-    """Debian packages whose commands, headers or libraries this machine lacks."""
+    """Debian packages whose commands or headers this machine lacks."""
     missing = [package for command, package in SYSTEM_COMMANDS.items() if shutil.which(command) is None]
     python = "python{}.{}".format(*sys.version_info[:2])
     if not (Path(sysconfig.get_path("include")) / "Python.h").is_file():
         missing.append(f"{python}-dev")
     if importlib.util.find_spec("ensurepip") is None:
         missing.append(f"{python}-venv")
-    for library, package in SYSTEM_LIBRARIES.items():
-        try:
-            ctypes.CDLL(library)
-        except OSError:
-            missing.append(package)
     return missing
 
 
@@ -270,27 +269,59 @@ def venv_settings() -> dict[str, str]:
     return dict(re.findall(r"^([\w-]+) *= *(.*)$", config.read_text(), re.MULTILINE)) if config.is_file() else {}
 
 
+def install_step(name: str, what: str, lists: Sequence[str], last: Sequence[str] = ()) -> Step:
+    """Install complete lists of requirements, then those that replace some. No dependencies are resolved: nothing else is installed."""
+    parts = [[REQUIREMENTS / f"{part}.txt" for part in names] for names in (lists, last) if names]
+
+    def run() -> None:
+        for paths in parts:
+            install(*(word for path in paths for word in ("-r", str(path))))
+
+    return Step(name, what, lambda: digest(*(path for paths in parts for path in paths)), run)
+
+
+def install(*arguments: str, check: bool = True) -> bool:
+    """Install packages in .venv without their dependencies; return whether it succeeded.
+
+    uv takes a fraction of pip's time. Where it cannot, pip tries. Bytecode is left to the first import of each module.
+    """
+    common = ["--no-deps", "--no-build-isolation", *arguments]
+    uv = VENV / "bin" / "uv"
+    if uv.exists() and run([str(uv), "pip", "install", "--python", str(VENV_PYTHON), *common], environ=uv_environment(), check=False):
+        return True
+    return pip_install("--no-compile", *common, check=check)
+
+
 def pip_install(*arguments: str, check: bool = True) -> bool:
     """Run pip in .venv; return whether it succeeded."""
     call = [str(VENV_PYTHON), "-m", "pip", "install", "--no-input", "--progress-bar", "off", "--disable-pip-version-check", *arguments]
     return run(call, check=check)
 
 
-def pip_step(name: str, what: str) -> Step:
-    """Install a complete list of requirements. pip resolves no dependencies, so nothing outside the lists is installed."""
-    path = REQUIREMENTS / f"{name}.txt"
-    return Step(name, what, lambda: digest(path), lambda: pip_install("--no-deps", "--no-build-isolation", "-r", str(path)))
+def install_uv() -> None:
+    """Install uv where there is one for this machine."""
+    pip_install("-r", str(REQUIREMENTS / "installer.txt"), check=False)
+
+
+def uv_environment() -> dict[str, str]:
+    """The environment with pip's index and folders of wheels, which uv does not read by itself."""
+    done = subprocess.run([str(VENV_PYTHON), "-m", "pip", "config", "list"], capture_output=True, text=True, check=False)
+    pip = dict(re.findall(r"^[^=]*\.([\w-]+)='(.*)'$", done.stdout, re.MULTILINE))
+    names = {"index-url": "UV_DEFAULT_INDEX", "find-links": "UV_FIND_LINKS"}
+    return {**{uv: pip[name] for name, uv in names.items() if name in pip}, "UV_LINK_MODE": "copy", **os.environ}
 
 
 def install_torch() -> None:
     """Install the CPU build of PyTorch, else the default one."""
-    pins = dict(re.findall(r"^([\w-]+)==(\S+)", (REQUIREMENTS / "torch.txt").read_text(), re.MULTILINE))
-    pip_install("--no-deps", f"setuptools=={pins['setuptools']}")
-    cpu = ["--no-deps", "--retries", "1", "--timeout", "20", "--extra-index-url", TORCH_CPU_INDEX, f"torch=={pins['torch']}+cpu"]
+    lines = (REQUIREMENTS / "torch.txt").read_text()
+    pins = dict(re.findall(r"^([\w-]+)==(\S+)", lines, re.MULTILINE))
+    torch = pins.pop("torch")
+    install(*(f"{name}=={version}" for name, version in pins.items()))
+    cpu = ["--retries", "1", "--timeout", "20", "--extra-index-url", TORCH_CPU_INDEX, "--no-deps", "--no-compile", f"torch=={torch}+cpu"]
     if pip_install(*cpu, check=False):
         return
     print("      no CPU build available: installing the one with CUDA (several GB)", flush=True)
-    pip_install("-c", str(REQUIREMENTS / "python.txt"), f"torch=={pins['torch']}")
+    pip_install("-c", str(REQUIREMENTS / "python.txt"), f"torch=={torch}")
 
 
 # --- the workspace
@@ -314,7 +345,7 @@ def build(ros: Ros) -> None:
         environ.pop(name, None)
     environ["PATH"] = os.pathsep.join([str(VENV / "bin"), environ.get("PATH", os.defpath)])
     environ["MAKEFLAGS"] = f"-j{len(os.sched_getaffinity(0))}"
-    cmake = [f"-DPython3_EXECUTABLE={VENV_PYTHON}", "-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF"]
+    cmake = [f"-DPython3_EXECUTABLE={VENV_PYTHON}", "-DCMAKE_BUILD_TYPE=MinSizeRel", "-DBUILD_TESTING=ON"]
     if ros.is_wheels:
         environ.pop("PYTHONPATH", None)
         environ["AMENT_PREFIX_PATH"] = environ["CMAKE_PREFIX_PATH"] = str(VENV)
@@ -334,7 +365,9 @@ def compile_kernels() -> None:
     perception = "import push_ident.perception.kernels"
     physics = "from push_ident.physics.simulation import compile_kernels; compile_kernels(effects=True)"
     planning = "from push_ident.planning.library import compile_planning; compile_planning()"
-    run([str(VENV_PYTHON), "-c", f"{perception}; {physics}; {planning}"])
+    sources = os.pathsep.join(str(ROOT / "src" / package) for package in PACKAGES[1:])
+    call = [str(VENV_PYTHON), "-c", f"{perception}; {physics}; {planning}"]
+    run(call, environ={**os.environ, "PYTHONPATH": sources}, log=LOG.with_name("setup_kernels.log"))
 
 
 def package_xml(package: str) -> Path:
@@ -405,21 +438,21 @@ def digest(*paths: Path) -> str:
     return result.hexdigest()
 
 
-def run(call: list[str], *, environ: Mapping[str, str] | None = None, check: bool = True) -> bool:
+def run(call: list[str], *, environ: Mapping[str, str] | None = None, check: bool = True, log: Path = LOG) -> bool:
     """Run a command; return whether it succeeded. Its output goes to the log and is shown only when it fails.
 
     Raises:
         SetupError: The command failed and `check` is true.
     """
-    with LOG.open("a") as log:
-        print(f"$ {shlex.join(call)}", file=log, flush=True)
-        start = log.tell()
-        code = subprocess.run(call, env=environ, check=False, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT).returncode
+    with log.open("a") as file:
+        print(f"$ {shlex.join(call)}", file=file, flush=True)
+        start = file.tell()
+        code = subprocess.run(call, env=environ, check=False, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT).returncode
     if code != 0 and check:
-        with LOG.open() as log:
-            log.seek(start)
-            print("\n".join(log.read().splitlines()[-40:]), file=sys.stderr)
-        raise SetupError(f"failed with exit code {code}: {shlex.join(call)} (full log: {LOG})")
+        with log.open() as file:
+            file.seek(start)
+            print("\n".join(file.read().splitlines()[-40:]), file=sys.stderr)
+        raise SetupError(f"failed with exit code {code}: {shlex.join(call)} (full log: {log})")
     return code == 0
 
 

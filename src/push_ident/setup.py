@@ -6,23 +6,23 @@ from setuptools import find_packages, setup
 
 package = "push_ident"
 
-# What runs without ROS, by import. The least versions are those of the pins in requirements/, with which the tests run.
+# What runs without ROS, by import. `make test-oldest` runs the tests that need no ROS with the least versions of these and of `report`:
+# requirements/oldest.txt. Those of numpy, scipy, OpenCV, rich, PyYAML, Jinja2 and Matplotlib are what Ubuntu 24.04 has.
 requires = [
-    "backports-zstd>=1.8; python_version < '3.14'",
-    "lz4>=4.4",
-    "mcap>=1.6",
-    "numba>=0.68",
-    "numpy>=2.4",
-    "opencv-python-headless>=5.0",
-    "pydantic>=2.14",
-    "pyyaml>=6.0",
-    "rich>=15.0",
-    "rosbags>=0.11",
-    "scipy>=1.17",
-    "threadpoolctl>=3.8",
-    "typer>=0.29",
+    "backports-zstd>=1.0; python_version < '3.14'",
+    "mcap>=1.5",
+    "numba>=0.68",  # an IntEnum as an index
+    "numpy>=1.26.4",
+    "opencv-python-headless>=4.6",
+    "pydantic>=2.10",
+    "pyyaml>=6.0.1",
+    "rich>=13.7",
+    "rosbags>=0.11.9",  # reads definitions of messages through its internals
+    "scipy>=1.11.4",
+    "threadpoolctl>=3.1",
+    "typer>=0.19",  # choices as Literal
 ]
-# Modules of each: push_ident/extras.py.
+# Modules of each: push_ident/extras.py. Other least versions are those of the pins in requirements/, with which the tests run.
 extras = {
     "arm": ["pin>=4.1"],
     "bullet": ["pybullet>=3.2"],
@@ -30,7 +30,7 @@ extras = {
     "mit": ["h5py>=3.16"],
     "mujoco": ["mujoco>=3.3,<4"],
     "pcd": ["open3d>=0.20"],
-    "report": ["jinja2>=3.1", "matplotlib>=3.11"],
+    "report": ["jinja2>=3.1.2", "markupsafe>=2.1.5", "matplotlib>=3.6.3"],
     "torch": ["torch>=2.13"],
     "viewer": ["rerun-sdk>=0.41"],
 }

@@ -215,6 +215,7 @@ def test_picture_marks_objects_refusals_and_what_is_not_measured(survey_of_cut):
     assert {text.partition(",")[0] for _, text in figure.legend} >= {"object", "not taken in", "striped: nothing measured"}
 
 
+@pytest.mark.release  # Open3D reads the cloud
 def test_recorded_scene_of_a_kinect():
     """Against the smallest rectangle around the labelled points of the object."""
     some, _ = frames_at_rest(DepthImages(recording("kinect_tabletop", "learn0.pcd")).frames())

@@ -233,12 +233,13 @@ def doctor_command(
             installed[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             installed[name] = None
-            extra = f"`pip install 'push_ident[{_EXTRA_OF[name]}]'`, or " if name in _EXTRA_OF else ""
-            problems.append(f"the package {name} is not installed; run {extra}`make setup` in a clone of the repository")
+            if name not in _EXTRA_OF:
+                problems.append(f"the package {name} is not installed; run `make setup` in a clone of the repository")
     table = Table(title="installed", show_header=False)
     table.add_row("python", f"{sys.version.split()[0]}, {sys.executable}")
     for name, version in installed.items():
-        table.add_row(name, version or "missing")
+        absent = f"not installed: pip install 'push_ident\\[{_EXTRA_OF[name]}]'" if name in _EXTRA_OF else "missing"
+        table.add_row(name, version or absent)
     console.print(table)
     ros = _ros(problems)
     console.print(*(f"{key}: {value}" for key, value in ros.items()), sep="\n", highlight=False, soft_wrap=True)

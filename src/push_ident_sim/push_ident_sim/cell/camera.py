@@ -7,12 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore import EmbreeDevice
+from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from push_ident.errors import InputError
 from push_ident.limits import plain_text
@@ -24,6 +30,10 @@ from push_ident_sim.objects import SimObject
 DepthImage = NDArray[np.float32]
 Mesh = tuple[Float64Array, NDArray[np.int64]]
 """Vertices [m], shape (n, 3), and the three vertices of each triangle, shape (m, 3)."""
+_NOTHING: Final = 1e36
+"""Depth that no hit has [m]: a ray that hits nothing reads 1e37. Rays are one metre of depth long, so the length of a hit is its depth."""
+_DEVICE: Final = EmbreeDevice()
+_UNIT_BOX: Final = np.array(list(product((-0.5, 0.5), repeat=3)))
 
 INTRINSICS = CameraIntrinsics(width=640, height=480, fx=600.0, fy=600.0, cx=319.5, cy=239.5)
 ALBEDO = 0.5
@@ -113,17 +123,15 @@ class View:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Hits:
-    scene: Any
-    """`open3d.t.geometry.RaycastingScene`."""
+class _Scene:
+    """All things but the table, for rays."""
+
+    embree: Any
+    """`embreex.rtcore_scene.EmbreeScene`."""
     vertices: list[Float64Array]
     """Of each thing in it [m], shape (n, 3), `table` frame."""
     covered: NDArray[np.bool_]
-    """Pixels that a thing may cover, shape (height, width). What follows is of these pixels only."""
-    depth: DepthImage
-    """[m]; infinite beside all things."""
-    answer: dict[str, Any]
-    """Of open3d."""
+    """Pixels that a thing may cover, shape (height, width)."""
 
 
 class DepthCamera:
@@ -181,9 +189,10 @@ class DepthCamera:
 
     def render_scene(self, items: Sequence[Placed], robot_link_poses: dict[str, Float64Array]) -> DepthImage:
         """As `render`, with any number of things on the table."""
-        hits = self._cast(self._positioned(items, robot_link_poses))
-        depth = self._table.copy()
-        depth[hits.covered] = np.fmin(depth[hits.covered], np.where(np.isfinite(hits.depth), hits.depth, np.float32(np.nan)))
+        scene = self._scene(self._positioned(items, robot_link_poses))
+        rays, depth = self._rays[scene.covered], self._table.copy()
+        hit = scene.embree.run(rays[:, :3], rays[:, 3:], query="DISTANCE")
+        depth[scene.covered] = np.fmin(depth[scene.covered], np.where(hit < _NOTHING, hit, np.float32(np.nan)))
         return depth
 
     def view(self, items: Sequence[Placed], robot_link_poses: dict[str, Float64Array], second: float = 0.0) -> View:
@@ -193,40 +202,43 @@ class DepthCamera:
             second: Where the projector or the second imager is: x in the frame of the camera [m]; 0: there is none.
         """
         placed = self._positioned(items, robot_link_poses)
-        hits = self._cast(placed)
+        scene = self._scene(placed)
+        covered = self._rays[scene.covered]
+        hits = scene.embree.run(covered[:, :3], covered[:, 3:], output=True)
         depth, cosine = self._table.copy(), self._cosine_of_table()
         albedo = np.full(depth.shape, ALBEDO, dtype=np.float32)
         # A ray that hits a thing and the table at the same depth shows the thing.
-        nearer = np.isfinite(hits.depth) & ~(hits.depth > depth[hits.covered])
+        nearer = (hits["tfar"] < _NOTHING) & ~(hits["tfar"] > depth[scene.covered])
         shown = np.zeros(depth.shape, dtype=bool)
-        shown[hits.covered] = nearer
-        depth[shown] = hits.depth[nearer]
-        rays = self._rays[shown][:, 3:]
-        normals = hits.answer["primitive_normals"].numpy()[nearer]
-        cosine[shown] = np.abs(np.sum(rays * normals, axis=-1)) / np.linalg.norm(rays, axis=-1)
+        shown[scene.covered] = nearer
+        depth[shown] = hits["tfar"][nearer]
+        rays, normals = covered[nearer, 3:], hits["Ng"][nearer]
+        lengths = np.linalg.norm(rays, axis=-1) * np.linalg.norm(normals, axis=-1)
+        cosine[shown] = np.abs(np.sum(rays * normals, axis=-1)) / lengths
         of_item = np.array([albedo for _, _, albedo in placed], dtype=np.float32)
         if len(of_item):
-            albedo[shown] = of_item[hits.answer["geometry_ids"].numpy()[nearer]]
+            albedo[shown] = of_item[hits["geomID"][nearer]]
         cosine[~np.isfinite(depth)] = 1.0
-        return View(depth, cosine, albedo, self._lit(hits, depth, second))
+        return View(depth, cosine, albedo, self._lit(scene, depth, second))
 
-    def _lit(self, hits: _Hits, depth: DepthImage, second: float) -> NDArray[np.bool_]:
+    def _lit(self, scene: _Scene, depth: DepthImage, second: float) -> NDArray[np.bool_]:
         """Which pixels show a surface that a second viewpoint at (second, 0, 0) of the camera frame [m] sees as well."""
         lit = np.ones(depth.shape, dtype=bool)
-        if second == 0.0 or not hits.vertices:
+        if second == 0.0 or not scene.vertices:
             return lit
         asked = np.zeros(depth.shape, dtype=bool)
-        for vertices in hits.vertices:
+        for vertices in scene.vertices:
             asked[self._window(vertices, second)] = True
         asked &= np.isfinite(depth)
         viewpoint = self.pose_camera_in_table[:3, 3] + second * self.pose_camera_in_table[:3, 0]
         rays = self._rays[asked]
         points = rays[:, :3] + depth[asked][:, None] * rays[:, 3:]
-        towards = np.concatenate([points, viewpoint.astype(np.float32) - points], axis=-1)
+        towards = viewpoint.astype(np.float32) - points
         # The ray is as long as the distance to the viewpoint. It begins 0.3 mm off the surface at 1 m, so that rounding does not let a
         # surface hide itself.
-        hidden = hits.scene.test_occlusions(_tensor(towards), tnear=3e-4, tfar=1.0)
-        lit[asked] = ~hidden.numpy()
+        start, length = np.float32(3e-4), np.full(len(points), 1.0 - 3e-4, dtype=np.float32)
+        hidden = scene.embree.run(points + start * towards, towards, length, query="OCCLUDED")
+        lit[asked] = hidden < 0
         return lit
 
     def _cosine_of_table(self) -> DepthImage:
@@ -246,20 +258,16 @@ class DepthCamera:
             self._meshes[id(item)] = item, _object_mesh(item)
         return self._meshes[id(item)][1]
 
-    def _cast(self, placed: list[tuple[Mesh, Float64Array, float]]) -> _Hits:
-        import open3d
-
-        scene = open3d.t.geometry.RaycastingScene()
+    def _scene(self, placed: list[tuple[Mesh, Float64Array, float]]) -> _Scene:
+        embree = EmbreeScene(_DEVICE)
         covered = np.zeros(self._table.shape, dtype=bool)
         corners = []
         for (points, triangles), pose, _ in placed:
             vertices = points @ pose[:3, :3].T + pose[:3, 3]
-            scene.add_triangles(_tensor(vertices.astype(np.float32)), _tensor(triangles.astype(np.uint32)))
+            TriangleMesh(embree, vertices.astype(np.float32), triangles.astype(np.int32))
             covered[self._window(vertices)] = True
             corners.append(vertices)
-        # The rays advance by one metre of depth per unit, so that the distance of a hit is its depth.
-        answer = scene.cast_rays(_tensor(self._rays[covered]))
-        return _Hits(scene, corners, covered, answer["t_hit"].numpy(), answer)
+        return _Scene(embree, corners, covered)
 
     def _window(self, vertices: Float64Array, second: float = 0.0) -> tuple[slice, slice]:
         """Rows and columns of the image that hold all of `vertices` [m], shape (n, 3), `table` frame, and their shadow.
@@ -277,13 +285,6 @@ class DepthCamera:
         low, high = min(u.min(), shadow.min()) - self._slack, max(u.max(), shadow.max()) + self._slack
         rows = slice(max(0, int(v.min()) - self._slack), max(0, int(v.max()) + 2 + self._slack))
         return rows, slice(max(0, int(low)), max(0, int(high) + 2))
-
-
-def _tensor(array: NDArray[Any]) -> Any:
-    import open3d
-
-    # Its stubs know no array as first argument.
-    return open3d.core.Tensor(array)  # type: ignore[call-overload]
 
 
 def _homogeneous(pose: ArrayLike) -> Float64Array:
@@ -323,18 +324,17 @@ def _merge(meshes: list[Mesh]) -> Mesh:
 
 
 def _object_mesh(sim_object: SimObject) -> Mesh:
-    import open3d
-
-    size, meshes = sim_object.cell_size, []
-    for (x, y), height in zip(sim_object.cells, sim_object.height, strict=True):
-        box = open3d.geometry.TriangleMesh.create_box(size, size, float(height))
-        box.translate((x - size / 2, y - size / 2, 0.0))
-        meshes.append((np.asarray(box.vertices), np.asarray(box.triangles).astype(np.int64)))
-    return _merge(meshes)
+    size, (unit, triangles) = sim_object.cell_size, _convex_hull(_UNIT_BOX)
+    return _merge(
+        [
+            (unit * (size, size, height) + (x, y, 0.5 * height), triangles)
+            for (x, y), height in zip(sim_object.cells, sim_object.height, strict=True)
+        ]
+    )
 
 
 def _robot_meshes(description: str) -> dict[str, Mesh]:
-    """Collision geometry of each link in its frame, meshes as coarse convex hulls."""
+    """Collision geometry of each link in its frame, meshes as convex hulls."""
     links = {}
     for link in ET.fromstring(description).iter("link"):
         meshes = [_solid_mesh(collision) for collision in link.iter("collision")]
@@ -343,42 +343,54 @@ def _robot_meshes(description: str) -> dict[str, Mesh]:
     return links
 
 
-def _hull(file: Path) -> Any:
-    """Coarse convex hull of a mesh."""
-    import open3d
+def _convex_hull(points: Float64Array) -> Mesh:
+    hull = ConvexHull(points)
+    return points[hull.vertices], np.searchsorted(hull.vertices, hull.simplices)
+
+
+def _mesh_points(file: Path) -> Float64Array:
+    """The outermost vertices of a mesh file in directions that cover the sphere: a coarse hull, since it is cast anew with each frame."""
+    import coal
 
     if not file.is_file():
         raise InputError(f"The robot description has the mesh {plain_text(str(file))}, which is no file; install the package that has it.")
-    hull, _ = open3d.io.read_triangle_mesh(file).compute_convex_hull()
-    return hull.simplify_quadric_decimation(200)
+    points = np.array(coal.MeshLoader().load(str(file), np.ones(3)).vertices())
+    return points[np.unique(np.argmax(points @ _sphere(16).T, axis=0))]
+
+
+def _sphere(n: int) -> Float64Array:
+    """Points of a unit sphere: n on each circle of latitude, the circles as far apart as they, and the poles; n is even."""
+    circles = [np.column_stack([y * _round(n), np.full(n, x)]) for x, y in _round(n)[1 : n // 2]]
+    return np.concatenate([*circles, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
+
+
+def _round(n: int) -> Float64Array:
+    """Points of a unit circle, shape (n, 2)."""
+    angle = 2.0 * np.pi * np.arange(n) / n
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _solid_points(solid: ET.Element) -> Float64Array:
+    """Points whose convex hull is the geometry of a collision element, its frame [m], shape (n, 3)."""
+    if solid.tag == "box":
+        return _UNIT_BOX * np.array(solid.attrib["size"].split(), dtype=np.float64)
+    if solid.tag == "cylinder":
+        circle, half = float(solid.attrib["radius"]) * _round(32), 0.5 * float(solid.attrib["length"])
+        return np.concatenate([np.column_stack([circle, np.full(len(circle), z)]) for z in (-half, half)])
+    if solid.tag == "sphere":
+        return float(solid.attrib["radius"]) * _sphere(20)
+    if solid.tag == "mesh":
+        return _mesh_points(Path(solid.attrib["filename"])) * np.array(solid.attrib.get("scale", "1 1 1").split(), dtype=np.float64)
+    raise InputError(f"The robot description has a {solid.tag}, expected box, cylinder, sphere or mesh.")
 
 
 def _solid_mesh(collision: ET.Element) -> Mesh:
-    import open3d
-
     solid = collision.find("geometry/*")
     if solid is None:
         raise InputError("A collision element of the robot description has no geometry.")
-    if solid.tag == "box":
-        edges = np.array(solid.attrib["size"].split(), dtype=np.float64)
-        mesh: Any = open3d.geometry.TriangleMesh.create_box(*edges).translate(-edges / 2)
-    elif solid.tag == "cylinder":
-        mesh = open3d.geometry.TriangleMesh.create_cylinder(
-            float(solid.attrib["radius"]), float(solid.attrib["length"]), resolution=32, split=1
-        )
-    elif solid.tag == "sphere":
-        mesh = open3d.geometry.TriangleMesh.create_sphere(float(solid.attrib["radius"]), resolution=10)
-    elif solid.tag == "mesh":
-        mesh = _hull(Path(solid.attrib["filename"]))
-        scale = np.array(solid.attrib.get("scale", "1 1 1").split(), dtype=np.float64)
-        mesh.transform(np.diag([*scale, 1.0]))
-    else:
-        raise InputError(f"The robot description has a {solid.tag}, expected box, cylinder, sphere or mesh.")
+    vertices, triangles = _convex_hull(_solid_points(solid))
     origin = collision.find("origin")
-    pose = np.eye(4)
     if origin is not None:
-        roll, pitch, yaw = (float(v) for v in origin.attrib.get("rpy", "0 0 0").split())
-        pose[:3, :3] = open3d.geometry.get_rotation_matrix_from_zyx((yaw, pitch, roll))
-        pose[:3, 3] = [float(v) for v in origin.attrib.get("xyz", "0 0 0").split()]
-    mesh.transform(pose)
-    return np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
+        turned = Rotation.from_euler("xyz", [float(v) for v in origin.attrib.get("rpy", "0 0 0").split()])
+        vertices = turned.apply(vertices) + [float(v) for v in origin.attrib.get("xyz", "0 0 0").split()]
+    return vertices, triangles
