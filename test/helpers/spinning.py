@@ -30,8 +30,6 @@ class BareComponent(Component):
 class BareNode(CellNode):
     """A node of the suite that has what `build` adds to it."""
 
-    takes_info = True
-
     def __init__(self, build: Callable[[CellNode], object] = lambda node: None, **kwargs: Any) -> None:
         self._build = build
         super().__init__("bare_node", (), **kwargs)
@@ -47,7 +45,7 @@ def spinning(make: Callable[[Context], AnyNode], domain: int | None = None, *, n
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = make(context)
-    executor = make_executor(n_threads, takes_info=getattr(node, "takes_info", False), context=context)
+    executor = make_executor(n_threads, context=context)
     executor.add_node(node)
     is_over = threading.Event()
 

@@ -111,8 +111,6 @@ class CellNode(LifecycleNode, ABC):
     """Of the executor of its process."""
     yields: ClassVar[bool] = True
     """Whether it gives way to the nodes that move the arm, where processors are short."""
-    takes_info: ClassVar[bool] = False
-    """Whether it counts what its subscriptions lose, by the info of messages."""
     switch_interval: ClassVar[float] = 5e-3
     """Longest time that a thread keeps the interpreter while others wait [s]; 5 ms are Python's default."""
 
@@ -281,7 +279,6 @@ class CellNode(LifecycleNode, ABC):
 
         With `arrivals`, what the queue of the subscription loses is counted.
         """
-        assert arrivals is None or self.takes_info, f"{type(self).__name__} counts arrivals, so it has to say takes_info"
         gate, source = self._gate, self.resolve_topic_name(topic)
         is_latched = isinstance(qos_profile, QoSProfile) and qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
 

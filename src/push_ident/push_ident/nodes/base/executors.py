@@ -53,17 +53,14 @@ class _Multi(_GuardedExecutor, MultiThreadedExecutor):  # type: ignore[misc]
     pass
 
 
-def make_executor(n_threads: int, *, takes_info: bool = False, context: Context | None = None) -> Executor:
-    """An executor of so many threads for nodes that have a `guard`.
+def make_executor(n_threads: int, *, context: Context | None = None) -> Executor:
+    """An executor of so many threads for nodes that have a `guard`. With one thread only its `spin_once` may be used.
 
-    With one thread it is rclpy's executor of events, which builds no wait set for each message. It cannot call back with the info of a
-    message, so nodes that take it (`takes_info`) have wait sets, too (docs/decisions/0056-executor-of-events.md).
+    With one thread it is rclpy's executor of events, which builds no wait set for each message (docs/decisions/0056-executor-of-events.md).
     """
     if n_threads > 1:
         return _Multi(n_threads, context=context)
-    if takes_info or os.environ.get(EXECUTOR) == "wait_sets":
-        return _Single(context=context)
-    return EventsExecutor(context=context)
+    return _Single(context=context) if os.environ.get(EXECUTOR) == "wait_sets" else EventsExecutor(context=context)
 
 
 def _guarded(entity: Any, guard: Any, take: Callable[[Any], Any]) -> Any:

@@ -8,6 +8,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from inspect import signature
 from typing import Any, Final, TypeVar
 
 from push_ident.errors import PushIdentError
@@ -16,6 +17,7 @@ from push_ident.nodes.base.settings import NODE
 
 _OTHERS: Final = "other sources"
 _MARK: Final = "guarded_source"
+_MESSAGE_AND_INFO: Final = signature(lambda message, info: None)
 
 T = TypeVar("T")
 
@@ -90,15 +92,19 @@ class Guard:
 
         return self._marked(guarded, source)
 
-    def noted(self, source: str, work: Callable[[Any], T], note: Callable[[Any], None]) -> Callable[[Any, Any], T | None]:
+    def noted(self, source: str, work: Callable[[Any], T], note: Callable[[Any], None]) -> Callable[..., T | None]:
         """The same for a subscription whose callback gets message and info: `note` gets the info, `work` the message."""
 
-        def guarded(message: Any, info: Any) -> T | None:
+        def guarded(*taken: Any) -> T | None:
             with self.watch(source):
+                # Executors with wait sets pass two arguments, that of events (rclpy 7.1.6) a tuple of both.
+                message, info = taken if len(taken) == 2 else taken[0]
                 note(info)
                 return work(message)
             return None
 
+        # By which rclpy sees that the callback takes the info.
+        guarded.__signature__ = _MESSAGE_AND_INFO
         return self._marked(guarded, source)
 
     def service(self, source: str, work: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:

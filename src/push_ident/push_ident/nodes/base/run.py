@@ -23,7 +23,7 @@ from push_ident.nodes.base.lifetime import LIFETIME, ExitCode
 from push_ident.nodes.base.settings import NODE
 
 
-def run_node(factory: Callable[[], CellNode], *, n_threads: int = 1, yields: bool = True, takes_info: bool = False) -> int:
+def run_node(factory: Callable[[], CellNode], *, n_threads: int = 1, yields: bool = True) -> int:
     """Run one node until SIGINT or SIGTERM, or until the process that started it is gone. To be called in the main thread.
 
     The request to stop only raises a flag: the ROS context stays valid, so the component of the node can still publish
@@ -33,7 +33,6 @@ def run_node(factory: Callable[[], CellNode], *, n_threads: int = 1, yields: boo
         factory: Builds the node; an exception raised there ends the process with one line and exit code 1.
         n_threads: Above 1 the callbacks run in a MultiThreadedExecutor of so many threads.
         yields: Whether the node gives way to the nodes that move the arm, where processors are short.
-        takes_info: Whether subscriptions of the node take the info of messages.
 
     Returns:
         An `ExitCode`: `STOPPED` after a request to stop.
@@ -51,7 +50,7 @@ def run_node(factory: Callable[[], CellNode], *, n_threads: int = 1, yields: boo
         return ExitCode.COULD_NOT_START
     LIFETIME.running()
     try:
-        _spin(node, n_threads, takes_info)
+        _spin(node, n_threads)
     except Exception as error:
         _report(error)
         return ExitCode.FAILED
@@ -75,8 +74,8 @@ def settle_memory() -> None:
     gc.freeze()
 
 
-def _spin(node: CellNode, n_threads: int, takes_info: bool) -> None:
-    executor = make_executor(n_threads, takes_info=takes_info)
+def _spin(node: CellNode, n_threads: int) -> None:
+    executor = make_executor(n_threads)
     executor.add_node(node)
     settle_memory()
 

@@ -47,7 +47,6 @@ class GapDiagnosisNode(CellNode):
     """Keeps the latest pushes of every object; action `diagnose_gap` diagnoses them, topic `gap_report` has the latest outcome."""
 
     n_threads = 3
-    takes_info = True
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("gap_diagnosis_node", PARAMETERS, check=lambda values: table_of_corners(values[CORNERS.name]), **kwargs)

@@ -83,7 +83,6 @@ class IdentificationNode(CellNode):
 
     # The update at a frame must not wait for results that are only displayed.
     switch_interval = 2.5e-4
-    takes_info = True
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("identification_node", PARAMETERS, check=lambda values: table_of_corners(values[CORNERS.name]), **kwargs)

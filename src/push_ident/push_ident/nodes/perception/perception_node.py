@@ -118,8 +118,6 @@ class OlderImages:
 class PerceptionNode(CellNode):
     """Converts, calls `Perception`, publishes; faults are counted and reported in /diagnostics."""
 
-    takes_info = True
-
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("perception_node", PARAMETERS, further=_rows_of_further_cameras, check=perception_settings, **kwargs)
 

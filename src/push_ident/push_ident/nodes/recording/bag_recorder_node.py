@@ -45,8 +45,6 @@ class BagRecorderNode(CellNode):
     is started again after its death, if it is `numbered`.
     """
 
-    takes_info = True
-
     def __init__(self, **kwargs: Any) -> None:
         self._n_bags = 0
         super().__init__("bag_recorder_node", PARAMETERS, **kwargs)
