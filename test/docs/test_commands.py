@@ -36,8 +36,9 @@ PAGES = [
 ]
 PROGRAMS = ("push-ident", "ros2", "make", "python", "pip", "rviz2", "rerun", "rosbags-convert", "pytest", "cp", "printf")
 VERBS = {
-    "action": {"send_goal"},
+    "action": {"send_goal", "list", "info"},
     "bag": {"record", "play", "info", "convert"},
+    "control": {"list_controllers", "set_controller_state", "unload_controller"},
     "doctor": set(),
     "interface": {"show"},
     "launch": set(),
@@ -172,7 +173,7 @@ def test_commands_of_ros2_fit_these_packages(one: Shown) -> None:
     elif verb == "run" and rest[0].startswith("push_ident"):
         check_node(rest[1], rest[2:])
         assert len(rest) == 2 or rest[2] == "--ros-args"
-    elif verb in ("service", "action"):
+    elif verb in ("service", "action") and rest[0] not in ("list", "info"):
         kind = interface(rest[2])
         if len(rest) > 3:
             assert not fields_missing(kind.Request if verb == "service" else kind.Goal, rest[3])

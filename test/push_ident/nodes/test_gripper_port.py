@@ -68,7 +68,8 @@ class Gripper(Node):
 
 @pytest.fixture
 def listener(domain: int) -> Iterator[BareNode]:
-    with spinning(lambda context: BareNode(context=context), domain) as node:
+    # As the executor, which has several threads: rclpy's executor of events knows no guard conditions.
+    with spinning(lambda context: BareNode(context=context), domain, n_threads=2) as node:
         yield node
 
 

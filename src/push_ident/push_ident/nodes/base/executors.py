@@ -12,7 +12,8 @@ from rclpy.context import Context
 from rclpy.event_handler import EventHandler
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
-from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.utilities import get_default_context
 
 from push_ident.nodes.base.settings import NODE
 
@@ -60,7 +61,14 @@ def make_executor(n_threads: int, *, context: Context | None = None) -> Executor
     """
     if n_threads > 1:
         return _Multi(n_threads, context=context)
-    return _Single(context=context) if os.environ.get(EXECUTOR) == "wait_sets" else EventsExecutor(context=context)
+    return _Single(context=context) if os.environ.get(EXECUTOR) == "wait_sets" else _events_executor(context or get_default_context())
+
+
+def _events_executor(context: Context) -> Executor:
+    # Not by `rclpy.experimental.EventsExecutor`, which does this and changes how the process ends (faulthandler).
+    executor: Executor = rclpy_implementation.EventsExecutor(context)
+    context.on_shutdown(executor.wake)
+    return executor
 
 
 def _guarded(entity: Any, guard: Any, take: Callable[[Any], Any]) -> Any:

@@ -104,7 +104,7 @@ class Guard:
             return None
 
         # By which rclpy sees that the callback takes the info.
-        guarded.__signature__ = _MESSAGE_AND_INFO
+        guarded.__signature__ = _MESSAGE_AND_INFO  # type: ignore[attr-defined]
         return self._marked(guarded, source)
 
     def service(self, source: str, work: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
