@@ -25,6 +25,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -45,7 +46,8 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from push_ident.errors import InputError
-from push_ident.nodes.convert.messages import stamp_from_msg
+from push_ident.nodes.base.settings import NODE
+from push_ident.nodes.convert.messages import stamp_from_msg, stamp_to_msg
 from push_ident_sim.cell.trajectory import JointTrajectory as Followed
 
 Result = FollowJointTrajectory.Result
@@ -214,7 +216,7 @@ class TrajectoryController(Node):
             speed = (self._actual - before) / max(now - self._last, 1e-3)
             self._last = now
             self._judge(now, error, velocity - speed)
-            self._publish(desired, error)
+            self._publish(now, desired, error)
 
     def _judge(self, now: float, error: np.ndarray, speed_error: np.ndarray) -> None:
         active = self._active
@@ -245,9 +247,9 @@ class TrajectoryController(Node):
             self._active = None
         self._hold()
 
-    def _publish(self, desired: np.ndarray, error: np.ndarray) -> None:
+    def _publish(self, now: float, desired: np.ndarray, error: np.ndarray) -> None:
         state = JointState(name=self._joints, position=self._actual.tolist())
-        state.header.stamp = self.get_clock().now().to_msg()
+        state.header.stamp = stamp_to_msg(now)  # a later one would make the next state look like a jump, where this thread waits here
         self._states.publish(state)
         self._n_ticks += 1
         if self._active is not None and self._n_ticks % 5 == 0 and self._active.handle.is_active:
@@ -293,7 +295,9 @@ def main() -> None:
     executor = MultiThreadedExecutor(6)
     executor.add_node(node)
     with suppress(KeyboardInterrupt, ExternalShutdownException):
-        executor.spin()
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=NODE.spin_wait)
+            time.sleep(NODE.worker_start)  # as `run_node`: else it takes a whole core, and the arm stands still for want of it
 
 
 if __name__ == "__main__":
