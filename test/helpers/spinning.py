@@ -45,7 +45,7 @@ def spinning(make: Callable[[Context], AnyNode], domain: int | None = None, *, n
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = make(context)
-    executor = make_executor(n_threads, context=context)
+    executor = make_executor(n_threads, in_turn=getattr(node, "in_turn", False), context=context)
     executor.add_node(node)
     is_over = threading.Event()
 

@@ -47,4 +47,4 @@ def run_executable(name: str, nodes: Mapping[str, str]) -> NoReturn:
     except ModuleNotFoundError as error:
         sys.exit(how_to_get(error.name or "") or f"{name} cannot be loaded: {error}")
     sys.setswitchinterval(kind.switch_interval)
-    LIFETIME.leave(run_node(kind, n_threads=kind.n_threads, yields=kind.yields))
+    LIFETIME.leave(run_node(kind, n_threads=kind.n_threads, yields=kind.yields, in_turn=kind.in_turn))

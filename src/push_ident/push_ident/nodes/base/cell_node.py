@@ -111,6 +111,9 @@ class CellNode(LifecycleNode, ABC):
     """Of the executor of its process."""
     yields: ClassVar[bool] = True
     """Whether it gives way to the nodes that move the arm, where processors are short."""
+    in_turn: ClassVar[bool] = False
+    """Whether a message of each topic is taken in turn, so that none waits behind many of another; else in order of arrival, which takes
+    less of the processor."""
     switch_interval: ClassVar[float] = 5e-3
     """Longest time that a thread keeps the interpreter while others wait [s]; 5 ms are Python's default."""
 

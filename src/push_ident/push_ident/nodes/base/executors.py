@@ -54,14 +54,17 @@ class _Multi(_GuardedExecutor, MultiThreadedExecutor):  # type: ignore[misc]
     pass
 
 
-def make_executor(n_threads: int, *, context: Context | None = None) -> Executor:
+def make_executor(n_threads: int, *, in_turn: bool = False, context: Context | None = None) -> Executor:
     """An executor of so many threads for nodes that have a `guard`. With one thread only its `spin_once` may be used.
 
-    With one thread it is rclpy's executor of events, which builds no wait set for each message (docs/decisions/0056-executor-of-events.md).
+    With one thread it is rclpy's executor of events, which builds no wait set for each message but takes all in order of arrival
+    (docs/decisions/0056-executor-of-events.md). `in_turn`: as `CellNode.in_turn`.
     """
     if n_threads > 1:
         return _Multi(n_threads, context=context)
-    return _Single(context=context) if os.environ.get(EXECUTOR) == "wait_sets" else _events_executor(context or get_default_context())
+    if in_turn or os.environ.get(EXECUTOR) == "wait_sets":
+        return _Single(context=context)
+    return _events_executor(context or get_default_context())
 
 
 def _events_executor(context: Context) -> Executor:

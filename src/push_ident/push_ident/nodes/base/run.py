@@ -13,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import rclpy
+from rclpy.executors import Executor
 from rclpy.logging import get_logger
 from rclpy.signals import SignalHandlerOptions
 
@@ -23,7 +24,7 @@ from push_ident.nodes.base.lifetime import LIFETIME, ExitCode
 from push_ident.nodes.base.settings import NODE
 
 
-def run_node(factory: Callable[[], CellNode], *, n_threads: int = 1, yields: bool = True) -> int:
+def run_node(factory: Callable[[], CellNode], *, n_threads: int = 1, yields: bool = True, in_turn: bool = False) -> int:
     """Run one node until SIGINT or SIGTERM, or until the process that started it is gone. To be called in the main thread.
 
     The request to stop only raises a flag: the ROS context stays valid, so the component of the node can still publish
@@ -33,6 +34,7 @@ def run_node(factory: Callable[[], CellNode], *, n_threads: int = 1, yields: boo
         factory: Builds the node; an exception raised there ends the process with one line and exit code 1.
         n_threads: Above 1 the callbacks run in a MultiThreadedExecutor of so many threads.
         yields: Whether the node gives way to the nodes that move the arm, where processors are short.
+        in_turn: As `CellNode.in_turn`.
 
     Returns:
         An `ExitCode`: `STOPPED` after a request to stop.
@@ -50,7 +52,7 @@ def run_node(factory: Callable[[], CellNode], *, n_threads: int = 1, yields: boo
         return ExitCode.COULD_NOT_START
     LIFETIME.running()
     try:
-        _spin(node, n_threads)
+        _spin(node, make_executor(n_threads, in_turn=in_turn), n_threads)
     except Exception as error:
         _report(error)
         return ExitCode.FAILED
@@ -74,8 +76,7 @@ def settle_memory() -> None:
     gc.freeze()
 
 
-def _spin(node: CellNode, n_threads: int) -> None:
-    executor = make_executor(n_threads)
+def _spin(node: CellNode, executor: Executor, n_threads: int) -> None:
     executor.add_node(node)
     settle_memory()
 

@@ -83,6 +83,8 @@ class IdentificationNode(CellNode):
 
     # The update at a frame must not wait for results that are only displayed.
     switch_interval = 2.5e-4
+    # An outline must not wait behind the poses and forces of a whole push.
+    in_turn = True
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("identification_node", PARAMETERS, check=lambda values: table_of_corners(values[CORNERS.name]), **kwargs)
