@@ -304,10 +304,10 @@ def install_uv() -> None:
 
 
 def uv_environment() -> dict[str, str]:
-    """The environment with pip's index and folders of wheels, which uv does not read by itself."""
+    """The environment with pip's index, certificates and folders of wheels, which uv does not read by itself."""
     done = subprocess.run([str(VENV_PYTHON), "-m", "pip", "config", "list"], capture_output=True, text=True, check=False)
     pip = dict(re.findall(r"^[^=]*\.([\w-]+)='(.*)'$", done.stdout, re.MULTILINE))
-    names = {"index-url": "UV_DEFAULT_INDEX", "find-links": "UV_FIND_LINKS"}
+    names = {"cert": "SSL_CERT_FILE", "index-url": "UV_DEFAULT_INDEX", "find-links": "UV_FIND_LINKS"}
     return {**{uv: pip[name] for name, uv in names.items() if name in pip}, "UV_LINK_MODE": "copy", **os.environ}
 
 

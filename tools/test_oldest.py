@@ -11,6 +11,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from setup_workspace import uv_environment
+
 ROOT = Path(__file__).resolve().parent.parent
 UV = ROOT / ".venv" / "bin" / "uv"
 OLDEST = ROOT / "out" / "oldest"
@@ -31,8 +33,9 @@ def install() -> None:
     install = [UV, "pip", "install", "--quiet", "--python", OLDEST / "bin" / "python"]
     lists = {name: ["-r", ROOT / "requirements" / f"{name}.txt"] for name in RESOLVED + COMPLETE}
     subprocess.run([UV, "venv", "--quiet", "--clear", "--python", sys.executable, OLDEST], check=True)
-    subprocess.run([*install, *(word for name in RESOLVED for word in lists[name])], check=True)
-    subprocess.run([*install, "--no-deps", *(word for name in COMPLETE for word in lists[name])], check=True)
+    environ = uv_environment()
+    subprocess.run([*install, *(word for name in RESOLVED for word in lists[name])], env=environ, check=True)
+    subprocess.run([*install, "--no-deps", *(word for name in COMPLETE for word in lists[name])], env=environ, check=True)
 
 
 def environment() -> dict[str, str]:
