@@ -60,8 +60,10 @@ def test_linear_algebra_has_one_thread_during_a_call(chosen: str | None, used: i
         return {found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"}
 
     with threadpool_limits(limits=2, user_api="blas"):
-        assert in_one_thread(threads)() == {used}
-        assert threads() == {2}
+        before = threads()
+        assert max(before) == 2  # a library that was built for one thread keeps it
+        assert in_one_thread(threads)() == ({1} if used == 1 else before)
+        assert threads() == before
     for call in (pi.identify, pi.predict, pi.diagnose, pi.next_push):
         assert hasattr(call, "__wrapped__"), f"{call.__name__} is no call of one thread"
 
