@@ -11,7 +11,7 @@ SHELL ["/bin/bash", "-c"]
 RUN . /opt/ros/jazzy/setup.bash && make setup && rm -rf /root/.cache
 
 FROM ros:jazzy
-RUN apt-get update && apt-get install -y --no-install-recommends gcc libegl1 libgl1 libgomp1 libusb-1.0-0 && rm -rf /var/lib/apt/lists/*
+RUN apt-get update && apt-get install -y --no-install-recommends gcc && rm -rf /var/lib/apt/lists/*
 COPY --from=build /push_ident /push_ident
 WORKDIR /push_ident
 ENV PATH=/push_ident/.venv/bin:$PATH

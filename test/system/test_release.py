@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -63,9 +62,8 @@ def test_a_version_of_another_form_changes_nothing(copy: Path) -> None:
 
 @pytest.mark.parametrize("name", ["src/push_ident_msgs/package.xml", "src/push_ident_sim/setup.py", "SECURITY.md"])
 def test_no_release_is_made_without_an_address_of_the_owner(copy: Path, name: str) -> None:
-    shutil.copy(ROOT / name, copy / name)
-    if "push-ident.example" not in (copy / name).read_text():
-        pytest.skip("the owner has given an address")
+    text = (ROOT / name).read_text()
+    (copy / name).write_text(text if "push-ident.example" in text else f"{text}\n# push-ident.example\n")
     done = release(copy, "7.8.9")
     assert done.returncode == 1 and name in done.stderr
     assert "7.8.9" not in (copy / "CITATION.cff").read_text()
