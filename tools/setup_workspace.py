@@ -117,7 +117,7 @@ def steps(ros: Ros, further: Sequence[str]) -> list[Step]:
     result = [
         Step("system", "compilers", lambda: "", install_system_packages),
         Step("venv", f".venv of Python {version}", lambda: f"{version} {ros.prefixes} {VENV}", lambda: make_venv(ros), (VENV_PYTHON,)),
-        Step("installer", "uv", lambda: digest(REQUIREMENTS / "installer.txt"), install_uv),
+        Step("installer", "uv, setuptools", lambda: digest(REQUIREMENTS / "build.txt", REQUIREMENTS / "installer.txt"), install_tools),
         install_step("packages", "numpy, scipy, numba, OpenCV, Rerun, colcon and more", packages, last),
         Step(
             "kernels",
@@ -298,8 +298,9 @@ def pip_install(*arguments: str, check: bool = True) -> bool:
     return run(call, check=check)
 
 
-def install_uv() -> None:
-    """Install uv where there is one for this machine."""
+def install_tools() -> None:
+    """Install what builds packages that come as sources, and uv where there is one for this machine."""
+    pip_install("-r", str(REQUIREMENTS / "build.txt"))
     pip_install("-r", str(REQUIREMENTS / "installer.txt"), check=False)
 
 
