@@ -36,7 +36,11 @@ _LEG: Final = 0.150
 _MASS: Final = 1.518
 """Of the triangle [kg]; `demo_multilog_robot_exp.m`, for every set."""
 _POSITION_STD, _YAW_STD = 1e-3, float(np.radians(0.5))
-"""Standard deviations of an object pose: 1 mm and 0.5 degrees, about the distance between tool and outline at contact."""
+"""Standard deviations of an object pose: 1 mm and 0.5 degrees, about the distance between tool and outline at contact.
+
+Poses repeat better: the object lies still between two pushes, and its poses after one and before the next differ by 0.1 mm, 0.01 degrees.
+The distance has errors of 0.7 mm that the poses before and after a push mostly share (correlation 0.8), as of a calibration.
+"""
 _TOOL_AXES: Final = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
 """Tool axes of the force sensor: turned by 45 degrees and mirrored, since the tool's z axis points down."""
 _NUMBER: Final = r"\d{1,3}(?:\.\d{1,3})?"
