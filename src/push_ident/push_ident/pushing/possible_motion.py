@@ -163,18 +163,13 @@ def _lengths(pusher: PusherPath) -> Float64Array:
 
 
 def _gaps(shape: ObjectShape, pusher: PusherPath, pose: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Lengths of the path [m], shape (n,), and the least gap there between pusher and object at a pose; of a polygon that of its circle."""
+    """Lengths of the path [m], shape (n,), and the least gap there between pusher and object at a pose; of other tools that of the circle around them."""
     length = _lengths(pusher)
     lengths = np.linspace(0.0, length[-1], 1 + math.ceil(length[-1] / _BOUNDS.spacing))
     position = np.column_stack([np.interp(lengths, length, pusher.position[:, axis]) for axis in (0, 1)])
     position[-1] = pusher.position[-1]
     distance = signed_distance(transform_points(inverse(pose), position), shape.outline)
-    return lengths, distance - pusher.radius - _corners(pusher)
-
-
-def _corners(pusher: PusherPath) -> float:
-    """How far the corners of a polygon are from its origin [m]; 0 for a cylinder."""
-    return 0.0 if pusher.polygon is None else float(np.max(np.linalg.norm(pusher.polygon, axis=1)))
+    return lengths, distance - pusher.reach
 
 
 def _near(shape: ObjectShape, pose: Float64Array, covariance: Float64Array, camera: CameraAccuracy) -> float:
