@@ -169,7 +169,7 @@ def random_case(seed: int, n_cells: int, polygon: bool, n_steps: int, *, shape: 
 
 
 def line_tool_case(seed: int, tool: str, n_steps: int, *, on_corner: bool = False, speed: float = 0.1) -> Case:
-    """A plate or two fingers that touch a face of a random rectangle, or fingers on the two faces beside a corner of it, that move and turn.
+    """A plate or two fingers on a face of a random rectangle, or fingers on the two faces beside a corner of it, that move and turn.
 
     Args:
         tool: "plate" or "fingers".
@@ -323,7 +323,8 @@ def mirrored(case: Case) -> Case:
     """The same in a mirror along the x axis of the table."""
     flip = np.array([1.0, -1.0])
     shape, pusher = case.model.shape, case.pusher
-    mirror = ObjectShape(CellGrid(shape.cells.centres * flip, shape.cells.size), (shape.outline * flip)[::-1])
+    cells = shape.cells
+    mirror = ObjectShape(CellGrid(cells.centres * flip, cells.size, cells.squares * flip, cells.areas), (shape.outline * flip)[::-1])
     return Case(
         replace(case.model, shape=mirror),
         replace(

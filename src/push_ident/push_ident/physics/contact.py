@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import MAX_CONTACTS
 from push_ident.types import Float64Array
 
 

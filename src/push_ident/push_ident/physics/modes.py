@@ -11,9 +11,9 @@ frictionless, but for one: where the pusher has two fingers, each has a tangent 
 A mode states which contacts press, and whether each tangent is free, sticks or slips. Within a mode the problem is linear. Its matrix
 is unsymmetric where a contact slips: the impulse acts along N + drag T, while the constraint is on N only.
 
-Three velocities satisfy three conditions. Two fingers that both stick state four, of which any three hold the object in the frame of the
-tool: the last one is dropped, and the impulses, which only their sum determines, are those with the smallest friction at the second
-finger that lie within both friction cones.
+Three velocities satisfy three conditions. Two fingers that both stick state four, which hold the object in the frame of the tool: the two
+of the tangents count as their sum, so that neither finger is preferred. The impulses, of which only the resultant matters, are those
+within both friction cones whose tangential ones differ least.
 """
 
 from __future__ import annotations
@@ -163,6 +163,12 @@ def second_mode(code: int) -> int:
 
 
 @kernel
+def holds(code: int) -> bool:
+    """Whether both fingers stick, so that the object moves with the tool."""
+    return code % 4 == Mode.STICK and second_mode(code) == Mode.STICK
+
+
+@kernel
 def second_row(contacts: Float64Array) -> int:
     """Row of the tangent of the second finger."""
     for k in range(MAX_CONTACTS):
@@ -181,8 +187,8 @@ def drag_sign(code: int) -> float:
 
 @kernel
 def mode_system(code: int, h: Float64Array, step_contacts: StepContacts, row: NDArray[np.int64], a: Float64Array) -> int:
-    """Fill `row` and the matrix `a` of a mode. Returns the number of impulses: normal ones, then the tangential ones that stick, of which
-    the second is left out where the others determine the motion."""
+    """Fill `row` and the matrix `a` of a mode. Returns the number of impulses: normal ones, then the tangential ones that stick, as one
+    where both do."""
     contacts = step_contacts.rows
     tangent, drag = tangent_row(code, contacts), drag_sign(code) * step_contacts.mu
     second = second_mode(code)
@@ -205,7 +211,11 @@ def mode_system(code: int, h: Float64Array, step_contacts: StepContacts, row: ND
             a[i, 3 + n] = -contacts[tangent, i]
             a[3 + n, i] = contacts[tangent, i]
         n += 1
-    if second == Mode.STICK and n < 3:
+    if holds(code):
+        for i in range(3):
+            a[i, 2 + n] -= contacts[second_row(contacts), i]
+            a[2 + n, i] += contacts[second_row(contacts), i]
+    elif second == Mode.STICK:
         row[n] = second_row(contacts)
         for i in range(3):
             a[i, 3 + n] = -contacts[row[n], i]
@@ -247,27 +257,25 @@ def _reaches(contacts: Float64Array, k: int, b: Float64Array, miss: Float64Array
 
 
 @kernel
-def _grip(b: Float64Array, contacts: Float64Array, row: NDArray[np.int64], mu: float) -> float:
-    """Friction of the second finger where both stick, and replaces the first column of `b` by the solution with it.
+def _share_friction(b: Float64Array, contacts: Float64Array, row: NDArray[np.int64], mu: float) -> float:
+    """Half the difference of the tangential impulses of two fingers that both stick; adds what it changes to the first column of `b`.
 
     Args:
-        b: solution without this friction, and its change for a unit of it, shape (9, 2): the twist, then two normal impulses and the first
-            tangential one.
+        b: solution with equal tangential impulses, and its change for a unit of the difference, shape (9, 2): the twist, two normal
+            impulses, the tangential one of each finger.
         contacts, mu: those of the step.
         row: of the conditions.
 
     Returns:
-        The smallest friction with which all impulses lie within their cones [N s]; NaN where there is none.
+        The smallest with which all impulses lie within their cones [N s]; NaN where there is none.
     """
     low, high = -math.inf, math.inf
     for i in range(2):
-        own = 1.0 if contacts[row[i], Row.OF_SECOND] != 0.0 else 0.0
+        own = -1.0 if contacts[row[i], Row.OF_SECOND] != 0.0 else 1.0
         for sign in (-1.0, 1.0):
-            # mu n + sign t >= 0 with the friction t of this finger, which makes n >= 0 too.
-            if own == 1.0:
-                at_zero, slope = mu * b[3 + i, 0], mu * b[3 + i, 1] + sign
-            else:
-                at_zero, slope = mu * b[3 + i, 0] + sign * b[5, 0], mu * b[3 + i, 1] + sign * b[5, 1]
+            # mu n + sign t >= 0, which makes n >= 0 too.
+            at_zero = mu * b[3 + i, 0] + sign * b[5, 0]
+            slope = mu * b[3 + i, 1] + sign * (b[5, 1] + own)
             if slope > 0.0:
                 low = max(low, -at_zero / slope)
             elif slope < 0.0:
@@ -276,10 +284,10 @@ def _grip(b: Float64Array, contacts: Float64Array, row: NDArray[np.int64], mu: f
                 return math.nan
     if low > high:
         return math.nan
-    friction = min(max(0.0, low), high)
+    difference = min(max(0.0, low), high)
     for i in range(b.shape[0]):
-        b[i, 0] += friction * b[i, 1]
-    return friction
+        b[i, 0] += difference * b[i, 1]
+    return difference
 
 
 @kernel
@@ -327,21 +335,22 @@ def solve_modes(
         for i in range(n):
             b[3 + i, 0] = miss[row[i]]
         second = second_mode(code)
-        n_sticking = (1 if code % 4 == Mode.STICK else 0) + (1 if second == Mode.STICK else 0)
-        is_gripped = n_sticking == 2
-        if is_gripped:
+        is_held = holds(code)
+        if is_held:
+            b[2 + n, 0] += miss[second_row(contacts)]
             b[:, 1] = 0.0
             for i in range(3):
-                b[i, 1] = contacts[second_row(contacts), i]
-        if not solve_small(a, b, 3 + n, 2 if is_gripped else 1):
+                b[i, 1] = contacts[row[n - 1], i] - contacts[second_row(contacts), i]
+        if not solve_small(a, b, 3 + n, 2 if is_held else 1):
             continue
 
         # Check the inequalities that the mode assumes.
         mode = code % 4
-        n_pressing = n - n_sticking + (1 if is_gripped else 0)
-        of_second = _grip(b, contacts, row, mu) if is_gripped else 0.0
+        n_pressing = n - (1 if mode == Mode.STICK or second == Mode.STICK else 0)
+        difference = _share_friction(b, contacts, row, mu) if is_held else 0.0
+        of_second = 0.0
         carried = carried_by_second = 0.0
-        fits = math.isfinite(of_second)
+        fits = math.isfinite(difference)
         for i in range(n_pressing):
             carried += b[3 + i, 0] * contacts[row[i], Row.SHARES_TANGENT]
             carried_by_second += b[3 + i, 0] * contacts[row[i], Row.OF_SECOND]
@@ -350,14 +359,14 @@ def solve_modes(
             fits = fits and ((code >> (2 + k)) & 1 == 1 or _reaches(contacts, k, b, miss) >= -scale)
         tangential = drag_sign(code) * mu * carried
         if mode == Mode.STICK:
-            tangential = b[3 + n_pressing, 0]
-            fits = fits and (is_gripped or abs(tangential) <= mu * carried)
+            tangential = b[3 + n_pressing, 0] + difference
+            fits = fits and (is_held or abs(tangential) <= mu * carried)
         elif mode != Mode.FREE:
             fits = fits and -drag_sign(code) * _reaches(contacts, tangent_row(code, contacts), b, miss) >= -scale
-        if second == Mode.STICK and not is_gripped:
-            of_second = b[3 + n - 1, 0]
-            fits = fits and abs(of_second) <= mu * carried_by_second
-        elif second != Mode.FREE and not is_gripped:
+        if second == Mode.STICK:
+            of_second = b[3 + n_pressing, 0] - difference
+            fits = fits and (is_held or abs(of_second) <= mu * carried_by_second)
+        elif second != Mode.FREE:
             of_second = drag_sign(second) * mu * carried_by_second
             fits = fits and -drag_sign(second) * _reaches(contacts, second_row(contacts), b, miss) >= -scale
         if not fits:

@@ -26,6 +26,7 @@ from push_ident.physics.modes import (
     StepContacts,
     StepGeometry,
     drag_sign,
+    holds,
     mode_system,
     second_mode,
     second_row,
@@ -287,6 +288,9 @@ def step_sensitivity(
         for j in range(n):
             k = row[j]
             b[3 + j, column] = d_rows[k, Row.BOUND] - d_rows[k, 0] * twist[0] - d_rows[k, 1] * twist[1] - d_rows[k, 2] * twist[2]
+        if holds(code):
+            of_second = d_rows[second, 0] * twist[0] + d_rows[second, 1] * twist[1] + d_rows[second, 2] * twist[2]
+            b[2 + n, column] += d_rows[second, Row.BOUND] - of_second
     if not solve_small(scratch.matrix, b, size, n_columns):
         return False
     block[:] = b[:3]
