@@ -245,36 +245,22 @@ class PoseTrack:
 
 
 @dataclass(frozen=True, slots=True)
-class PusherPath:
-    """Path of the pusher during one push: an upright cylinder, a prism, a plate with round ends, or two round fingers on one frame."""
+class PusherShape:
+    """Outline of the tool that pushes: an upright cylinder, a prism, a plate with round ends, or two round fingers on one frame."""
 
     __repr__ = short_repr
 
-    time: Float64Array
-    """[s], shape (n_samples,), strictly increasing."""
-    position: Float64Array
-    """Origin of the pusher's frame [m], shape (n_samples, 2), table frame; of a cylinder its axis."""
     radius: float
     """Radius of a cylinder or of each finger, or of the rounding of a polygon [m]; 0: a point, or a polygon with sharp corners."""
     polygon: Float64Array | None = None
     """Convex, counter-clockwise, not closed [m], shape (n_corners, 2), pusher's frame; of two corners a plate, which its `radius` makes
     thick and round at its ends. None for a cylinder, and for fingers."""
-    yaw: Float64Array | None = None
-    """Yaw of the pusher's frame in the table frame [rad], shape (n_samples,), not wrapped; None for a pusher that does not turn."""
     fingers: Float64Array | None = None
     """Axes of two round fingers, held at a fixed distance [m], shape (2, 2), pusher's frame; None for a pusher in one piece."""
 
     def __post_init__(self) -> None:
-        sizes: dict[str, int] = {}
-        _freeze(self, "time", ("n_samples",), sizes)
-        _freeze(self, "position", ("n_samples", 2), sizes)
-        if self.yaw is not None:
-            _freeze(self, "yaw", ("n_samples",), sizes)
-        _check_increasing(self, "time")
-        if len(self.time) < 2:
-            raise InputError(f"PusherPath has {len(self.time)} samples, expected at least 2.")
         if not (np.isfinite(self.radius) and self.radius >= 0):
-            raise InputError(f"PusherPath.radius is {self.radius}, expected a length >= 0 in metres.")
+            raise InputError(f"PusherShape.radius is {self.radius}, expected a length >= 0 in metres.")
         if self.fingers is not None:
             self._check_fingers()
         if self.polygon is not None:
@@ -287,25 +273,25 @@ class PusherPath:
             turn = np.arctan2(edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0], np.sum(edge * following, axis=1))
             if len(self.polygon) < 3 or np.any(turn <= 0) or abs(np.sum(turn) - 2 * np.pi) > 1e-6:
                 raise InputError(
-                    f"PusherPath.polygon with {len(self.polygon)} corners is not strictly convex and counter-clockwise; "
-                    "take the corners of its convex hull in that order, each once, or the two ends of a plate that has a radius."
+                    f"PusherShape.polygon with {len(self.polygon)} corners is not strictly convex and counter-clockwise; take the corners "
+                    "of its convex hull in that order, each once, or the two ends of a plate that has a radius."
                 )
 
     def _check_fingers(self) -> None:
         _freeze(self, "fingers", (2, 2), {})
         assert self.fingers is not None
         if self.polygon is not None:
-            raise InputError("PusherPath has both fingers and a polygon, expected one of them; fingers are round.")
+            raise InputError("PusherShape has both fingers and a polygon, expected one of them; fingers are round.")
         apart = float(np.linalg.norm(self.fingers[1] - self.fingers[0]))
         if not apart > 2.0 * self.radius > 0.0:
             raise InputError(
-                f"PusherPath.fingers are {apart:.4g} m apart, expected more than their diameter of {2 * self.radius:.4g} m, which is "
+                f"PusherShape.fingers are {apart:.4g} m apart, expected more than their diameter of {2 * self.radius:.4g} m, which is "
                 "above 0; of fingers that touch each other, give the polygon around them."
             )
 
     @property
     def is_cylinder(self) -> bool:
-        """Whether the pusher is one upright cylinder, which has no heading."""
+        """Whether it is one upright cylinder, which has no heading."""
         return self.polygon is None and self.fingers is None
 
     @property
@@ -319,6 +305,44 @@ class PusherPath:
     def reach(self) -> float:
         """Distance of the furthest point of the pusher from its origin [m]."""
         return float(np.max(np.linalg.norm(self.core, axis=1))) + self.radius
+
+
+@dataclass(frozen=True, slots=True)
+class PusherPath:
+    """Path of the pusher during one push."""
+
+    __repr__ = short_repr
+
+    time: Float64Array
+    """[s], shape (n_samples,), strictly increasing."""
+    position: Float64Array
+    """Origin of the pusher's frame [m], shape (n_samples, 2), table frame; of a cylinder its axis."""
+    radius: float
+    """As `PusherShape.radius` [m]."""
+    polygon: Float64Array | None = None
+    """As `PusherShape.polygon` [m], shape (n_corners, 2), pusher's frame."""
+    yaw: Float64Array | None = None
+    """Yaw of the pusher's frame in the table frame [rad], shape (n_samples,), not wrapped; None for a pusher that does not turn."""
+    fingers: Float64Array | None = None
+    """As `PusherShape.fingers` [m], shape (2, 2), pusher's frame."""
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        _freeze(self, "time", ("n_samples",), sizes)
+        _freeze(self, "position", ("n_samples", 2), sizes)
+        if self.yaw is not None:
+            _freeze(self, "yaw", ("n_samples",), sizes)
+        _check_increasing(self, "time")
+        if len(self.time) < 2:
+            raise InputError(f"PusherPath has {len(self.time)} samples, expected at least 2.")
+        shape = self.shape
+        object.__setattr__(self, "polygon", shape.polygon)
+        object.__setattr__(self, "fingers", shape.fingers)
+
+    @property
+    def shape(self) -> PusherShape:
+        """Outline of the pusher."""
+        return PusherShape(self.radius, self.polygon, self.fingers)
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,7 +84,7 @@ class Gaps:
 
 def contacts_of(records: Sequence[PushRecord]) -> list[Contacts]:
     """Of each push of one object that shows a contact. Raises InputError for a tool that is no cylinder."""
-    if any(not record.pusher.is_cylinder for record in records):
+    if any(not record.pusher.shape.is_cylinder for record in records):
         raise InputError("the pusher is no cylinder; a calibration is checked with pushes of an upright cylinder.")
     found = [contacts for record in records if len(contacts := _contacts(record))]
     if not found:

@@ -195,7 +195,7 @@ def rollouts(
     """
     _check(shape, models, pushes)
     pusher = pushes[0].pusher
-    geometry = _Shape(owned(shape.outline), owned(pusher.core), float(pusher.radius), pusher.fingers is not None)
+    geometry = _Shape(owned(shape.outline), owned(pusher.shape.core), float(pusher.radius), pusher.fingers is not None)
     edges = None if edge is None else _edges(edge, models)
     eps = SimulationSettings().smoothing_speed if smoothing_speed is None else smoothing_speed
     prepared = _Prepared(len(shape.cells), geometry, _models(shape, models), _actives(shape, models), eps, quasi_static)
@@ -346,7 +346,7 @@ def _check(shape: ObjectShape, models: Sequence[BatchModel], pushes: Sequence[Ba
     if not pushes:
         raise InputError("There are no pushes, expected one at least.")
     _check_models(shape, models)
-    by_pusher = {(push.pusher.radius, push.pusher.fingers is None, push.pusher.core.tobytes(), len(push.time)) for push in pushes}
+    by_pusher = {(push.pusher.radius, push.pusher.fingers is None, push.pusher.shape.core.tobytes(), len(push.time)) for push in pushes}
     if len(by_pusher) > 1:
         raise InputError("The pushes of a batch differ in their pusher or in their number of frames; give them one by one.")
 

@@ -460,7 +460,7 @@ def _push(shape: ObjectShape, body: BodyParameters, mu: float, scenario: PushSce
     return Push(
         pose=owned(scenario.pose_object_in_table),
         pusher=path,
-        corners=owned(scenario.pusher.core),
+        corners=owned(scenario.pusher.shape.core),
         radius=float(scenario.pusher.radius),
         outline=owned(shape.outline),
         arms=arms,

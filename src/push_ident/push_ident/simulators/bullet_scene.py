@@ -146,7 +146,7 @@ class BulletScene:
 
         Raises InputError for that, and where the simulation becomes unstable.
         """
-        if not tool_path.is_cylinder:
+        if not tool_path.shape.is_cylinder:
             raise InputError("A scene of Bullet has a round pusher, and that of these pushes is none; use a scene of MuJoCo.")
         path = np.asarray(compose(self.table_in_world, np.column_stack([tool_path.position, np.zeros(len(tool_path.time))])))[:, :2]
         start = np.asarray(compose(compose(self.table_in_world, first_pose), inverse(self.object_in_body)))
