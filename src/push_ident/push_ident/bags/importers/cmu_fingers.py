@@ -24,6 +24,7 @@ import numpy as np
 from push_ident.bags.importers.recording import ascending
 from push_ident.bags.importers.report import ImportReport
 from push_ident.bags.importers.shapes import pose_covariance, shape_of_outline
+from push_ident.bags.pushes import PAUSE
 from push_ident.bags.records import write_records
 from push_ident.checking.contact import contact_tolerance, distance_warnings
 from push_ident.errors import BagError, InputError
@@ -204,8 +205,20 @@ def _pushes_of(file: Path) -> list[Float64Array]:
         chosen[:, [1, 2, 4, 5]] *= 1e-3
         check_coordinates(chosen[:, [1, 2, 4, 5]], str(file), error=BagError)
         chosen[:, 3], chosen[:, 6] = np.unwrap(chosen[:, 3]), np.unwrap(chosen[:, 6])
-        pushes.append(chosen)
+        pushes.append(_without_stale(chosen))
     return pushes
+
+
+def _without_stale(rows: Float64Array) -> Float64Array:
+    """A push without what its first rows still show: the hand where it ended the push before, the object where it lay before it was put
+    elsewhere."""
+    if len(rows) < 2:
+        return rows
+    # The hand is lifted over to where the next push begins while nothing is logged.
+    rows = max(np.split(rows, np.flatnonzero(np.diff(rows[:, 0]) > PAUSE) + 1), key=len)
+    standing = int(np.argmax(np.append(np.hypot(*(rows[:, 4:6] - rows[0, 4:6]).T) > _MOVED, True)))
+    elsewhere = np.hypot(*(rows[:standing, 1:3] - rows[max(standing - 1, 0), 1:3]).T) > _MOVED
+    return rows[int(np.max(np.flatnonzero(elsewhere), initial=-1)) + 1 :]
 
 
 def _finger_gaps(rows: Float64Array, shape: ObjectShape, registration: Registration) -> Float64Array:
