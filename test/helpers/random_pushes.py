@@ -117,7 +117,7 @@ def clearance(outline_in_table: Float64Array, corners_in_table: Float64Array, ra
 def corners_at(pusher: PusherPath, i: int) -> Float64Array:
     """Corners of the pusher's core at sample i, shape (n_corners, 2), table frame."""
     yaw = 0.0 if pusher.yaw is None else pusher.yaw[i]
-    return transform_points(np.array([*pusher.position[i], yaw]), pusher.core)
+    return transform_points(np.array([*pusher.position[i], yaw]), pusher.shape.core)
 
 
 def clearances(case: Case, poses: Float64Array) -> Float64Array:
@@ -250,7 +250,7 @@ def steps_of(case: Case, motion: Motion) -> list[Step]:
         pose = motion.pose[n]
         going = (pusher.position[n + 1] - pusher.position[n]) / DT
         spin = 0.0 if pusher.yaw is None else float(pusher.yaw[n + 1] - pusher.yaw[n]) / DT
-        speed = np.hypot(*going) + abs(spin) * pusher.reach
+        speed = np.hypot(*going) + abs(spin) * pusher.shape.reach
         tips = transform_points(inverse(pose), corners_at(pusher, n))
         contacts = np.zeros((MAX_CONTACTS, Field.WIDTH))
         found = np.zeros((max_candidates(len(tips), len(outline)), Field.WIDTH))
@@ -309,7 +309,7 @@ def moved(case: Case, *, by: Float64Array) -> Case:
     """The same push in a table frame that is moved by `by`."""
     pusher = case.pusher
     yaw = None if pusher.yaw is None else pusher.yaw + by[2]
-    if yaw is None and not pusher.is_cylinder:
+    if yaw is None and not pusher.shape.is_cylinder:
         yaw = np.full(len(pusher.time), by[2])
     place = transform_points(by, case.pose[None, :2])[0]
     return replace(

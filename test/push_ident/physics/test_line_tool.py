@@ -18,7 +18,7 @@ from push_ident.physics.batch import BatchModel, BatchPush, rollouts
 from push_ident.physics.contact_rows import RECOVERY_SPEED
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
-from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherPath, SolveStatus
+from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherPath, PusherShape, SolveStatus
 
 LINE = np.array([[0.0, 0.012], [0.0, -0.012]])
 RADIUS = 0.003
@@ -106,7 +106,7 @@ def held(shape: dict[str, Float64Array], *, spin: float, about: float, seconds: 
     first = np.array([-0.03 - RADIUS - start, 0.0])
     if spin == 0.0:
         return PusherPath(time, first + 0.02 * time[:, None] * [1.0, 0.0], RADIUS, yaw=yaw, **shape)
-    centre = first + [0.0, about]
+    centre = first + np.array([0.0, about])
     return PusherPath(time, centre + about * np.column_stack([np.sin(yaw), -np.cos(yaw)]), RADIUS, yaw=yaw, **shape)
 
 
@@ -230,7 +230,7 @@ def test_tools_that_make_no_sense_are_refused(changes: dict[str, Float64Array], 
 
 
 def test_size_of_a_tool_is_that_of_the_circle_around_it() -> None:
-    path = held(TOOLS["fingers"], spin=0.0, about=0.0)
-    assert path.reach == pytest.approx(0.015) and not path.is_cylinder
-    assert replace(path, fingers=None).reach == RADIUS and replace(path, fingers=None).is_cylinder
-    assert np.array_equal(replace(path, fingers=None, polygon=LINE).core, LINE)
+    fingers = PusherShape(RADIUS, fingers=LINE)
+    assert fingers.reach == pytest.approx(0.015) and not fingers.is_cylinder
+    assert PusherShape(RADIUS).reach == RADIUS and PusherShape(RADIUS).is_cylinder
+    assert np.array_equal(PusherShape(RADIUS, LINE).core, LINE)

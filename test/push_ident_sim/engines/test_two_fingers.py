@@ -32,7 +32,7 @@ def arc(shape: ObjectShape, rng: np.random.Generator, *, on_corner: bool) -> Pus
     if on_corner:
         turn = np.pi / 4 + rng.uniform(-0.2, 0.2)
         across = APART * np.array([-np.sin(turn), np.cos(turn)])
-        origin = low + [0.0, across[1]] - 0.5 * across
+        origin = low + np.array([0.0, across[1]]) - 0.5 * across
     time = np.linspace(0.0, 1.2, 121)
     yaw = turn + rng.uniform(-0.8, 0.8) * time
     heading = yaw + rng.uniform(-0.7, 0.7)
