@@ -11,7 +11,8 @@ from push_ident.errors import InputError
 from push_ident.geometry.cells import cell_error
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import simulate
-from push_ident.types import ObjectShape, PusherPath
+from push_ident.planning.stable import StableTurns, Support, contact_on_face, shortest_stable_push, stable_turns
+from push_ident.types import ObjectShape, PusherPath, PusherShape
 from push_ident_sim.engines.bullet.push_world import PushWorld
 from push_ident_sim.injected import InjectedEffects
 from push_ident_sim.objects import Part, SimObject, object_from_picture
@@ -23,6 +24,23 @@ RADIUS, APART = 0.004, 0.024
 def block(pusher_friction: float) -> SimObject:
     """Heavier and rougher at one end."""
     return object_from_picture("block", ["aabbbb"] * 5, {"a": Part(0.4, 0.5, 0.04), "b": Part(0.2, 0.25, 0.04)}, 0.012, pusher_friction)
+
+
+def uneven_block(rng: np.random.Generator) -> SimObject:
+    """Three masses drawn at random, one friction coefficient, fingers of more than 0.35."""
+    parts = {letter: Part(rng.uniform(0.05, 0.4), 0.3, 0.04) for letter in "abc"}
+    return object_from_picture("block", ["abbabb", "aabbbb", "aaccbb", "aabbbb", "abbbaa"], parts, 0.012, rng.uniform(0.35, 0.8))
+
+
+def turns_of(shape: ObjectShape, support: Support, tool: PusherShape, *, friction: float) -> list[StableTurns]:
+    """Of all faces, with the middle of the tool before the centre."""
+    found = []
+    for face, vertex in enumerate(shape.outline):
+        edge = shape.outline[(face + 1) % len(shape.outline)] - vertex
+        contact = contact_on_face(shape, tool, face, float((support.centre - vertex) @ edge / np.linalg.norm(edge)))
+        if contact is not None and (turns := stable_turns(contact, support, friction)) is not None:
+            found.append(turns)
+    return found
 
 
 def arc(shape: ObjectShape, rng: np.random.Generator, *, on_corner: bool) -> PusherPath:
@@ -62,3 +80,21 @@ def test_effects_on_a_single_finger_are_refused() -> None:
     ends = np.array([[0.0, 0.01], [0.0, -0.01]])
     with pytest.raises(InputError, match="two fingers"):
         PushWorld(block(0.3), RADIUS, fingers=ends, effects=InjectedEffects.of({"tool_offset": (1e-3, 0.0)}))
+
+
+def test_stable_push_ends_at_the_goal_in_bullet_though_nothing_is_known_of_the_pressure() -> None:
+    tool, errors = PusherShape(RADIUS, fingers=APART * np.array([[0.0, 0.5], [0.0, -0.5]])), []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        thing = uneven_block(rng)
+        model = true_model(thing)
+        # Equal friction coefficients: the centre of friction is that of mass.
+        centre = model.mass @ model.shape.cells.centres / model.total_mass
+        turns = turns_of(model.shape, Support.unknown(model.shape, centre), tool, friction=0.3)
+        goal = np.array([*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi)])
+        push = shortest_stable_push(turns, np.zeros(3), goal, tool, speed=0.03, clearance=0.01)
+        assert push is not None
+        with closing(PushWorld(thing, RADIUS, fingers=tool.fingers)) as world:
+            end = world.push(np.zeros(3), push.path).pose[-1]
+        errors.append(cell_error(model.shape.cells, end, goal))
+    assert max(errors) < 3e-4, errors
