@@ -10,8 +10,8 @@ table then balances the wrench
 
 The push is stable where w(p) lies inside the cone of the wrenches that both contacts can exert, a . w > 0 for each of its faces a. For a
 belief, p are the friction loads of its models. Without one, p is any distribution on the base whose centre is known: w is linear in p, so
-that the least a . w over all of them is a linear program. Nothing of the map is needed then but the centre of friction, which is the centre
-of mass where the friction coefficient is uniform, and a lower bound of the friction of the tool.
+that the least a . w over all of them is a linear program, whose solution is a convex envelope. Nothing of the map is needed then but the
+centre of friction, which is the centre of mass where the friction coefficient is uniform, and a lower bound of the friction of the tool.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import Final
 
 import numpy as np
 from scipy.optimize import linprog
+from scipy.spatial import ConvexHull, QhullError
 
 from push_ident.errors import InputError
 from push_ident.geometry.dubins import dubins_path
@@ -29,9 +30,10 @@ from push_ident.geometry.outline import edge_normals
 from push_ident.geometry.se2 import compose, inverse
 from push_ident.types import Float64Array, ObjectShape, PusherPath, PusherShape
 
-_CURVATURES: Final = 24
-"""Steps in which the curvature is raised until a push is not stable: a twenty-fourth of the largest, which turns about an end of the
-tool."""
+_HALVINGS: Final = 10
+"""Of the interval of curvatures, from 0 to a turn about an end of the tool: to a thousandth of it."""
+_SMALLER: Final = 7
+"""Smaller curvatures that are tried beside the largest."""
 _DEPTHS: Final = (0.0, 0.5, 1.0, 1.5)
 """Depths of the reference point behind the centre, in units of (radius of gyration)^2 / depth of the centre: at 1 are the rotation centres
 of forces through the middle of the tool, where the limit surface is an ellipsoid."""
@@ -86,6 +88,16 @@ class Support:
         """Smallest mean of `values` at the points, shape (n,), over what may bear the load. Raises InputError where nothing can."""
         if len(self.loads):
             return float(np.min(self.loads @ values))
+        try:
+            # The least mean about a centre is the lower convex envelope of the values there: the largest of its planes.
+            planes = ConvexHull(np.column_stack([self.places, values])).equations
+        except QhullError:
+            return self._by_linear_program(values)
+        below = planes[planes[:, 2] < -1e-9]
+        return float(np.max(-(below[:, :2] @ self.centre + below[:, 3]) / below[:, 2]))
+
+    def _by_linear_program(self, values: Float64Array) -> float:
+        """The same of values on a plane, which have no hull; and whether there is such a load at all."""
         equal = np.vstack([np.ones(len(self.places)), self.places.T])
         solved = linprog(values, A_eq=equal, b_eq=np.array([1.0, *self.centre]), method="highs")
         if not solved.success:
@@ -199,7 +211,7 @@ def stable_push(
         return None
     reference = turns.reference_in_object
     path = dubins_path(compose(start, reference), compose(goal, reference), 1.0 / turns.curvature)
-    along = path.poses(0.25 * turns.contact.apart)
+    along = path.poses(0.1 * turns.contact.apart)
     poses = compose(along, inverse(reference))
     tool_poses = compose(poses, turns.contact.tool_in_object)
     back = compose(tool_poses[0], np.array([-clearance, 0.0, 0.0]))
@@ -220,14 +232,20 @@ def shortest_stable_push(
 
 
 def _sharpest(contact: FaceContact, support: Support, friction: float, depth: float, turn: int) -> float:
-    """Largest curvature to one side up to which all are stable [1/m]."""
-    sharpest = 0.0
-    for curvature in np.arange(1, _CURVATURES + 1) * 2.0 / (contact.apart * _CURVATURES):
+    """Largest curvature to one side up to which all are stable [1/m]: by bisection, and then some of the smaller ones."""
+
+    def is_stable(curvature: float) -> bool:
         centre = compose(contact.tool_in_object, np.array([depth, turn / curvature, 0.0]))[:2]
-        if stable_margin(contact, support, friction, centre, turn) <= 0.0:
-            break
-        sharpest = float(curvature)
-    return sharpest
+        return stable_margin(contact, support, friction, centre, turn) > 0.0
+
+    stable, high = 0.0, 2.0 / contact.apart
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (stable + high)
+        stable, high = (middle, high) if is_stable(middle) else (stable, middle)
+    for k in range(1, _SMALLER + 1):
+        if stable > 0.0 and not is_stable(stable * k / (_SMALLER + 1)):
+            return stable * (k - 1) / (_SMALLER + 1)
+    return stable
 
 
 def _cone(contact: FaceContact, friction: float, middle: Float64Array, unit: float) -> Iterator[Float64Array]:

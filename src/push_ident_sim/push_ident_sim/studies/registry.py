@@ -18,6 +18,7 @@ from push_ident_sim.studies import (
     recorded_scenes,
     scenes,
     sensors,
+    stable_pushes,
     two_fingers,
 )
 from push_ident_sim.studies.bench import batches, engine, exports, fix, frames, identification, nodes, rivals
@@ -43,6 +44,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         pusht,
         sensors,
         labelled,
+        stable_pushes,
         two_fingers,
     )
 }
