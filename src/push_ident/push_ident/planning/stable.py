@@ -224,11 +224,30 @@ def stable_push(
 
 
 def shortest_stable_push(
-    options: list[StableTurns], start: Float64Array, goal: Float64Array, tool: PusherShape, *, speed: float, clearance: float = 0.0
+    options: list[StableTurns],
+    start: Float64Array,
+    goal: Float64Array,
+    tool: PusherShape,
+    *,
+    speed: float,
+    clearance: float = 0.0,
+    workspace: tuple[float, float, float, float] | None = None,
 ) -> StablePush | None:
-    """The shortest push of all contacts; None where none leads to the goal. Arguments as those of `stable_push`."""
+    """The shortest push of all contacts; None where none leads to the goal.
+
+    `workspace`: x_min, x_max, y_min, y_max [m], within which the frames of object and tool have to stay, table frame. The other arguments
+    are those of `stable_push`.
+    """
     pushes = (stable_push(turns, start, goal, tool, speed=speed, clearance=clearance) for turns in options)
-    return min((push for push in pushes if push is not None), key=lambda push: push.length, default=None)
+    possible = (push for push in pushes if push is not None and (workspace is None or _stays(push, workspace)))
+    return min(possible, key=lambda push: push.length, default=None)
+
+
+def _stays(push: StablePush, workspace: tuple[float, float, float, float]) -> bool:
+    """Whether object and tool stay in a workspace."""
+    low, high = np.array(workspace[::2]), np.array(workspace[1::2])
+    places = np.vstack([push.poses[:, :2], push.path.position])
+    return bool(np.all((places >= low) & (places <= high)))
 
 
 def _sharpest(contact: FaceContact, support: Support, friction: float, depth: float, turn: int) -> float:
