@@ -168,6 +168,9 @@ def test_what_allows_no_stable_push_is_said_or_refused() -> None:
     straight = StableTurns(contact(), 0.03, 0.0)
     assert stable_push(straight, np.zeros(3), np.ones(3), TOOL, speed=0.1) is None
     assert shortest_stable_push([straight], np.zeros(3), np.ones(3), TOOL, speed=0.1) is None
+    bent, goal = StableTurns(contact(), 0.03, 5.0), np.array([0.2, 0.1, 0.5])
+    assert shortest_stable_push([bent], np.zeros(3), goal, TOOL, speed=0.1, workspace=(-0.5, 0.5, -0.5, 0.5)) is not None
+    assert shortest_stable_push([bent], np.zeros(3), goal, TOOL, speed=0.1, workspace=(-0.5, 0.1, -0.5, 0.5)) is None
     with pytest.raises(InputError, match="inside the outline"):
         Support.unknown(SHAPE, np.array([0.5, 0.0]))
     with pytest.raises(InputError, match="no friction"):

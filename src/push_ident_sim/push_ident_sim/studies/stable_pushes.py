@@ -117,12 +117,12 @@ STUDY = Experiment(
     name="stable-pushes",
     title="Do two fingers carry an object to a goal without a map?",
     question=(
-        "Two fingers push an object in Bullet to random goals within 0.3 m and any heading, in one push each along a Dubins path. exact: the "
-        "push is [stable](../concepts/stable-pushes.md) whatever the pressure of the object is; nothing of the map is known but the centre "
-        "of friction. map: the friction map is known, so that sharper arcs are stable. camera: as exact, but the first pose has the noise "
-        "of a camera, 1 mm and 0.5 degrees. centroid: as exact, but the centroid of the outline is taken for the centre of friction, which "
-        "it is not. In all, the friction of the fingers is known to be at least 0.8 times the true one. With a path: one that stays within "
-        "0.6 m of the middle of the table. There: within 5 mm and 2 degrees. No pose is looked at during a push."
+        "Two fingers push an object in Bullet to random goals within 0.3 m and any heading, in one push each along a Dubins path. exact: "
+        "the push is [stable](../concepts/stable-pushes.md) whatever the pressure of the object is; nothing of the map is known but the "
+        "centre of friction. map: the friction map is known, so that sharper arcs are stable. camera: as exact, but the first pose has the "
+        "noise of a camera, 1 mm and 0.5 degrees. centroid: as exact, but the centroid of the outline is taken for the centre of friction, "
+        "which it is not. In all, the friction of the fingers is known to be at least 0.8 times the true one. With a path: one that stays "
+        "within 0.6 m of the middle of the table. There: within 5 mm and 2 degrees. No pose is looked at during a push."
     ),
     variants=_VARIANTS,
     stages=("geometry", "physics", "planning"),
