@@ -180,11 +180,10 @@ def _tables(summary: Json) -> str:
 
 
 def _answer(summary: Json) -> str:
-    rows = list(summary["predicted"].values())
-    errors = ", ".join(f"{name} {millimetres(row['identified'])} mm" for name, row in summary["predicted"].items())
-    moves = millimetres(float(np.mean([row["moved_m"] for row in rows])), 0)
-    told = [row["mean_m"] > 2.0 * row["error_m"] for row in summary["told_apart"].values()]
-    return f"Ends after {moves} mm: {errors}. The other support predicts worse, beyond two standard errors, in {sum(told)} of {len(told)}."
+    rows = {name.split(", ")[0]: row for name, row in summary["predicted"].items() if name.endswith(next(iter(_FEET)))}
+    errors = ", ".join(f"{name} {millimetres(row['identified'])} ({millimetres(row['scalar'])}) mm" for name, row in rows.items())
+    told = sum(row["mean_m"] > 2.0 * row["error_m"] for row in summary["told_apart"].values())
+    return f"Ends (equal cells): {errors}. A model of the other support predicts worse in {told} of {len(summary['told_apart'])} cases."
 
 
 STUDY = Experiment(
