@@ -58,12 +58,12 @@ def test_fingers_have_the_heading_of_their_poses_through_half_a_turn_and_a_cylin
         for time in times(0, 4):
             cutter.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
             if 1 < time < 2:
-                yaw = 2.5 + time
+                yaw = 1.6 + time
                 cutter.add_pusher(time, np.array([time, 0.0, np.arctan2(np.sin(yaw), np.cos(yaw))]))
         (push,) = cutter.finished(flush=True)
         path = push.records[0].pusher
         if shape is fingers:
-            assert path.fingers is not None and path.yaw == pytest.approx(2.5 + path.time, abs=1e-9)
+            assert path.fingers is not None and path.yaw == pytest.approx(1.6 + path.time, abs=1e-9)
         else:
             assert path.fingers is None and path.yaw is None and path.radius == 0.003
 
@@ -128,7 +128,7 @@ class Cell:
             origin_ns=0,
             objects=objects,
             pusher=Samples(np.array(self.pusher), np.array([position_at(t) for t in self.pusher])),
-            pusher_radius=0.01,
+            pusher_shape=PusherShape(0.01),
             wrench=Samples(np.array(self.wrench), np.array([position_at(-t) for t in self.wrench])) if self.wrench else None,
             push_intervals=tuple(record for _, record in self.records),
             camera_in_table=None,
