@@ -63,6 +63,12 @@ recordings: setup-dev  ## recordings of others, set by set, DATA=FOLDER of them 
 	$(call experiment,recorded --models 2 --recordings "$(DATA)")
 	$(VENV)/push-ident experiment report
 
+FINGERS ?= robot_exp_logs
+two-fingers: setup-dev  ## recorded pushes with two fingers, FINGERS=FOLDER of their logs (half an hour), and stable pushes in Bullet, then the pages
+	$(call experiment,two-fingers --models 5 --recordings "$(FINGERS)")
+	$(call experiment,stable-pushes --models 1 --goals 2)
+	$(VENV)/push-ident experiment report
+
 injected: setup-dev  ## known causes put into recordings of others, DATA=FOLDER of them (goes on where it stopped), then the page
 	$(call experiment,injected --seed 430 --models 8 --variants single$(comma)single-against-half$(comma)pair-against-half$(comma)against-half --recordings "$(DATA)")
 	$(VENV)/push-ident experiment report

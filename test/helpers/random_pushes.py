@@ -14,6 +14,7 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
+from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.geometry.outline import outline_of_cells, signed_distance
 from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.physics.contact import Field, find_contacts, max_candidates
@@ -115,9 +116,8 @@ def clearance(outline_in_table: Float64Array, corners_in_table: Float64Array, ra
 
 def corners_at(pusher: PusherPath, i: int) -> Float64Array:
     """Corners of the pusher's core at sample i, shape (n_corners, 2), table frame."""
-    core = np.zeros((1, 2)) if pusher.polygon is None else pusher.polygon
     yaw = 0.0 if pusher.yaw is None else pusher.yaw[i]
-    return transform_points(np.array([*pusher.position[i], yaw]), core)
+    return transform_points(np.array([*pusher.position[i], yaw]), pusher.shape.core)
 
 
 def clearances(case: Case, poses: Float64Array) -> Float64Array:
@@ -168,6 +168,40 @@ def random_case(seed: int, n_cells: int, polygon: bool, n_steps: int, *, shape: 
     return Case(model, pusher, pose)
 
 
+def line_tool_case(seed: int, tool: str, n_steps: int, *, on_corner: bool = False, speed: float = 0.1) -> Case:
+    """A plate or two fingers on a face of a random rectangle, or fingers on the two faces beside a corner of it, that move and turn.
+
+    Args:
+        tool: "plate" or "fingers".
+        on_corner: each finger touches another face.
+        speed: of the tool [m/s].
+    """
+    rng = np.random.default_rng((seed, n_steps, on_corner))
+    half = rng.uniform([0.03, 0.02], [0.05, 0.04])
+    outline = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    model = random_model(rng, ObjectShape(cells_in_outline(outline, float(np.sqrt(4.0 * half.prod() / 20))), outline))
+    model = replace(model, pusher_friction=rng.uniform(0.05, 0.6))
+    radius, apart = rng.uniform(0.002, 0.005), rng.uniform(0.01, 0.03)
+    ends = np.array([[0.0, 0.5 * apart], [0.0, -0.5 * apart]])
+    gap = 1e-6
+    # Tool frame in the object frame; its x axis points at the object. Of a corner at (-a, -b): both faces are `radius` away.
+    if on_corner:
+        turn = np.pi / 4 + rng.uniform(-0.3, 0.3)
+        across = apart * np.array([-np.sin(turn), np.cos(turn)])
+        upper = np.array([-half[0] - radius - gap, -half[1] - radius - gap + across[1]])
+        origin = upper - 0.5 * across
+    else:
+        turn = 0.0
+        origin = np.array([-half[0] - radius - gap, rng.uniform(-0.5, 0.5) * (half[1] - 0.5 * apart)])
+    pose = np.array([*rng.uniform(-0.05, 0.05, 2), rng.uniform(-np.pi, np.pi)])
+    place, heading = transform_points(pose, origin[None])[0], pose[2] + turn
+    angle = heading + rng.uniform(-0.9, 0.9)
+    travelled = speed * DT * np.arange(n_steps + 1)[:, None] * np.array([np.cos(angle), np.sin(angle)])
+    yaw = heading + rng.uniform(-1.0, 1.0) * speed / 0.05 * DT * np.arange(n_steps + 1)
+    shape = {"polygon": ends} if tool == "plate" else {"fingers": ends}
+    return Case(model, PusherPath(DT * np.arange(n_steps + 1), place + travelled, radius, yaw=yaw, **shape), pose)
+
+
 def cases(n_steps: int) -> st.SearchStrategy[Case]:
     return st.builds(random_case, st.integers(0, 2**31), st.integers(9, 120), st.booleans(), st.just(n_steps))
 
@@ -204,7 +238,6 @@ def steps_of(case: Case, motion: Motion) -> list[Step]:
     """The steps of a push that was reported at every step."""
     body, pusher, shape = case.body, case.pusher, case.model.shape
     reach = np.sqrt(body.inertia / body.mass)
-    core = 0.0 if pusher.polygon is None else float(np.linalg.norm(pusher.polygon, axis=1).max())
     centres = np.concatenate([transform_points(pose, body.centre[None]) for pose in motion.pose])
     velocity = np.diff(np.column_stack([centres, motion.pose[:, 2]]), axis=0) / DT
     outline = np.array(shape.outline)
@@ -217,11 +250,12 @@ def steps_of(case: Case, motion: Motion) -> list[Step]:
         pose = motion.pose[n]
         going = (pusher.position[n + 1] - pusher.position[n]) / DT
         spin = 0.0 if pusher.yaw is None else float(pusher.yaw[n + 1] - pusher.yaw[n]) / DT
-        speed = np.hypot(*going) + abs(spin) * (core + pusher.radius)
+        speed = np.hypot(*going) + abs(spin) * pusher.shape.reach
         tips = transform_points(inverse(pose), corners_at(pusher, n))
         contacts = np.zeros((MAX_CONTACTS, Field.WIDTH))
         found = np.zeros((max_candidates(len(tips), len(outline)), Field.WIDTH))
-        count = find_contacts(np.ascontiguousarray(tips), pusher.radius, outline, _REACH + speed * DT, found, contacts)
+        separate = pusher.fingers is not None
+        count = find_contacts(np.ascontiguousarray(tips), pusher.radius, outline, _REACH + speed * DT, found, contacts, separate)
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         turn = np.array([[cos, -sin], [sin, cos]])
         normal, point = turn @ contacts[0, 1:3], pose[:2] + turn @ contacts[0, 3:5]
@@ -275,7 +309,7 @@ def moved(case: Case, *, by: Float64Array) -> Case:
     """The same push in a table frame that is moved by `by`."""
     pusher = case.pusher
     yaw = None if pusher.yaw is None else pusher.yaw + by[2]
-    if yaw is None and pusher.polygon is not None:
+    if yaw is None and not pusher.shape.is_cylinder:
         yaw = np.full(len(pusher.time), by[2])
     place = transform_points(by, case.pose[None, :2])[0]
     return replace(
@@ -289,13 +323,15 @@ def mirrored(case: Case) -> Case:
     """The same in a mirror along the x axis of the table."""
     flip = np.array([1.0, -1.0])
     shape, pusher = case.model.shape, case.pusher
-    mirror = ObjectShape(CellGrid(shape.cells.centres * flip, shape.cells.size), (shape.outline * flip)[::-1])
+    cells = shape.cells
+    mirror = ObjectShape(CellGrid(cells.centres * flip, cells.size, cells.squares * flip, cells.areas), (shape.outline * flip)[::-1])
     return Case(
         replace(case.model, shape=mirror),
         replace(
             pusher,
             position=pusher.position * flip,
             polygon=None if pusher.polygon is None else (pusher.polygon * flip)[::-1],
+            fingers=None if pusher.fingers is None else (pusher.fingers * flip)[::-1],
             yaw=None if pusher.yaw is None else -pusher.yaw,
         ),
         case.pose * [1.0, -1.0, -1.0],

@@ -245,8 +245,71 @@ class PoseTrack:
 
 
 @dataclass(frozen=True, slots=True)
+class PusherShape:
+    """Outline of the tool that pushes: an upright cylinder, a prism, a plate with round ends, or two round fingers on one frame."""
+
+    __repr__ = short_repr
+
+    radius: float
+    """Radius of a cylinder or of each finger, or of the rounding of a polygon [m]; 0: a point, or a polygon with sharp corners."""
+    polygon: Float64Array | None = None
+    """Convex, counter-clockwise, not closed [m], shape (n_corners, 2), pusher's frame; of two corners a plate, which its `radius` makes
+    thick and round at its ends. None for a cylinder, and for fingers."""
+    fingers: Float64Array | None = None
+    """Axes of two round fingers, held at a fixed distance [m], shape (2, 2), pusher's frame; None for a pusher in one piece."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.radius) and self.radius >= 0):
+            raise InputError(f"PusherShape.radius is {self.radius}, expected a length >= 0 in metres.")
+        if self.fingers is not None:
+            self._check_fingers()
+        if self.polygon is not None:
+            _freeze(self, "polygon", ("n_corners", 2), {})
+            if len(self.polygon) == 2 and self.radius > 0 and np.any(self.polygon[0] != self.polygon[1]):
+                return
+            edge = np.roll(self.polygon, -1, axis=0) - self.polygon
+            following = np.roll(edge, -1, axis=0)
+            # A polygon that winds around more than once turns left at every corner too.
+            turn = np.arctan2(edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0], np.sum(edge * following, axis=1))
+            if len(self.polygon) < 3 or np.any(turn <= 0) or abs(np.sum(turn) - 2 * np.pi) > 1e-6:
+                raise InputError(
+                    f"PusherShape.polygon with {len(self.polygon)} corners is not strictly convex and counter-clockwise; take the corners "
+                    "of its convex hull in that order, each once, or the two ends of a plate that has a radius."
+                )
+
+    def _check_fingers(self) -> None:
+        _freeze(self, "fingers", (2, 2), {})
+        assert self.fingers is not None
+        if self.polygon is not None:
+            raise InputError("PusherShape has both fingers and a polygon, expected one of them; fingers are round.")
+        apart = float(np.linalg.norm(self.fingers[1] - self.fingers[0]))
+        if not apart > 2.0 * self.radius > 0.0:
+            raise InputError(
+                f"PusherShape.fingers are {apart:.4g} m apart, expected more than their diameter of {2 * self.radius:.4g} m, which is "
+                "above 0; of fingers that touch each other, give the polygon around them."
+            )
+
+    @property
+    def is_cylinder(self) -> bool:
+        """Whether it is one upright cylinder, which has no heading."""
+        return self.polygon is None and self.fingers is None
+
+    @property
+    def core(self) -> Float64Array:
+        """Points that `radius` makes thick [m], shape (n, 2), pusher's frame: each for itself where there are fingers, else their hull."""
+        if self.fingers is not None:
+            return self.fingers
+        return np.zeros((1, 2)) if self.polygon is None else self.polygon
+
+    @property
+    def reach(self) -> float:
+        """Distance of the furthest point of the pusher from its origin [m]."""
+        return float(np.max(np.linalg.norm(self.core, axis=1))) + self.radius
+
+
+@dataclass(frozen=True, slots=True)
 class PusherPath:
-    """Path of the pusher, an upright cylinder or prism, during one push."""
+    """Path of the pusher during one push."""
 
     __repr__ = short_repr
 
@@ -255,11 +318,13 @@ class PusherPath:
     position: Float64Array
     """Origin of the pusher's frame [m], shape (n_samples, 2), table frame; of a cylinder its axis."""
     radius: float
-    """Radius of a cylinder, or of the rounding of a polygon [m]; 0: a point, or a polygon with sharp corners."""
+    """As `PusherShape.radius` [m]."""
     polygon: Float64Array | None = None
-    """Convex, counter-clockwise, not closed [m], shape (n_corners, 2), pusher's frame; None for a cylinder."""
+    """As `PusherShape.polygon` [m], shape (n_corners, 2), pusher's frame."""
     yaw: Float64Array | None = None
     """Yaw of the pusher's frame in the table frame [rad], shape (n_samples,), not wrapped; None for a pusher that does not turn."""
+    fingers: Float64Array | None = None
+    """As `PusherShape.fingers` [m], shape (2, 2), pusher's frame."""
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -270,19 +335,14 @@ class PusherPath:
         _check_increasing(self, "time")
         if len(self.time) < 2:
             raise InputError(f"PusherPath has {len(self.time)} samples, expected at least 2.")
-        if not (np.isfinite(self.radius) and self.radius >= 0):
-            raise InputError(f"PusherPath.radius is {self.radius}, expected a length >= 0 in metres.")
-        if self.polygon is not None:
-            _freeze(self, "polygon", ("n_corners", 2), {})
-            edge = np.roll(self.polygon, -1, axis=0) - self.polygon
-            following = np.roll(edge, -1, axis=0)
-            # A polygon that winds around more than once turns left at every corner too.
-            turn = np.arctan2(edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0], np.sum(edge * following, axis=1))
-            if len(self.polygon) < 3 or np.any(turn <= 0) or abs(np.sum(turn) - 2 * np.pi) > 1e-6:
-                raise InputError(
-                    f"PusherPath.polygon with {len(self.polygon)} corners is not strictly convex and counter-clockwise; "
-                    "take the corners of its convex hull in that order, each once."
-                )
+        shape = self.shape
+        object.__setattr__(self, "polygon", shape.polygon)
+        object.__setattr__(self, "fingers", shape.fingers)
+
+    @property
+    def shape(self) -> PusherShape:
+        """Outline of the pusher."""
+        return PusherShape(self.radius, self.polygon, self.fingers)
 
 
 @dataclass(frozen=True, slots=True)

@@ -122,7 +122,7 @@ def test_without_motion_or_with_another_tool_there_is_nothing_to_check() -> None
         check_calibration([still])
     path = record.pusher
     prism = PusherPath(path.time, path.position, RADIUS, polygon=np.array([[0.0, 0.0], [0.01, 0.0], [0.0, 0.01]]))
-    with pytest.raises(InputError, match="polygon"):
+    with pytest.raises(InputError, match="no cylinder"):
         check_calibration([replace(record, pusher=prism)])
 
 

@@ -7,6 +7,7 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point32
 from std_msgs.msg import Header
 
 from helpers.wrong_poses import wrong_poses
@@ -128,6 +129,20 @@ def test_pusher_that_is_no_cylinder_is_refused():
     msg.type = msg.BOX
     with pytest.raises(InputError, match="expected a CYLINDER"):
         messages.cylinder_radius_from_msg(msg)
+    with pytest.raises(InputError, match="CYLINDER or a PRISM"):
+        messages.pusher_shape_from_msg(msg)
+
+
+def test_two_fingers_are_a_shape_but_no_cylinder():
+    msg = messages.cylinder_to_msg(0.003, 0.1)
+    msg.polygon.points = [Point32(x=0.0, y=0.012), Point32(x=0.0, y=-0.012)]
+    shape = messages.pusher_shape_from_msg(msg)
+    assert shape.radius == 0.003 and shape.fingers == pytest.approx(np.array([[0.0, 0.012], [0.0, -0.012]]), abs=1e-9)
+    with pytest.raises(InputError, match="expected a CYLINDER"):
+        messages.cylinder_radius_from_msg(msg)
+    msg.dimensions = [20.0, 0.003]
+    with pytest.raises(InputError, match="0 to 10 m"):
+        messages.pusher_shape_from_msg(msg)
 
 
 @pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])

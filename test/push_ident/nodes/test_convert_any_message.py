@@ -72,6 +72,7 @@ CONVERSIONS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any], bool]]] 
     "transform": (RIGHT["tool/pose"], messages.transform_from_msg, is_rotation),
     "force": (RIGHT["pusher/wrench"], messages.force_from_msg, lambda value: finite(value[1])),
     "pusher": (RIGHT["pusher/shape"], messages.cylinder_radius_from_msg, lambda radius: 0 <= radius < 1),
+    "tool": (RIGHT["pusher/shape"], messages.pusher_shape_from_msg, lambda shape: 0 <= shape.radius <= 1 and near(shape.core)),
     "camera accuracy": (RIGHT["depth/camera_accuracy"], messages.camera_accuracy_from_msg, lambda found: 0 <= found.position < np.inf),
     "cells": (CELLS, messages.shape_from_msgs, is_shape),
     "cells with outline": (CELLS, lambda msg: messages.shape_from_msgs(msg, OUTLINE), is_shape),

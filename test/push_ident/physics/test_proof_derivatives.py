@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from helpers.random_pushes import CLASSES, DT, ENGINES, Case, fixed_seeds, random_case, steps_of
+from helpers.random_pushes import CLASSES, DT, ENGINES, Case, fixed_seeds, line_tool_case, random_case, steps_of
 from push_ident.physics.active_effects import NO_MODES
 from push_ident.physics.effect import OnTable
 from push_ident.physics.effect_values import EffectValues, effect_values
@@ -198,3 +198,13 @@ def test_columns_of_an_effect_are_exact_at_the_null_value_where_absence_is_teste
             random_case(seed, 9 + seed, seed % 2 == 1, 5), ENGINES["circle"], effect_values((name,)), between=True, only_effects=True
         )
     compared.check(ADJOINT["circle"], 0.25)
+
+
+@pytest.mark.parametrize("mode", ENGINES)
+@pytest.mark.parametrize(("tool", "on_corner"), [("plate", False), ("fingers", False), ("fingers", True)])
+def test_every_column_is_exact_for_tools_with_two_contacts(tool: str, on_corner: bool, mode: str) -> None:
+    compared = Compared()
+    for seed in fixed_seeds(8):
+        compared.add(line_tool_case(seed, tool, 5, on_corner=on_corner), ENGINES[mode])
+    compared.check(max(ADJOINT[mode], 1e-9), 0.35)
+    assert all(compared.kinds[kind] >= 20 for kind in (("cornered",) if on_corner else ("sticking", "sliding")))

@@ -98,7 +98,7 @@ def test_push_that_misses_has_a_status_and_a_late_force_prolongs_it() -> None:
     ],
 )
 def test_pusher_that_is_no_convex_polygon_is_refused(polygon: list[list[float]], yaw: list[float] | None) -> None:
-    with pytest.raises(InputError, match="PusherPath"):
+    with pytest.raises(InputError, match=r"Pusher(Path|Shape)"):
         PusherPath(np.array([0.0, 1.0]), np.zeros((2, 2)), 0.0, np.array(polygon), None if yaw is None else np.array(yaw))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts, StepGeometry
+from push_ident.physics.modes import MAX_CONTACTS, N_IMPULSES, Mode, Row, StepContacts, StepGeometry
 from push_ident.physics.step import new_step_scratch, step
 from push_ident.physics.support import support_friction
 from push_ident.types import Float64Array
@@ -34,7 +34,7 @@ def checked_impulse(twist: Float64Array, rows: Float64Array, n_contacts: int, mu
     assert np.all(impulse[:n_contacts] >= 0)
     assert np.all(np.abs(gap_speed * impulse[:n_contacts]) < 1e-12)
     carried = mu * impulse[:n_contacts] @ rows[:n_contacts, 4]
-    assert abs(impulse[-1]) <= carried + 1e-15
+    assert abs(impulse[MAX_CONTACTS]) <= carried + 1e-15
     pressing = [k for k in range(n_contacts) if (code >> (2 + k)) & 1 and rows[k, 4]]
     tangent = rows[MAX_CONTACTS + (pressing[0] if pressing else 0)]
     if pressing:
@@ -43,9 +43,9 @@ def checked_impulse(twist: Float64Array, rows: Float64Array, n_contacts: int, mu
             assert abs(slip) < 1e-10
         else:
             assert code % 4 in (Mode.SLIDE_PLUS, Mode.SLIDE_MINUS)
-            assert slip * impulse[-1] <= 1e-15
-            assert abs(impulse[-1]) == pytest.approx(carried)
-    return np.asarray(impulse[:n_contacts] @ rows[:n_contacts, :3] + impulse[-1] * tangent[:3])
+            assert slip * impulse[MAX_CONTACTS] <= 1e-15
+            assert abs(impulse[MAX_CONTACTS]) == pytest.approx(carried)
+    return np.asarray(impulse[:n_contacts] @ rows[:n_contacts, :3] + impulse[MAX_CONTACTS] * tangent[:3])
 
 
 @pytest.mark.parametrize("n_contacts", [0, 1, 2])
@@ -62,7 +62,7 @@ def test_step_meets_its_optimality_conditions(n_contacts: int) -> None:
         cos, sin = np.cos(yaw), np.sin(yaw)
         old = rng.normal(size=3) * [0.05, 0.05, 1.0] * rng.choice([0.0, 1.0])
         rows = random_contacts(rng, n_contacts)
-        twist, impulse = old.copy(), np.zeros(MAX_CONTACTS + 1)
+        twist, impulse = old.copy(), np.zeros(N_IMPULSES)
         geometry = StepGeometry(arms, limit, inertia, 0.03, np.zeros(2), np.array([cos, sin]), dt)
         contacts, scratch = StepContacts(rows, n_contacts, mu), new_step_scratch()
         # Whatever the step before was like, from which the first guess comes.

@@ -18,7 +18,7 @@ from push_ident.bags.pushes import split_pushes
 from push_ident.bags.reader import BagContents, ObjectTrack, Samples
 from push_ident.errors import BagError
 from push_ident.pushing.cutter import CutPush, PushCutter, PushInterval
-from push_ident.types import PushRecord
+from push_ident.types import PusherShape, PushRecord
 
 COVARIANCE = np.diag([1e-6, 1e-6, 1e-4])
 
@@ -48,6 +48,24 @@ def test_one_late_message_does_not_shut_out_the_streams_that_go_on(back: float) 
             cutter.add_record(PushInterval(9, "o1", time - 0.1 - back * (i > 0), time - back * (i > 0), 0))
         pushes += cutter.finished()
     assert [round(push.interval.start) for push in pushes if push.records][-2:] == [66, 70]
+
+
+def test_fingers_have_the_heading_of_their_poses_through_half_a_turn_and_a_cylinder_has_none() -> None:
+    fingers = PusherShape(0.003, fingers=np.array([[0.0, 0.01], [0.0, -0.01]]))
+    for shape in (fingers, PusherShape(0.003)):
+        cutter = cutter_of("o1")
+        cutter.set_pusher_shape(shape)
+        for time in times(0, 4):
+            cutter.add_pose("o1", time, np.array([0.01 * time, 0.0, 0.0]), COVARIANCE)
+            if 1 < time < 2:
+                yaw = 1.6 + time
+                cutter.add_pusher(time, np.array([time, 0.0, np.arctan2(np.sin(yaw), np.cos(yaw))]))
+        (push,) = cutter.finished(flush=True)
+        path = push.records[0].pusher
+        if shape is fingers:
+            assert path.fingers is not None and path.yaw == pytest.approx(1.6 + path.time, abs=1e-9)
+        else:
+            assert path.fingers is None and path.yaw is None and path.radius == 0.003
 
 
 def test_unfinished_push_grows() -> None:
@@ -110,7 +128,7 @@ class Cell:
             origin_ns=0,
             objects=objects,
             pusher=Samples(np.array(self.pusher), np.array([position_at(t) for t in self.pusher])),
-            pusher_radius=0.01,
+            pusher_shape=PusherShape(0.01),
             wrench=Samples(np.array(self.wrench), np.array([position_at(-t) for t in self.wrench])) if self.wrench else None,
             push_intervals=tuple(record for _, record in self.records),
             camera_in_table=None,

@@ -91,7 +91,7 @@ def test_what_bullet_cannot_be_is_said(path: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no identified object"):
         BulletScene(path).write(tmp_path / "out.urdf")
     square = PusherPath(np.array([0.0, 1.0]), np.zeros((2, 2)), 0.0, polygon=0.01 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
-    with pytest.raises(InputError, match="polygon"):
+    with pytest.raises(InputError, match="round pusher"):
         BulletScene(path).simulate(np.zeros(3), square, np.array([0.5]))
 
 

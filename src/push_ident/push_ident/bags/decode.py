@@ -7,13 +7,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from push_ident.errors import BagError, ContentError
+from push_ident.errors import BagError, ContentError, InputError
 from push_ident.geometry.outline import polygon_area
 from push_ident.geometry.se2 import transform_points, yaw_of_quaternion
+from push_ident.geometry.shape_check import check_pusher_radius
 from push_ident.limits import LIMITS, check_coordinates
 from push_ident.perception.frame.camera_info import check_image_size
 from push_ident.perception.frame.depth_image import depth_from_buffer, unit_of
-from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array
+from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, PusherShape
 
 _PLANAR: Final = (0, 1, 5)
 """Rows of x, y and yaw in a 6 x 6 covariance."""
@@ -122,10 +123,27 @@ def outline_of(polygon: Any) -> Float64Array | None:
     return vertices
 
 
-def cylinder_radius_of(primitive: Any) -> float | None:
-    """Radius [m] of a shape_msgs/SolidPrimitive, as it is given; None unless it is a cylinder."""
-    cylinder, radius = 3, 1  # SolidPrimitive.CYLINDER and CYLINDER_RADIUS; the class comes from the schema in the bag
-    return float(primitive.dimensions[radius]) if primitive.type == cylinder and len(primitive.dimensions) > radius else None
+def pusher_shape_of(primitive: Any) -> PusherShape | None:
+    """Outline of the pusher in a shape_msgs/SolidPrimitive; None unless it is a cylinder or a prism.
+
+    A cylinder whose `polygon` has two points stands for two fingers of its radius at these points of the tool's frame; the second dimension
+    of a prism, where it has one, rounds its corners, and of two points makes it a plate with round ends.
+
+    Raises InputError for a shape that no pusher has.
+    """
+    # SolidPrimitive.CYLINDER and PRISM; the class comes from the schema in the bag.
+    cylinder, prism = 3, 5
+    dimensions, points = primitive.dimensions, list(getattr(getattr(primitive, "polygon", None), "points", ()))
+    LIMITS.VERTICES.check(len(points), "pusher")
+    corners = np.array([[point.x, point.y] for point in points], dtype=np.float64).reshape(-1, 2)
+    if np.any(~(np.abs(corners) <= LIMITS.PUSHER_RADIUS.value)):
+        raise InputError(f"The pusher has points beyond {LIMITS.PUSHER_RADIUS.value} m of its origin; give them in metres.")
+    if primitive.type == cylinder and len(dimensions) > 1:
+        return PusherShape(check_pusher_radius(float(dimensions[1])), fingers=corners if len(corners) else None)
+    if primitive.type == prism and len(dimensions) > 0:
+        radius = check_pusher_radius(float(dimensions[1])) if len(dimensions) > 1 else 0.0
+        return PusherShape(radius, polygon=corners)
+    return None
 
 
 def homogeneous_of(transform: Any) -> Float64Array:

@@ -15,7 +15,7 @@ from push_ident.limits import LIMITS
 from push_ident.pushing.cutter import PushCutter
 from push_ident.pushing.pose_noise import PAUSE
 from push_ident.pushing.regular_path import stamps_jitter
-from push_ident.types import CameraAccuracy, PushRecord
+from push_ident.types import CameraAccuracy, PusherShape, PushRecord
 
 _OTHER_NOISE: Final = "`push-ident identify`, `predict`, `selftest`, `diagnose` and `fleet` take others with --pose-std METRES,RADIANS."
 
@@ -87,7 +87,7 @@ def _cutter_of(contents: BagContents, object_ids: Sequence[str]) -> PushCutter:
     """A cutter with all samples of the bag for these objects."""
     cutter = PushCutter(PAUSE, capacity=None, find_runs=not contents.push_intervals, pose_std=contents.options.pose_std)
     cutter.expects_records = _has_record_topic(contents) and int(np.sum(np.diff(contents.pusher.time) > PAUSE)) == 0
-    cutter.set_radius(contents.pusher_radius or 0.0)
+    cutter.set_pusher_shape(contents.pusher_shape or PusherShape(0.0))
     cutter.set_camera(contents.camera_accuracy or CameraAccuracy())
     for interval in contents.push_intervals:
         cutter.add_record(interval)

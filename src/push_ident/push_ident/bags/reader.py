@@ -19,11 +19,11 @@ from push_ident.errors import BagError, ContentError, FrameError, InputError
 from push_ident.geometry.cut_cells import cut_at_outline
 from push_ident.geometry.frames import CAMERA_FRAME, TABLE_FRAME
 from push_ident.geometry.outline import outline_of_cells
-from push_ident.geometry.shape_check import check_pusher_radius, check_shape
+from push_ident.geometry.shape_check import check_shape
 from push_ident.limits import LIMITS, plain_text
 from push_ident.perception.frame.camera_info import intrinsics_of
 from push_ident.pushing.cutter import PushInterval
-from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, Float64Array, ObjectShape
+from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, Float64Array, ObjectShape, PusherShape
 
 _STAMPED: Final = frozenset({Role.POSE, Role.PUSHER, Role.WRENCH})
 _LAST_COUNTS: Final = frozenset({Role.CELLS, Role.OUTLINE, Role.OUTLINE_STD, Role.PUSHER_SHAPE, Role.CAMERA_ACCURACY})
@@ -69,9 +69,9 @@ class BagContents:
     """Absolute time of time zero [ns]."""
     objects: dict[str, ObjectTrack]
     pusher: Samples
-    """Positions of the tool tip in `table` [m], shape (n, 2)."""
-    pusher_radius: float | None
-    """[m]; None where the bag does not have it."""
+    """Positions of the tool tip in `table` [m], shape (n, 2); of a tool that is no cylinder its poses (x, y, yaw), shape (n, 3)."""
+    pusher_shape: PusherShape | None
+    """None where the bag does not have it."""
     wrench: Samples | None
     """Force of the pusher on the object in `table` [N], shape (n, 2)."""
     push_intervals: tuple[PushInterval, ...]
@@ -88,6 +88,11 @@ class BagContents:
     """Data that was missing, dropped or assumed; one line each."""
     options: ReadOptions = field(default_factory=ReadOptions)
     """How it was read."""
+
+    @property
+    def pusher_radius(self) -> float | None:
+        """As `PusherShape.radius` [m]; None where the bag does not have it."""
+        return None if self.pusher_shape is None else self.pusher_shape.radius
 
     @property
     def has_poses(self) -> bool:
@@ -184,6 +189,10 @@ def _contents(
     stamped = {role: record for role, record in recorded.items() if role.role in _STAMPED}
     # Log times are those of another clock where anything is stamped.
     by_log_time = not any(any(record.stamps) for record in stamped.values())
+    shape = _pusher_shape(path, recorded, notes)
+    if TopicRole(Role.PUSHER) in stamped and (shape is None or shape.is_cylinder):
+        # A cylinder has no heading, whatever is sent for it.
+        stamped[TopicRole(Role.PUSHER)].values = [value[:2] for value in stamped[TopicRole(Role.PUSHER)].values]
     samples = {role: _clean(path, role, record, notes, by_log_time=by_log_time) for role, record in stamped.items()}
     missing = [] if len(samples.get(TopicRole(Role.PUSHER), _NOTHING)[0]) else [Role.PUSHER]
     if not n_depth and not any(role.role is Role.POSE and len(stamps) for role, (stamps, _) in samples.items()):
@@ -202,7 +211,7 @@ def _contents(
         origin_ns=origin,
         objects={object_id: _object_track(object_id, recorded, samples, origin, notes) for object_id in object_ids},
         pusher=_samples(samples[TopicRole(Role.PUSHER)], origin),
-        pusher_radius=_pusher_radius(path, recorded, notes),
+        pusher_shape=shape,
         wrench=_samples(wrench, origin) if len(wrench[0]) else None,
         push_intervals=_push_intervals(recorded, origin, notes),
         camera_in_table=camera_in_table,
@@ -323,11 +332,12 @@ def _clean(path: Path, role: TopicRole, record: _Recorded, notes: list[str], *, 
 
 
 def _planar(role: Role, message: Any) -> Float64Array:
-    """x, y, yaw and the nine numbers of their covariance for a pose; x, y for the pusher and for forces."""
+    """x, y, yaw and the nine numbers of their covariance for a pose; x, y, yaw for the pusher; x, y for forces."""
     if role is Role.POSE:
         return np.append(decode.planar_pose_of(message.pose.pose), decode.covariance_of(message.pose.covariance).ravel())
-    vector = message.pose.position if role is Role.PUSHER else message.wrench.force
-    return np.array([vector.x, vector.y], dtype=np.float64)
+    if role is Role.PUSHER:
+        return decode.planar_pose_of(message.pose)
+    return np.array([message.wrench.force.x, message.wrench.force.y], dtype=np.float64)
 
 
 def _samples(stamped: _Stamped, origin: int) -> Samples:
@@ -394,16 +404,15 @@ def _shape(object_id: str, recorded: dict[TopicRole, _Recorded], notes: list[str
         return None, bool(polygons)
 
 
-def _pusher_radius(path: Path, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> float | None:
+def _pusher_shape(path: Path, recorded: dict[TopicRole, _Recorded], notes: list[str]) -> PusherShape | None:
     shapes = _messages(recorded, Role.PUSHER_SHAPE)
-    radius = decode.cylinder_radius_of(shapes[-1]) if shapes else None
-    if radius is None:
-        notes.append(f"{'`pusher/shape` is not a cylinder' if shapes else 'no `pusher/shape`'}: its radius is unknown.")
-        return None
     try:
-        return check_pusher_radius(radius)
+        shape = decode.pusher_shape_of(shapes[-1]) if shapes else None
     except InputError as error:
         raise BagError(f"{path}: `{Role.PUSHER_SHAPE.value.name}`: {error}") from None
+    if shape is None:
+        notes.append(f"{'`pusher/shape` is neither cylinder nor prism' if shapes else 'no `pusher/shape`'}: its radius is unknown.")
+    return shape
 
 
 def _push_intervals(recorded: dict[TopicRole, _Recorded], origin: int, notes: list[str]) -> tuple[PushInterval, ...]:

@@ -26,9 +26,10 @@ def write_records(path: Path, records: Sequence[PushRecord]) -> None:
     """
     if not records:
         raise InputError("there are no push records to write; a bag needs at least one.")
-    radii = sorted({record.pusher.radius for record in records})
-    if len(radii) > 1:
-        raise InputError(f"records have pushers of radius {radii} m; a bag has one pusher, write one bag for each.")
+    tools = {(record.pusher.radius, *record.pusher.shape.core.ravel(), record.pusher.fingers is None): record for record in records}
+    if len(tools) > 1:
+        shapes_of_tools = ", ".join(f"{record.pusher.shape}" for record in tools.values())
+        raise InputError(f"records have different pushers ({shapes_of_tools}); a bag has one pusher, write one bag for each.")
     shapes = {record.object_id: record.shape for record in records}
     for record in records:
         shape = shapes[record.object_id]
@@ -36,7 +37,7 @@ def write_records(path: Path, records: Sequence[PushRecord]) -> None:
             raise InputError(f"records of object {record.object_id} differ in its shape; a bag has one shape for each object.")
     clearance = 2.0  # [s]
     with BagWriter(path) as writer:
-        writer.write_pusher_shape(FIRST_STAMP, radii[0])
+        writer.write_pusher_shape(FIRST_STAMP, records[0].pusher.shape)
         for object_id, shape in sorted(shapes.items()):
             writer.write_shape(object_id, shape, FIRST_STAMP)
         end = FIRST_STAMP - clearance
@@ -64,8 +65,9 @@ def _write_push(writer: BagWriter, push_id: int, push: Sequence[PushRecord], shi
     for record in push:
         for time, pose, covariance in zip(record.poses.time, record.poses.pose, record.poses.covariance, strict=True):
             writer.write_pose(record.object_id, float(time) + shift, pose, covariance)
-    for time, position in zip(push[0].pusher.time, push[0].pusher.position, strict=True):
-        writer.write_pusher(float(time) + shift, position)
+    yaw = np.zeros(len(push[0].pusher.time)) if push[0].pusher.yaw is None else push[0].pusher.yaw
+    for time, position, heading in zip(push[0].pusher.time, push[0].pusher.position, yaw, strict=True):
+        writer.write_pusher(float(time) + shift, position, yaw=float(heading))
     if (wrench := push[0].wrench) is not None:
         for time, force in zip(wrench.time, wrench.force, strict=True):
             writer.write_wrench(float(time) + shift, force)

@@ -25,7 +25,7 @@ from push_ident.geometry.cut_cells import occupancy
 from push_ident.geometry.frames import CAMERA_FRAME, TABLE_FRAME, object_frame
 from push_ident.geometry.se2 import quaternion_of_yaw
 from push_ident.geometry.se3 import quaternion_of_pose
-from push_ident.types import CameraIntrinsics, ObjectShape
+from push_ident.types import CameraIntrinsics, ObjectShape, PusherShape
 
 _PLANAR: Final = (0, 1, 5)
 """Rows of x, y and yaw in a 6 x 6 covariance."""
@@ -133,16 +133,18 @@ class BagWriter:
         body = self._new("geometry_msgs/msg/PoseWithCovariance", self._pose(x, y, 0.0, yaw), full.ravel())
         self._write(Role.POSE, stamp, self._header(stamp, TABLE_FRAME), body, object_id=object_id)
 
-    def write_pusher(self, stamp: float, position: ArrayLike, *, z: float = 0.0) -> None:
-        """Position of the tool tip in `table` [m], shape (2,), at height `z`."""
+    def write_pusher(self, stamp: float, position: ArrayLike, *, z: float = 0.0, yaw: float = 0.0) -> None:
+        """Position of the tool tip in `table` [m], shape (2,), at height `z`; `yaw` of its frame [rad], which a cylinder does not need."""
         x, y = (float(value) for value in np.asarray(position, dtype=np.float64))
-        self._write(Role.PUSHER, stamp, self._header(stamp, TABLE_FRAME), self._pose(x, y, z, 0.0))
+        self._write(Role.PUSHER, stamp, self._header(stamp, TABLE_FRAME), self._pose(x, y, z, yaw))
 
-    def write_pusher_shape(self, stamp: float, radius: float, *, height: float = 0.1) -> None:
-        """The pusher as an upright cylinder [m]."""
-        cylinder = self._store.types[Role.PUSHER_SHAPE.msgtype].CYLINDER  # type: ignore[attr-defined]
-        polygon = self._new("geometry_msgs/msg/Polygon", [])
-        self._write(Role.PUSHER_SHAPE, stamp, cylinder, np.array([height, radius]), polygon)
+    def write_pusher_shape(self, stamp: float, shape: float | PusherShape, *, height: float = 0.1) -> None:
+        """The pusher: the radius of an upright cylinder [m], or another outline of this height [m]."""
+        shape = shape if isinstance(shape, PusherShape) else PusherShape(shape)
+        kinds: Any = self._store.types[Role.PUSHER_SHAPE.msgtype]
+        kind = kinds.CYLINDER if shape.polygon is None else kinds.PRISM
+        corners = [] if shape.is_cylinder else [self._new("geometry_msgs/msg/Point32", float(x), float(y), 0.0) for x, y in shape.core]
+        self._write(Role.PUSHER_SHAPE, stamp, kind, np.array([height, shape.radius]), self._new("geometry_msgs/msg/Polygon", corners))
 
     def write_wrench(self, stamp: float, force: ArrayLike) -> None:
         """Force of the pusher on the object in `table` [N], shape (2,)."""

@@ -84,8 +84,8 @@ class Gaps:
 
 def contacts_of(records: Sequence[PushRecord]) -> list[Contacts]:
     """Of each push of one object that shows a contact. Raises InputError for a tool that is no cylinder."""
-    if any(record.pusher.polygon is not None for record in records):
-        raise InputError("the pusher is a polygon; a calibration is checked with pushes of an upright cylinder.")
+    if any(not record.pusher.shape.is_cylinder for record in records):
+        raise InputError("the pusher is no cylinder; a calibration is checked with pushes of an upright cylinder.")
     found = [contacts for record in records if len(contacts := _contacts(record))]
     if not found:
         return []

@@ -76,7 +76,7 @@ def check_forces(records: Sequence[PushRecord], *, tare: bool = True) -> ForceCh
     Without a push in which forces were measured, or where the pusher is no cylinder, the pushes are returned as they are; without `tare`
     offsets are, too.
     """
-    measured = [record for record in records if record.wrench is not None and record.pusher.polygon is None]
+    measured = [record for record in records if record.wrench is not None and record.pusher.shape.is_cylinder]
     if not measured:
         return ForceCheck(tuple(records))
     samples = [_samples(record) for record in measured]

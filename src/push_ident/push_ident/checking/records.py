@@ -54,7 +54,7 @@ def check_records(records: Sequence[PushRecord], *, tare: bool = True) -> Record
     Pusher and object have to meet where the object moves, to within the accuracy of their poses; then forces have to point into the
     object, and to be zero without contact. A fit can hide such an error in its maps. `tare`: take offsets of the force sensor off.
     """
-    if any(record.pusher.polygon is not None for record in records):
+    if any(not record.pusher.shape.is_cylinder for record in records):
         return RecordCheck(tuple(records), None)
     tolerance = contact_tolerance_of(records)
     overlap = overlap_of(one_stream(records, tolerance))

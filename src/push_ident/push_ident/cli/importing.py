@@ -11,13 +11,16 @@ import numpy as np
 import typer
 
 from push_ident.bags.importers import (
+    FINGER_SHAPES,
     MIT_SHAPES,
+    FingerOptions,
     ImportReport,
     MitOptions,
     MocapObject,
     RosbagTopics,
     TableFormat,
     TrackedPoses,
+    import_cmu_fingers,
     import_cmu_icra16,
     import_cmu_mocap,
     import_mit,
@@ -156,6 +159,7 @@ import_app = typer.Typer(
     help="Convert own tables and bags, or published recordings, to a bag that all commands read.",
 )
 
+_FINGERS = FingerOptions()
 _MIT = MitOptions()
 FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="The recording as it was published.", show_default=False)]
 SupportsOption = Annotated[
@@ -203,6 +207,34 @@ def mocap_command(
     """ROS 1 bag of many pushes of a wooden triangle under motion capture (CMU)."""
     body = MocapObject(_outline(outline), read_camera(frame_in_body), _points(supports), mass)
     run_import(lambda: import_cmu_mocap(file, out, body=body), out, file.name, page, json)
+
+
+@import_app.command("cmu-fingers")
+def fingers_command(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Logs log*.txt of one object, or folders of them.", show_default=False)
+    ],
+    out: BagOption,
+    shape: Annotated[
+        str,
+        typer.Option(help=f"Object, one of {', '.join(FINGER_SHAPES)}. Default: by names of files and folders.", show_default=False),
+    ] = "",
+    outline: OutlineOption = None,
+    position_std: PositionStdOption = None,
+    yaw_std: YawStdOption = None,
+    ends_only: Annotated[bool, typer.Option("--ends-only", help="Keep only the poses before and after each push.")] = False,
+    page: PageOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Logs of stable pushes with two fingers of a gripper (CMU, ISRR 2017)."""
+    options = FingerOptions(
+        shape=shape,
+        outline=_outline(outline),
+        position_std=_FINGERS.position_std if position_std is None else position_std,
+        yaw_std=_FINGERS.yaw_std if yaw_std is None else yaw_std,
+        ends_only=ends_only,
+    )
+    run_import(lambda: import_cmu_fingers(files, out, options=options), out, _names(files), page, json)
 
 
 @import_app.command("mit")

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from push_ident.bags.contract import Role, TopicRole
-from push_ident.bags.decode import cylinder_radius_of, outline_of
+from push_ident.bags.decode import outline_of, pusher_shape_of
 from push_ident.bags.opening import OpenBag, open_bag
 from push_ident.bags.read_options import ReadOptions
 from push_ident.errors import BagError, InputError
@@ -85,7 +85,7 @@ def _draw(bag: OpenBag, roles: dict[str, TopicRole], stream: Any) -> None:
             frames = (message.header.frame_id or TABLE_FRAME, object_frame(role.object_id))
             poses.setdefault(role.object_id, []).append((log_time, *frames, message.pose.pose))
         elif role.role is Role.PUSHER_SHAPE:
-            radius = cylinder_radius_of(message) or radius
+            radius = shape.reach if (shape := pusher_shape_of(message)) else radius
         elif (outline := outline_of(message.polygon)) is not None:
             line = rerun.LineStrips3D([[[*corner, _LIFT] for corner in (*outline, outline[0])]], colors=_COLOURS[2], radii=0.001)
             frame = rerun.CoordinateFrame(message.header.frame_id or object_frame(role.object_id))

@@ -103,6 +103,7 @@ class _Shape(NamedTuple):
     outline: Float64Array
     corners: Float64Array
     radius: float
+    separate: bool
 
 
 class _Range(NamedTuple):
@@ -149,7 +150,7 @@ def _roll_range(
         )
         push = Push(
             first_pose, pushes.path[p, : n + 1], shape.corners, shape.radius, shape.outline, models.arms[m], models.limit[m],
-            models.centre[m], models.inertia[m], models.mu[m], models.surface[m], of_centre,
+            models.centre[m], models.inertia[m], models.mu[m], models.surface[m], of_centre, shape.separate,
         )  # fmt: skip
         numerics = Numerics(pushes.dt[p, :n], eps, False, quasi_static, True)
         frames = Frames(pushes.step[p], pushes.fraction[p])
@@ -194,7 +195,7 @@ def rollouts(
     """
     _check(shape, models, pushes)
     pusher = pushes[0].pusher
-    geometry = _Shape(owned(shape.outline), np.zeros((1, 2)) if pusher.polygon is None else owned(pusher.polygon), float(pusher.radius))
+    geometry = _Shape(owned(shape.outline), owned(pusher.shape.core), float(pusher.radius), pusher.fingers is not None)
     edges = None if edge is None else _edges(edge, models)
     eps = SimulationSettings().smoothing_speed if smoothing_speed is None else smoothing_speed
     prepared = _Prepared(len(shape.cells), geometry, _models(shape, models), _actives(shape, models), eps, quasi_static)
@@ -248,7 +249,7 @@ class ModelBatch:
         _check_models(shape, models)
         self.shape = shape
         self.models = tuple(models)
-        geometry = _Shape(owned(shape.outline), np.zeros((1, 2)), float(pusher_radius))
+        geometry = _Shape(owned(shape.outline), np.zeros((1, 2)), float(pusher_radius), False)
         smoothing = SimulationSettings().smoothing_speed
         self._prepared = _Prepared(len(shape.cells), geometry, _models(shape, models), _actives(shape, models), smoothing, False)
 
@@ -345,7 +346,7 @@ def _check(shape: ObjectShape, models: Sequence[BatchModel], pushes: Sequence[Ba
     if not pushes:
         raise InputError("There are no pushes, expected one at least.")
     _check_models(shape, models)
-    by_pusher = {(push.pusher.radius, push.pusher.polygon is None, len(push.time)) for push in pushes}
+    by_pusher = {(push.pusher.radius, push.pusher.fingers is None, push.pusher.shape.core.tobytes(), len(push.time)) for push in pushes}
     if len(by_pusher) > 1:
         raise InputError("The pushes of a batch differ in their pusher or in their number of frames; give them one by one.")
 

@@ -1,6 +1,7 @@
 """Contact between the pusher and the exact outline polygon, in the object frame (compiled).
 
-The pusher is a convex polygon rounded by a radius; a disc is a single point rounded by a radius. There are two kinds of contacts: a
+The pusher is a convex polygon rounded by a radius; a disc is a single point rounded by a radius, a plate two points. Two fingers are two
+discs, of which each has the contacts of a disc. There are two kinds of contacts: a
 corner of the pusher on the outline, and a corner of the outline on a straight side of the pusher. At most five are kept: the nearest;
 its neighbours to the left and right on the same flat face (a line contact); the nearest on a face with another normal (a pusher in a
 concave corner); for a polygon one more on such a face. Of two gaps that agree to within a nanometre, the one that comes first along the
@@ -19,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import MAX_CONTACTS
 from push_ident.types import Float64Array
 
 
@@ -282,7 +282,13 @@ def _duplicates(contact: Float64Array, other: Float64Array) -> bool:
 
 @kernel
 def find_contacts(
-    tips: Float64Array, radius: float, outline: Float64Array, reach: float, candidates: Float64Array, contacts: Float64Array
+    tips: Float64Array,
+    radius: float,
+    outline: Float64Array,
+    reach: float,
+    candidates: Float64Array,
+    contacts: Float64Array,
+    separate: bool = False,
 ) -> int:
     """Contacts of the pusher with the outline.
 
@@ -293,10 +299,39 @@ def find_contacts(
         reach: greatest gap of a contact [m].
         candidates: scratch, shape (max_candidates(n_tips, n_vertices), Field.WIDTH).
         contacts: filled with one row for each contact, shape (MAX_CONTACTS, Field.WIDTH); see `Field.WIDTH`.
+        separate: the tips are two fingers.
 
     Returns:
-        The number of rows filled. The first is the nearest.
+        The number of rows filled. The first is the nearest; of fingers that both touch, the second is the nearest of the other one.
     """
+    if not separate:
+        return _contacts_of_body(tips, radius, outline, reach, candidates, contacts)
+    first, n_first = contacts[:MAX_DISC_CONTACTS], 0
+    other, n_other = contacts[MAX_DISC_CONTACTS : 2 * MAX_DISC_CONTACTS], 0
+    n_first = _contacts_of_body(tips[:1], radius, outline, reach, candidates, first)
+    n_other = _contacts_of_body(tips[1:2], radius, outline, reach, candidates, other)
+    other[:n_other, Field.OWNER] = 1.0
+    kept = candidates[: 2 * MAX_DISC_CONTACTS]
+    kept[:] = contacts[: 2 * MAX_DISC_CONTACTS]
+    begin, end, n_begin, n_end = 0, MAX_DISC_CONTACTS, n_first, n_other
+    if n_first == 0 or (n_other > 0 and other[0, Field.GAP] < first[0, Field.GAP] - _TOLERANCES.equal_gaps):
+        begin, end, n_begin, n_end = MAX_DISC_CONTACTS, 0, n_other, n_first
+    number = 0
+    for i in range(MAX_DISC_CONTACTS):
+        if i < n_begin:
+            contacts[number] = kept[begin + i]
+            number += 1
+        if i < n_end:
+            contacts[number] = kept[end + i]
+            number += 1
+    return number
+
+
+@kernel
+def _contacts_of_body(
+    tips: Float64Array, radius: float, outline: Float64Array, reach: float, candidates: Float64Array, contacts: Float64Array
+) -> int:
+    """Contacts of a pusher in one piece; arguments as those of `find_contacts`, contacts of as many rows as it may have."""
     n = 0
     for j in range(tips.shape[0]):
         n = _corner_candidates(tips, j, radius, outline, reach, candidates, n)
@@ -349,7 +384,7 @@ def find_contacts(
             if another < 0 or candidates[i, Field.GAP] < candidates[another, Field.GAP] - _TOLERANCES.equal_gaps:
                 another = i
     number = 1
-    while number < MAX_CONTACTS:
+    while number < contacts.shape[0]:
         best = -1
         for i in (left, right, elsewhere, another):
             if i >= 0 and (best < 0 or candidates[i, Field.GAP] < candidates[best, Field.GAP]):

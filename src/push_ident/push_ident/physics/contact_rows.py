@@ -32,12 +32,14 @@ class RelativePusher(NamedTuple):
     """Angular velocity [rad/s], shape (1,)."""
     corners: Float64Array
     """Of the pusher's core [m], shape (n_corners, 2)."""
+    separate: bool
+    """The corners are fingers."""
 
 
 @kernel
-def new_relative_pusher(n_corners: int) -> RelativePusher:
+def new_relative_pusher(n_corners: int, separate: bool) -> RelativePusher:
     """Space for one step."""
-    return RelativePusher(np.zeros(2), np.zeros(2), np.zeros(1), np.zeros((n_corners, 2)))
+    return RelativePusher(np.zeros(2), np.zeros(2), np.zeros(1), np.zeros((n_corners, 2)), separate)
 
 
 class RelativeChange(NamedTuple):
@@ -92,7 +94,7 @@ def _contact_share(gap: float, approach: float, dt: float) -> float:
 def contact_rows(
     contact: Float64Array, k: int, geometry: StepGeometry, pusher: RelativePusher, face: Float64Array, rows: Float64Array
 ) -> None:
-    """Write contact k into `rows`, shape (2 MAX_CONTACTS, CONTACT_COLUMNS), see `modes.py`; `face` is the first contact.
+    """Write contact k into `rows`, shape (2 MAX_CONTACTS, Row.WIDTH), see `modes.py`; `face` is the first contact.
 
     N u >= b,   b = -n . v_pusher - max(gap / dt, -RECOVERY_SPEED)        v_pusher at the contact point
     T u - t . v_pusher                                                   slip
@@ -115,7 +117,11 @@ def contact_rows(
     rows[i, Row.BOUND] = tx * vx + ty * vy
     if geometry.is_struck:
         rows[i, Row.BOUND] *= _contact_share(contact[Field.GAP], -(nx * vx + ny * vy), dt)
-    rows[k, Row.SHARES_TANGENT] = 1.0 if nx * face[Field.NORMAL] + ny * face[Field.NORMAL + 1] >= PARALLEL else 0.0
+    if pusher.separate:
+        rows[k, Row.SHARES_TANGENT] = 1.0 if k == 0 else 0.0
+        rows[k, Row.OF_SECOND] = 1.0 if k == 1 and contact[Field.OWNER] != face[Field.OWNER] else 0.0
+    else:
+        rows[k, Row.SHARES_TANGENT] = 1.0 if nx * face[Field.NORMAL] + ny * face[Field.NORMAL + 1] >= PARALLEL else 0.0
 
 
 @kernel

@@ -274,8 +274,8 @@ def _check_pushes(pushers: Sequence[PusherPath], poses_object_in_table: Tensor, 
     batch = len(pushers)
     if tuple(poses_object_in_table.shape) != (batch, 3) or not bool(torch.isfinite(poses_object_in_table).all()):
         raise InputError(f"The first poses have shape {tuple(poses_object_in_table.shape)}, expected {(batch, 3)}, all finite.")
-    if any(pusher.polygon is not None or pusher.yaw is not None for pusher in pushers):
-        raise InputError("The reference engine supports only disc pushers that do not rotate; simulate polygon pushers with `simulate`.")
+    if any(not pusher.shape.is_cylinder or pusher.yaw is not None for pusher in pushers):
+        raise InputError("The reference engine supports only disc pushers that do not rotate; simulate other pushers with `simulate`.")
     if len(times) != batch:
         raise InputError(f"There are {len(times)} lists of times, expected {batch}, one a push.")
     for time in times:

@@ -20,7 +20,7 @@ from push_ident.physics.active_effects import N_SUMS, ActiveEffects
 from push_ident.physics.contact import REACH, Field, find_contacts, max_candidates
 from push_ident.physics.contact_rows import Rebound, RelativePusher, add_rebound, contact_rows, new_relative_pusher, shift_surface
 from push_ident.physics.kernel import kernel
-from push_ident.physics.modes import MAX_CONTACTS, Mode, Row, StepContacts, StepGeometry, tangent_row
+from push_ident.physics.modes import MAX_CONTACTS, N_IMPULSES, SECOND, Mode, Row, StepContacts, StepGeometry, second_row, tangent_row
 from push_ident.physics.overhang import Overhang, share_loads
 from push_ident.physics.pyramid import new_pyramid_scratch, pyramid_friction, pyramid_step
 from push_ident.physics.step import TableForces, new_step_scratch, step
@@ -67,6 +67,8 @@ class Push(NamedTuple):
     """How far the surface lies outside the outline [m], for rollouts without a derivative; with one, an effect says it."""
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Of the centre of mass at the start (vx, vy, yaw rate) [m/s, m/s, rad/s], table frame."""
+    separate: bool = False
+    """The corners are two fingers."""
 
 
 class Numerics(NamedTuple):
@@ -183,6 +185,10 @@ def _force_of_pusher(contacts: StepContacts, code: int, impulse: Float64Array, g
     tangent = tangent_row(code, rows)
     fx += rows[tangent, 0] * impulse[MAX_CONTACTS]
     fy += rows[tangent, 1] * impulse[MAX_CONTACTS]
+    if impulse[SECOND] != 0.0:
+        second = second_row(rows)
+        fx += rows[second, 0] * impulse[SECOND]
+        fy += rows[second, 1] * impulse[SECOND]
     force[0], force[1] = (cos * fx - sin * fy) / dt, (sin * fx + cos * fy) / dt
 
 
@@ -223,7 +229,7 @@ def rollout(
     centre, arms, limit = push.centre, push.arms, push.limit
     rows, features = np.zeros((2 * MAX_CONTACTS, Row.WIDTH)), np.zeros((MAX_CONTACTS, Field.WIDTH))
     candidates = np.zeros((max_candidates(push.corners.shape[0], push.outline.shape[0]), Field.WIDTH))
-    pusher, workspace = new_relative_pusher(push.corners.shape[0]), new_step_scratch()
+    pusher, workspace = new_relative_pusher(push.corners.shape[0], push.separate), new_step_scratch()
     cells = new_pyramid_scratch(arms.shape[1] if numerics.diamond else 0)
     sensitivity = new_sensitivity_scratch(tape.block.shape[2], workspace.mode)
     inertia = np.zeros(3) if numerics.quasi_static else push.inertia
@@ -236,7 +242,7 @@ def rollout(
     state[3], state[4], state[5] = push.velocity
     poses[:] = 0.0
     force[:] = 0.0
-    impulse, twist = np.zeros(MAX_CONTACTS + 1), np.zeros(3)
+    impulse, twist = np.zeros(N_IMPULSES), np.zeros(3)
     friction, by_yaw, stiffness, stuck = np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4))
     support = SupportImpulse(friction, stiffness, by_yaw, stuck)
     offset, is_pulled = push.surface, False
@@ -272,7 +278,7 @@ def rollout(
             frame += 1
 
         speed = _locate_pusher(push, n, geometry, state, pusher)
-        n_contacts = find_contacts(pusher.corners, radius, push.outline, REACH + speed * dt, candidates, features)
+        n_contacts = find_contacts(pusher.corners, radius, push.outline, REACH + speed * dt, candidates, features, push.separate)
         if offset != 0.0:
             shift_surface(features, n_contacts, offset)
         if edge is not None:

@@ -457,11 +457,10 @@ def _pusher_friction(coefficient: float, settings: SimulationSettings, effects: 
 
 def _push(shape: ObjectShape, body: BodyParameters, mu: float, scenario: PushScenario, path: Float64Array, arms: Float64Array) -> Push:
     """The push in arrays."""
-    polygon = scenario.pusher.polygon
     return Push(
         pose=owned(scenario.pose_object_in_table),
         pusher=path,
-        corners=np.zeros((1, 2)) if polygon is None else owned(polygon),
+        corners=owned(scenario.pusher.shape.core),
         radius=float(scenario.pusher.radius),
         outline=owned(shape.outline),
         arms=arms,
@@ -469,6 +468,7 @@ def _push(shape: ObjectShape, body: BodyParameters, mu: float, scenario: PushSce
         centre=owned(body.centre),
         inertia=np.array([body.mass, body.mass, body.inertia]),
         mu=mu,
+        separate=scenario.pusher.fingers is not None,
     )
 
 

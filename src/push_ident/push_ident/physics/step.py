@@ -101,7 +101,7 @@ def step(
         contacts: contacts of the step.
         eps: smoothing speed of the support friction [m/s].
         last_code: mode code of the step before, as a first guess.
-        impulse: filled with the normal impulses and the tangential one [N s], shape (MAX_CONTACTS + 1,).
+        impulse: filled with the normal impulses and the tangential ones [N s], shape (N_IMPULSES,).
         scratch: scratch space.
         table: contributions of effects on the table; None without effects.
 

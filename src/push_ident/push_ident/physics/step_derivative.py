@@ -20,12 +20,16 @@ from push_ident.physics.contact_rows import ContactEffects, Rebound, RelativeCha
 from push_ident.physics.kernel import kernel
 from push_ident.physics.modes import (
     MAX_CONTACTS,
+    SECOND,
     ModeScratch,
     Row,
     StepContacts,
     StepGeometry,
     drag_sign,
+    holds,
     mode_system,
+    second_mode,
+    second_row,
     solve_small,
     tangent_row,
 )  # fmt: skip
@@ -44,7 +48,7 @@ class StepBalance(NamedTuple):
     code: int
     """Mode of the contacts (`modes.py`)."""
     impulse: Float64Array
-    """Normal impulses and the tangential one [N s], shape (MAX_CONTACTS + 1,)."""
+    """Normal impulses and the tangential ones [N s], shape (N_IMPULSES,)."""
     support: SupportImpulse
     """Of the table."""
 
@@ -189,6 +193,7 @@ def step_sensitivity(
     scratch, h, d_rows = space.mode, space.model, space.d_rows
     row = scratch.row
     tangent, sign = tangent_row(code, rows), drag_sign(code)
+    second, second_sign = second_row(rows), drag_sign(second_mode(code))
     for i in range(3):
         for j in range(3):
             h[i, j] = stiffness[i, j]
@@ -248,11 +253,14 @@ def step_sensitivity(
             if inertia[2] > 0.0:
                 b[2, column] += old[2] - twist[2]
         elif column == Block.MU:
-            carried = 0.0
+            carried = carried_by_second = 0.0
             for k in range(n_contacts):
                 carried += impulse[k] * rows[k, Row.SHARES_TANGENT]
+                carried_by_second += impulse[k] * rows[k, Row.OF_SECOND]
             for i in range(3):
                 b[i, column] += sign * carried * rows[tangent, i]
+                if carried_by_second != 0.0:
+                    b[i, column] += second_sign * carried_by_second * rows[second, i]
         if column != Block.MU:
             for i in range(3):
                 others[i, column] = b[i, column]
@@ -273,11 +281,16 @@ def step_sensitivity(
                 contact_rows_seed(features[k], k, geometry, pusher, change, effects, d_rows)
         for i in range(3):
             b[i, column] += d_rows[tangent, i] * impulse[MAX_CONTACTS]
+            if impulse[SECOND] != 0.0:
+                b[i, column] += d_rows[second, i] * impulse[SECOND]
             for k in range(n_contacts):
                 b[i, column] += d_rows[k, i] * impulse[k]
         for j in range(n):
             k = row[j]
             b[3 + j, column] = d_rows[k, Row.BOUND] - d_rows[k, 0] * twist[0] - d_rows[k, 1] * twist[1] - d_rows[k, 2] * twist[2]
+        if holds(code):
+            of_second = d_rows[second, 0] * twist[0] + d_rows[second, 1] * twist[1] + d_rows[second, 2] * twist[2]
+            b[2 + n, column] += d_rows[second, Row.BOUND] - of_second
     if not solve_small(scratch.matrix, b, size, n_columns):
         return False
     block[:] = b[:3]

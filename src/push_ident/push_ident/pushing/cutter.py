@@ -29,7 +29,7 @@ from push_ident.errors import InputError
 from push_ident.limits import LIMITS
 from push_ident.pushing.pose_noise import PoseNoise, pusher_moves
 from push_ident.pushing.regular_path import regular_path
-from push_ident.types import CameraAccuracy, Float64Array, ObjectShape, PoseTrack, PusherPath, PushRecord, WrenchTrack
+from push_ident.types import CameraAccuracy, Float64Array, ObjectShape, PoseTrack, PusherPath, PusherShape, PushRecord, WrenchTrack
 
 LIVE_CAPACITY: Final = 20_000
 """Samples of a stream that a live cell keeps: ten minutes at 30 Hz."""
@@ -171,7 +171,7 @@ class PushCutter:
         self._capacity = capacity
         self._find_runs = find_runs
         self._pose_std = pose_std
-        self._radius = 0.0
+        self._tool = PusherShape(0.0)
         self._camera = CameraAccuracy()
         self._shapes: dict[str, ObjectShape] = {}
         self._poses: dict[str, _Samples] = {}
@@ -203,8 +203,12 @@ class PushCutter:
         return self._now
 
     def set_radius(self, radius: float) -> None:
-        """Radius of the pusher [m]."""
-        self._radius = radius
+        """Radius of the pusher, a cylinder [m]."""
+        self._tool = PusherShape(radius)
+
+    def set_pusher_shape(self, shape: PusherShape) -> None:
+        """Outline of the pusher. The poses of one that is no cylinder need a yaw."""
+        self._tool = shape
 
     def set_camera(self, accuracy: CameraAccuracy) -> None:
         """How well the camera that measures the poses knows where it stands."""
@@ -242,10 +246,10 @@ class PushCutter:
         return taken
 
     def add_pusher(self, stamp: float, position: Float64Array) -> bool:
-        """Position of the pusher [m], shape (2,), table frame; a pause before it ends the run before."""
+        """Position of the pusher [m], shape (2,), or its pose (x, y, yaw), table frame; a pause before it ends the run before."""
         if not self._take("pusher", stamp):
             return False
-        self._pusher.append(stamp, (float(position[0]), float(position[1])))
+        self._pusher.append(stamp, (float(position[0]), float(position[1]), float(position[2]) if len(position) > 2 else 0.0))
         if self._find_runs:
             self._extend_run(stamp)
         return True
@@ -382,7 +386,7 @@ class PushCutter:
             if not len(time):
                 continue
             stamps, positions = self._pusher.select(float(time[0]) - self._gap, float(time[-1]) + self._gap)
-            moves = pusher_moves(time, np.column_stack([stamps, np.array(positions).reshape(-1, 2)]), self._gap)
+            moves = pusher_moves(time, np.column_stack([stamps, np.array(positions).reshape(-1, 3)[:, :2]]), self._gap)
             for stamp, (pose, _), may_move in zip(time.tolist(), values, moves.tolist(), strict=True):
                 noise.add(stamp, pose, moves=may_move, pause=self._gap)
 
@@ -456,17 +460,19 @@ class PushCutter:
             return f"its push record has error code {interval.error_code}"
         time, positions = self._pusher.select(start, end)
         stamps, observed = (self._poses.get(object_id) or _Samples(None)).around((start, end), window, self._gap)
-        if reason := _unusable(time, np.array(positions).reshape(-1, 2), len(stamps)):
+        path = np.array(positions).reshape(-1, 3)
+        if reason := _unusable(time, path[:, :2], len(stamps)):
             return reason
         covariance = self.covariance_of(object_id, np.array([covariance for _, covariance in observed]))
         if covariance is None:
             return self._noise[object_id].text()
         wrench_time, forces = self._wrench.select(start, end)
+        tool, yaw = self._tool, None if self._tool.is_cylinder else np.unwrap(path[:, 2])
         return PushRecord(
             object_id=object_id,
             shape=self._shapes[object_id],
             poses=PoseTrack(stamps, np.array([pose for pose, _ in observed]), covariance, self._camera),
-            pusher=regular_path(PusherPath(time, np.array(positions), self._radius)),
+            pusher=regular_path(PusherPath(time, path[:, :2], tool.radius, tool.polygon, yaw, tool.fingers)),
             wrench=WrenchTrack(wrench_time, np.array(forces)) if len(wrench_time) else None,
             source=f"push at {time[0]:.2f} s",
         )

@@ -135,7 +135,7 @@ def why_impossible(
         return f"it moved by {moved_text(shape, before, after)}, but the tool came no nearer to it than {_mm(least)}."
     if moved > noise and (distance := float(np.min(last))) > near + coasting:
         return f"it rests {_mm(distance)} from everything that the tool passed; {_mm(near + coasting)} are possible."
-    if (depth := -float(np.max(at_rest)) - _corners(pusher)) > near:
+    if (depth := -float(np.max(at_rest)) - (pusher.shape.reach - pusher.radius)) > near:
         return f"the tool rests {_mm(depth)} inside of it; {_mm(near)} are possible."
     if moved > (possible := _BOUNDS.motion_ratio * travel_in_contact(shape, pusher, before, covariance_before, camera) + coasting + noise):
         return f"it moved by {moved_text(shape, before, after)}; with this tool {_mm(possible)} are possible."
@@ -163,18 +163,13 @@ def _lengths(pusher: PusherPath) -> Float64Array:
 
 
 def _gaps(shape: ObjectShape, pusher: PusherPath, pose: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Lengths of the path [m], shape (n,), and the least gap there between pusher and object at a pose; of a polygon that of its circle."""
+    """Lengths of a path [m], shape (n,), and the least gap there between pusher and object at a pose (of no cylinder: of its circle)."""
     length = _lengths(pusher)
     lengths = np.linspace(0.0, length[-1], 1 + math.ceil(length[-1] / _BOUNDS.spacing))
     position = np.column_stack([np.interp(lengths, length, pusher.position[:, axis]) for axis in (0, 1)])
     position[-1] = pusher.position[-1]
     distance = signed_distance(transform_points(inverse(pose), position), shape.outline)
-    return lengths, distance - pusher.radius - _corners(pusher)
-
-
-def _corners(pusher: PusherPath) -> float:
-    """How far the corners of a polygon are from its origin [m]; 0 for a cylinder."""
-    return 0.0 if pusher.polygon is None else float(np.max(np.linalg.norm(pusher.polygon, axis=1)))
+    return lengths, distance - pusher.shape.reach
 
 
 def _near(shape: ObjectShape, pose: Float64Array, covariance: Float64Array, camera: CameraAccuracy) -> float:

@@ -6,6 +6,7 @@ Logs stamp a sample when it arrives, not when it was taken. Two samples that arr
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -35,7 +36,7 @@ def regular_path(path: PusherPath) -> PusherPath:
     splines = [make_smoothing_spline((time - time[0]) / span, axis) for axis in position.T]
     regular = np.linspace(0.0, 1.0, len(time))
     smooth = np.column_stack([spline(regular) for spline in splines])
-    return PusherPath(time[0] + span * regular, smooth, path.radius, path.polygon) if np.isfinite(smooth).all() else path
+    return replace(path, time=time[0] + span * regular, position=smooth) if np.isfinite(smooth).all() else path
 
 
 def stamps_jitter(time: Float64Array, position: Float64Array) -> bool:

@@ -142,12 +142,12 @@ class BulletScene:
         return write_description(path, self.identified, "sdf" if _is_sdf(path) else "urdf")
 
     def simulate(self, first_pose: Float64Array, tool_path: PusherPath, times: Float64Array) -> Float64Array:
-        """As of `PushSimulator`; a pusher that is a polygon is refused.
+        """As of `PushSimulator`; a pusher that is no cylinder is refused.
 
         Raises InputError for that, and where the simulation becomes unstable.
         """
-        if tool_path.polygon is not None:
-            raise InputError("A scene of Bullet has a round pusher, and that of these pushes is a polygon; use a scene of MuJoCo.")
+        if not tool_path.shape.is_cylinder:
+            raise InputError("A scene of Bullet has a round pusher, and that of these pushes is none; use a scene of MuJoCo.")
         path = np.asarray(compose(self.table_in_world, np.column_stack([tool_path.position, np.zeros(len(tool_path.time))])))[:, :2]
         start = np.asarray(compose(compose(self.table_in_world, first_pose), inverse(self.object_in_body)))
         ticks = np.arange(tool_path.time[0], max(tool_path.time[-1], times[-1]) + _STEP, _STEP)

@@ -48,7 +48,7 @@ def corrected_path(effects: EffectValues, path: PusherPath, order: float = 0.0) 
     position = [np.interp(time, path.time, path.position[:, axis]) for axis in (0, 1)]
     yaw = np.zeros(len(time)) if path.yaw is None else np.interp(time, path.time, path.yaw)
     driven = driven_path(effects, np.diff(time), np.column_stack([*position, yaw]), order)[0]
-    return PusherPath(time, driven[:, :2], path.radius, path.polygon, None if path.yaw is None else driven[:, 2])
+    return replace(path, time=time, position=driven[:, :2], yaw=None if path.yaw is None else driven[:, 2])
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,8 @@ from push_ident_sim.studies import (
     recorded_scenes,
     scenes,
     sensors,
+    stable_pushes,
+    two_fingers,
 )
 from push_ident_sim.studies.bench import batches, engine, exports, fix, frames, identification, nodes, rivals
 from push_ident_sim.studies.blind import study as blind
@@ -42,6 +44,8 @@ EXPERIMENTS: dict[str, Experiment] = {
         pusht,
         sensors,
         labelled,
+        stable_pushes,
+        two_fingers,
     )
 }
 BENCHMARKS: dict[str, Benchmark] = {

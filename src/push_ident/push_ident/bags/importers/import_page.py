@@ -23,7 +23,7 @@ from push_ident.geometry.se2 import inverse, transform_points
 from push_ident.pages.outline_chart import Placed, outline_panel
 from push_ident.pages.page import write_page
 from push_ident.pages.time_chart import Line, time_chart
-from push_ident.types import Float64Array, PushRecord
+from push_ident.types import Float64Array, PusherShape, PushRecord
 
 _MOST_ROWS: Final = 60
 """Pushes in the table; of more, those that miss most."""
@@ -96,7 +96,7 @@ def write_refusal_page(path: Path, overlap: Overlap, reason: str) -> None:
             "n_pushes": 0,
             "facts": [
                 ("object", f"{_size(overlap.shape.outline)}, {len(overlap.shape.cells)} cells"),
-                ("pusher", _pusher(overlap.radius)),
+                ("pusher", _pusher(PusherShape(overlap.radius))),
                 ("accepted distance of pusher and outline", f"{1e3 * overlap.tolerance:.1f} mm"),
             ],
             "notes": [],
@@ -121,7 +121,7 @@ def write_check_page(path: Path, checked: RecordCheck) -> None:
     if overlap is not None:
         facts = [
             ("object", f"{_size(overlap.shape.outline)}, {len(overlap.shape.cells)} cells"),
-            ("pusher", _pusher(overlap.radius)),
+            ("pusher", _pusher(PusherShape(overlap.radius))),
             ("accepted distance of pusher and outline", f"{1e3 * overlap.tolerance:.1f} mm"),
         ]
     step = "Nothing is wrong as far as these pushes show it." if checked.agrees else "Mend it where they are recorded or read."
@@ -220,7 +220,7 @@ def _facts(report: ImportReport, back: _ReadBack | None) -> list[tuple[str, str]
         track, contents = back.track, back.contents
         if track.shape is not None:
             facts.append(("object", f"{back.object_id}: {_size(track.shape.outline)}, {len(track.shape.cells)} cells"))
-        facts.append(("pusher", _pusher(contents.pusher_radius)))
+        facts.append(("pusher", _pusher(contents.pusher_shape)))
         facts.append(("poses", f"{len(track.time)} in {track.time[-1] - track.time[0]:.0f} s, {_rate(track.time)}"))
         std = np.sqrt(np.median(track.covariance, axis=0).diagonal())
         facts.append(("standard deviation of a pose", f"{1e3 * std[0]:.2f} mm and {np.degrees(std[2]):.2f}°"))
@@ -284,8 +284,13 @@ def _size(outline: Float64Array) -> str:
     return f"{width:.0f} x {height:.0f} mm"
 
 
-def _pusher(radius: float | None) -> str:
-    return "a point" if not radius else f"radius {1e3 * radius:.1f} mm"
+def _pusher(shape: PusherShape | None) -> str:
+    if shape is None or (shape.is_cylinder and not shape.radius):
+        return "a point"
+    radius = f"radius {1e3 * shape.radius:.1f} mm"
+    if shape.fingers is not None:
+        return f"two fingers of {radius}, {1e3 * float(np.linalg.norm(shape.fingers[1] - shape.fingers[0])):.1f} mm apart"
+    return radius if shape.polygon is None else f"a prism of {len(shape.polygon)} corners, rounded by {radius}"
 
 
 def _rate(time: Float64Array) -> str:

@@ -66,6 +66,7 @@ class _Push(CheckedContent):
     radius: float
     polygon: Points | None
     yaw: Numbers | None
+    fingers: Points | None = None
     wrench_time: Numbers | None
     force: Points | None
 
@@ -250,6 +251,7 @@ def _push(record: PushRecord) -> _Push:
         radius=pusher.radius,
         polygon=_listed(pusher.polygon),
         yaw=_listed(pusher.yaw),
+        fingers=_listed(pusher.fingers),
         wrench_time=_listed(wrench.time if wrench else None),
         force=_listed(wrench.force if wrench else None),
     )
@@ -260,7 +262,7 @@ def _listed(values: Float64Array | None) -> Any:
 
 
 def _record(push: _Push, object_id: str, shape: ObjectShape) -> PushRecord:
-    polygon, yaw, force = (None if v is None else np.array(v) for v in (push.polygon, push.yaw, push.force))
+    polygon, yaw, fingers, force = (None if v is None else np.array(v) for v in (push.polygon, push.yaw, push.fingers, push.force))
     if (push.wrench_time is None) != (force is None):
         raise InputError("A push has forces without their times, or times without forces; expected both or none.")
     return _check_record(
@@ -268,7 +270,7 @@ def _record(push: _Push, object_id: str, shape: ObjectShape) -> PushRecord:
             object_id=object_id,
             shape=shape,
             poses=PoseTrack(np.array(push.pose_time), np.array(push.pose), np.array(push.pose_covariance), CameraAccuracy(*push.camera)),
-            pusher=PusherPath(np.array(push.pusher_time), np.array(push.pusher), push.radius, polygon, yaw),
+            pusher=PusherPath(np.array(push.pusher_time), np.array(push.pusher), push.radius, polygon, yaw, fingers),
             wrench=None if force is None else WrenchTrack(np.array(push.wrench_time), force),
             source=push.source,
             order=push.order,
@@ -307,7 +309,7 @@ def _check_path(path: PusherPath) -> None:
     _check_most(path.time, LIMITS.STAMP, "Pusher path")
     check_coordinates(path.position, "Pusher path")
     check_pusher_radius(path.radius)
-    for values, most in ((path.polygon, LIMITS.PUSHER_RADIUS), (path.yaw, LIMITS.YAW)):
+    for values, most in ((path.polygon, LIMITS.PUSHER_RADIUS), (path.fingers, LIMITS.PUSHER_RADIUS), (path.yaw, LIMITS.YAW)):
         if values is not None:
             _check_most(values, most, "Pusher path")
     LIMITS.PUSH_SECONDS.check(float(path.time[-1] - path.time[0]), "Pusher path")

@@ -207,8 +207,8 @@ def _evidence(mechanics: Mechanics, record: PushRecord, settings: SimulationSett
 
 def _remote_motion(record: PushRecord, first: Float64Array, near: float) -> float:
     poses, pusher = record.poses, record.pusher
-    # Of a polygon the circle around it, so that no contact is missed.
-    reach = pusher.radius + (0.0 if pusher.polygon is None else float(np.max(np.linalg.norm(pusher.polygon, axis=1))))
+    # Of other tools than a cylinder the circle around them, so that no contact is missed.
+    reach = pusher.shape.reach
     if len(poses.time) < 2 * _REST_FRAMES:
         # Too few frames to know when the object began to move; but it stood at its first pose until it was touched.
         came_near = _distance(record, pusher.position, first) < near + reach

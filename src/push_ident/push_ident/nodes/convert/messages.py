@@ -20,20 +20,20 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from shape_msgs.msg import SolidPrimitive
 from std_msgs.msg import Float32MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
-from push_ident.bags.decode import camera_accuracy_of, is_covariance, planar_covariance
+from push_ident.bags.decode import camera_accuracy_of, is_covariance, planar_covariance, pusher_shape_of
 from push_ident.errors import FrameError, InputError
 from push_ident.geometry.cut_cells import cut_at_outline, occupancy
 from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.se2 import quaternion_of_yaw, transform_points, yaw_of_quaternion
 from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
-from push_ident.geometry.shape_check import check_pusher_radius, check_shape
+from push_ident.geometry.shape_check import check_shape
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
 from push_ident.perception.frame.camera_info import check_image_size, intrinsics_of
 from push_ident.perception.frame.depth_image import depth_from_buffer, unit_of
 from push_ident.pushing.cutter import PushInterval
 from push_ident.pushing.state_intake import no_positions
-from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape
+from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape, PusherShape
 from push_ident_msgs.msg import PushRecord
 
 _PLANAR: Final = (0, 1, 5)
@@ -179,12 +179,19 @@ def cylinder_to_msg(radius: float, height: float) -> SolidPrimitive:
 
 def cylinder_radius_from_msg(msg: SolidPrimitive) -> float:
     """Radius of the pusher [m]. Raises InputError: not a cylinder, or an impossible radius."""
-    if msg.type != SolidPrimitive.CYLINDER or len(msg.dimensions) != 2:
+    if msg.type != SolidPrimitive.CYLINDER or len(msg.dimensions) != 2 or len(msg.polygon.points):
         raise InputError(f"Pusher shape has type {msg.type} and {len(msg.dimensions)} dimensions, expected a CYLINDER (height, radius).")
-    height = float(msg.dimensions[SolidPrimitive.CYLINDER_HEIGHT])
+    return pusher_shape_from_msg(msg).radius
+
+
+def pusher_shape_from_msg(msg: SolidPrimitive) -> PusherShape:
+    """Outline of the pusher, as bags have it (`decode.pusher_shape_of`). Raises InputError for what is none."""
+    height = float(msg.dimensions[0]) if len(msg.dimensions) == 2 else math.nan
     if not (math.isfinite(height) and 0 <= height < 10):
-        raise InputError(f"Pusher height is {height}, expected 0 to 10 m.")
-    return check_pusher_radius(float(msg.dimensions[SolidPrimitive.CYLINDER_RADIUS]))
+        raise InputError(f"Pusher shape has {len(msg.dimensions)} dimensions and height {height}, expected two and 0 to 10 m.")
+    if (shape := pusher_shape_of(msg)) is None:
+        raise InputError(f"Pusher shape has type {msg.type}, expected a CYLINDER or a PRISM.")
+    return shape
 
 
 def camera_accuracy_to_msg(accuracy: CameraAccuracy, stamp: Time) -> PoseWithCovarianceStamped:

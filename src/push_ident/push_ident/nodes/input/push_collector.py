@@ -25,11 +25,12 @@ from push_ident.nodes.base.arrivals import Arrivals, StampCheck
 from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.convert.messages import (
     camera_accuracy_from_msg,
-    cylinder_radius_from_msg,
     force_from_msg,
     planar_pose_from_msg,
+    planar_pose_of,
     position_from_msg,
     push_interval_from_msg,
+    pusher_shape_from_msg,
 )
 from push_ident.nodes.input.objects import ObjectTopics, ShapeInput
 from push_ident.pushing.cutter import UNRECORDED, PushCutter
@@ -97,6 +98,7 @@ class PushCollector:
         self.counts: Counter[str] = Counter()
         self.last_error = ""
         self.radius = 0.0
+        self._is_cylinder = True
         self._node = node
         self._on_object, self._on_shape, self._on_pushes, self._on_frame = on_object, on_shape, on_pushes, on_frame
         self._on_left_out = on_left_out
@@ -259,12 +261,15 @@ class PushCollector:
             self._stamps.check("pusher/pose", stamp)
             if not self._cutter.expects_records:
                 self._cutter.expects_records = self._node.count_publishers("push_record") > 0
-            self._arrived("pusher samples", self._cutter.add_pusher(stamp, position[:2]))
+            # A cylinder may be held at any tilt of its flange; what else turns needs a heading.
+            pose = position[:2] if self._is_cylinder else planar_pose_of(msg.pose)
+            self._arrived("pusher samples", self._cutter.add_pusher(stamp, pose))
 
     def _on_pusher_shape(self, msg: SolidPrimitive) -> None:
         with self._taking("pusher shapes", "pusher/shape"):
-            self.radius = cylinder_radius_from_msg(msg)
-            self._cutter.set_radius(self.radius)
+            shape = pusher_shape_from_msg(msg)
+            self.radius, self._is_cylinder = shape.radius, shape.is_cylinder
+            self._cutter.set_pusher_shape(shape)
 
     def _on_camera_accuracy(self, msg: PoseWithCovarianceStamped) -> None:
         with self._taking("camera accuracies", Role.CAMERA_ACCURACY.value.name):

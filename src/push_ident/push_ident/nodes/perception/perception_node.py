@@ -40,12 +40,12 @@ from push_ident.nodes.base.settings import NODE
 from push_ident.nodes.convert.markers import refusals_to_msg
 from push_ident.nodes.convert.messages import (
     camera_accuracy_to_msg,
-    cylinder_radius_from_msg,
     joints_from_msg,
     occupancy_to_msg,
     outline_std_to_msg,
     planar_pose_to_msg,
     position_from_msg,
+    pusher_shape_from_msg,
     shape_to_msgs,
     transform_to_msg,
 )
@@ -191,7 +191,7 @@ class _Perception(Component):
 
     def _on_tool_shape(self, msg: SolidPrimitive) -> None:
         with self._taking("tool_shape_refused", "pusher/shape"):
-            self._robot.tool_radius = cylinder_radius_from_msg(msg)
+            self._robot.tool_radius = pusher_shape_from_msg(msg).reach
             self._robot.tool_length = float(msg.dimensions[SolidPrimitive.CYLINDER_HEIGHT])
 
     def _on_description(self, msg: String) -> None:

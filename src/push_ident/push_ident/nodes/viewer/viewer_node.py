@@ -23,11 +23,11 @@ from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.parameters import Parameter, Parameters
 from push_ident.nodes.convert.markers import GoalDrawing, goal_markers_from_msg, refusals_from_msg
 from push_ident.nodes.convert.messages import (
-    cylinder_radius_from_msg,
     depth_frame_from_msgs,
     intrinsics_from_msg,
     planar_pose_of,
     position_from_msg,
+    pusher_shape_from_msg,
     stamp_from_msg,
     transform_from_msg,
 )
@@ -194,7 +194,7 @@ class _Viewer(Component):
             self._scene.tool(position, self._radius)
 
     def _on_tool_shape(self, msg: SolidPrimitive) -> None:
-        self._radius = cylinder_radius_from_msg(msg)
+        self._radius = pusher_shape_from_msg(msg).reach
 
     # ---- objects
 

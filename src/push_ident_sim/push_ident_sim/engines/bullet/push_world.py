@@ -1,4 +1,4 @@
-"""Table, object and a disc that pushes it in Bullet: pushes without arm and camera, for experiments that need many."""
+"""Table, object and what pushes it in Bullet, a disc or two fingers: pushes without arm and camera, for experiments that need many."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import pybullet as bullet
 from numpy.typing import ArrayLike
 
+from push_ident.errors import InputError
 from push_ident.physics.support import GRAVITY
 from push_ident.types import Float64Array, PusherPath
 from push_ident_sim.engines.bullet.bullet_object import OUTLINE_GROUP, PUSHER_GROUP, BulletObject, add_table, connect
@@ -22,7 +23,10 @@ _FAR_AWAY = np.array([10.0, 10.0])
 
 
 class PushWorld:
-    """An object on a table, and a disc that follows a path whatever force the object exerts. Not safe to share between threads."""
+    """An object on a table, and a disc or two fingers that follow a path whatever force the object exerts.
+
+    Not safe to share between threads.
+    """
 
     def __init__(
         self,
@@ -33,14 +37,21 @@ class PushWorld:
         effects: InjectedEffects | None = None,
         pusher_height: float | None = None,
         rigid: bool = False,
+        fingers: Float64Array | None = None,
     ) -> None:
         """`pusher_radius` [m] > 0, `time_step` [s]; effects on poses and camera do not act here.
+
+        `fingers`: axes of two fingers in the frame of the tool [m], shape (2, 2), as `PusherPath.fingers`; they turn with it. Effects on
+        the tool need a single disc.
 
         `pusher_height`: of the contact above the table [m], half the height of the object by default; `rigid`: one body that may tilt and
         fall, without effects, instead of cells that each rest on their own weight.
         """
         effects = effects or InjectedEffects()
+        if fingers is not None and (ToolErrors.needed(effects) or "rolling_finger" in effects):
+            raise InputError("Effects on the tool act on a single disc, got two fingers; leave out the effects or the fingers.")
         self.pusher_radius = pusher_radius
+        self._axes = np.zeros((1, 2)) if fingers is None else np.asarray(fingers, dtype=np.float64)
         self.time_step = time_step
         self._client = connect(time_step, GRAVITY, effects)
         self._table = add_table(self._client)
@@ -52,10 +63,15 @@ class PushWorld:
         self._add_pusher(float(sim_object.height.max()) / 2 if pusher_height is None else pusher_height, effects)
         # An object on springs may only be reversing.
         self._still_steps = 30 if "compliant_table" in effects or "tether" in effects else 1
-        self._force, self._at = np.zeros(2), np.zeros(2)
+        self._force, self._at = np.zeros(2), np.zeros(len(self._driven))
+
+    @property
+    def _driven(self) -> range:
+        """Joints that follow the path: x, y and, of fingers, the heading."""
+        return range(2 if len(self._axes) == 1 else 3)
 
     def _add_pusher(self, height: float, effects: InjectedEffects) -> None:
-        """A ball with its centre at `height` [m], on two sliding joints.
+        """A ball with its centre at `height` [m] for each axis, on two sliding joints; of fingers, on a rotary one beside them.
 
         Upright walls touch it where they would touch a disc, and at one point: of the contacts along a cylinder Bullet keeps some with the
         normal that the wall had when it turned less, and the pusher then sticks where it should slide.
@@ -63,11 +79,18 @@ class PushWorld:
         client = self._client
         masses = [1.0, 1.0]
         joints = [(bullet.JOINT_PRISMATIC, [1, 0, 0]), (bullet.JOINT_PRISMATIC, [0, 1, 0])]
+        if len(self._axes) > 1:
+            joints.append((bullet.JOINT_REVOLUTE, [0, 0, 1]))
+            masses.append(1.0)
         if "rolling_finger" in effects:
             joints.append((bullet.JOINT_REVOLUTE, [0, 0, 1]))
             masses.append(0.02)  # little, so that the finger turns at once
-        n_links = len(joints)
-        shape = client.createCollisionShape(bullet.GEOM_SPHERE, radius=self.pusher_radius, collisionFramePosition=[0.0, 0.0, height])
+        n_links, n_balls = len(joints), len(self._axes)
+        shape = client.createCollisionShapeArray(
+            shapeTypes=[bullet.GEOM_SPHERE] * n_balls,
+            radii=[self.pusher_radius] * n_balls,
+            collisionFramePositions=[[x, y, height] for x, y in self._axes.tolist()],
+        )
         self._pusher_link = n_links - 1
         self._pusher: int = client.createMultiBody(
             baseMass=0.0,
@@ -115,17 +138,17 @@ class PushWorld:
             longest_rest: wait no longer than this after the path [s].
         """
         step = self.time_step
-        self.begin(pose_object_in_table, path.position[0], velocity=velocity, pushes_done=pushes_done)
+        self.begin(pose_object_in_table, self._path(path)[0], velocity=velocity, pushes_done=pushes_done)
         n_driven = int(np.ceil((path.time[-1] - path.time[0]) / step))
         n_most = n_driven + int(np.ceil(longest_rest / step))
         clock = path.time[0] + step * np.arange(n_most + 1)
-        targets = np.column_stack([np.interp(clock, path.time, path.position[:, axis]) for axis in (0, 1)])
+        targets = np.column_stack([np.interp(clock, path.time, axis) for axis in self._path(path).T])
         n_still = 0
-        poses, positions, forces = [self._object.pose()], [self._at], [np.zeros(2)]
+        poses, positions, forces = [self._object.pose()], [self._at[:2]], [np.zeros(2)]
         for k in range(1, n_most + 1):
             pose, position, force = self.advance(targets[k])
             poses.append(pose)
-            positions.append(position)
+            positions.append(position[:2])
             forces.append(force)
             if watch is not None:
                 watch()
@@ -141,17 +164,17 @@ class PushWorld:
     ) -> None:
         """Place the object and the pusher, for a push that `advance` makes step by step; arguments as in `push`.
 
-        `tool`: axis of the pusher as its arm reports it [m], shape (2,).
+        `tool`: axis of the pusher as its arm reports it [m], shape (2,); of fingers their frame (x, y, yaw), shape (3,).
         """
         start = self._begin(tool, pushes_done)
         # Bullet keeps a contact of the push before where both bodies were put elsewhere, as long as they parted along its normal: it then
         # counts as a deep one, and throws the object away. Distant bodies have no contact.
-        self._place_pusher(start + _FAR_AWAY)
+        self._place_pusher(self._away(start))
         self._object.place(checked_pose(pose_object_in_table))
         self._client.performCollisionDetection()
         self._place_pusher(start)
         for _ in range(10):  # until every foot bears its load
-            self._step(start, np.zeros(2))
+            self._step(start, np.zeros(len(start)))
         # Settling may creep by micrometres.
         self._object.place(checked_pose(pose_object_in_table), velocity)
         self._object.start_push()
@@ -159,10 +182,10 @@ class PushWorld:
         self._at = self._pusher_position()
 
     def advance(self, tool: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """One time step, at the end of which the arm reports the pusher at `tool` [m], shape (2,).
+        """One time step, at the end of which the arm reports the pusher at `tool`, as in `begin`.
 
         Returns:
-            Pose of the object, shape (3,), true axis of the pusher [m], shape (2,), and its force on the object [N], shape (2,).
+            Pose of the object, shape (3,), true axis or frame of the pusher, as `tool`, and its force on the object [N], shape (2,).
         """
         target = tool if self._tool is None else self._tool.true_position(tool)
         self._step(target, (target - self._at) / self.time_step)
@@ -171,7 +194,7 @@ class PushWorld:
 
     def displace(self, pose_object_in_table: ArrayLike) -> None:
         """Put the object elsewhere while the pusher stays, at rest: someone bumps into it. The two must not overlap."""
-        self._place_pusher(self._at + _FAR_AWAY)
+        self._place_pusher(self._away(self._at))
         self._object.place(checked_pose(pose_object_in_table))
         self._client.performCollisionDetection()
         self._place_pusher(self._at)
@@ -201,7 +224,7 @@ class PushWorld:
     def _step(self, target: Float64Array, velocity: Float64Array) -> None:
         effort = 1e4  # [N]: the object cannot hold the pusher back
         self._client.setJointMotorControlArray(
-            self._pusher, range(2), bullet.VELOCITY_CONTROL, targetVelocities=velocity.tolist(), forces=[effort] * 2
+            self._pusher, self._driven, bullet.VELOCITY_CONTROL, targetVelocities=velocity.tolist(), forces=[effort] * len(velocity)
         )
         self._object.prepare_step(self._force, self.time_step)
         self._client.stepSimulation()
@@ -216,9 +239,18 @@ class PushWorld:
         self._tool.start(reported)
         return self._tool.true_position(reported)
 
+    def _path(self, path: PusherPath) -> Float64Array:
+        """Position of the joints along a path, shape (n_samples, n_driven)."""
+        if len(self._axes) == 1:
+            return path.position
+        return np.column_stack([path.position, np.zeros(len(path.time)) if path.yaw is None else path.yaw])
+
+    def _away(self, position: Float64Array) -> Float64Array:
+        return position + np.append(_FAR_AWAY, np.zeros(len(position) - 2))
+
     def _place_pusher(self, position: Float64Array) -> None:
-        for joint in range(2):
+        for joint in self._driven:
             self._client.resetJointState(self._pusher, joint, float(position[joint]), 0.0)
 
     def _pusher_position(self) -> Float64Array:
-        return np.array([s[0] for s in self._client.getJointStates(self._pusher, range(2))])
+        return np.array([s[0] for s in self._client.getJointStates(self._pusher, self._driven)])
