@@ -51,7 +51,7 @@ def experiment_command(
     jobs: Annotated[int, typer.Option(min=1, help="Number of processes, each with one thread.")] = 2,
     out: _OutOption = _FOLDER,
     truth: _TruthOption = None,
-    recordings: Annotated[Path, typer.Option(metavar="DIR", help="Recorded pushes, for `recorded`.")] = Path("../shared/data"),
+    recordings: Annotated[Path, typer.Option(metavar="DIR", help="Recorded pushes (`recorded`, `held-out`).")] = Path("../shared/data"),
     goals: Annotated[int, typer.Option(min=1, help="Goals or starts of each object, for `goals`, `edge` and `pusht`.")] = 4,
     stop_after: Annotated[
         float | None,

@@ -26,8 +26,8 @@ SHARE: Final = 0.1
 """Largest effect of halving the steps on the last pose, in standard deviations of its noise [-]: it adds 1 % to a squared residual."""
 MAX_LEVEL: Final = 7
 """Finest level: steps of 1/15360 s."""
-MIN_LEVEL: Final = -3
-"""Coarsest level: steps of 1/30 s, for a slow push."""
+MIN_LEVEL: Final = -5
+"""Coarsest level: steps of 2/15 s, for a slow push."""
 
 EndPose = Callable[[SimulationSettings], Float64Array]
 """Simulates a push and gives its last pose, shape (3,); NaN where the simulation fails."""

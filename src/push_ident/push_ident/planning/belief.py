@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from push_ident.identification.observing.observation import NoiseModel
-from push_ident.identification.results.posterior import ModelPosterior, square_root
+from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.unknowns.mechanics import Mechanics, mechanics_at, model_at
 from push_ident.physics.batch import BatchModel
 from push_ident.physics.effect import OnPusherPath, OnTable
@@ -38,9 +38,9 @@ class Belief:
     @classmethod
     def of(cls, posterior: ModelPosterior, numerics: SimulationSettings | None = None) -> Belief:
         """From the posterior of a fit with `numerics`."""
-        mechanics = posterior.mechanics
+        mechanics = posterior.mean_mechanics
         camera = reported_poses(mechanics.effects, np.zeros((1, 3)))[0][0]
-        weight = _share(model_at(posterior.unknowns, posterior.z))
+        weight = _share(posterior.model)
         return cls(replace(mechanics, effects=mechanics.effects.at_rest), posterior, camera, weight, numerics or SimulationSettings())
 
     @classmethod
@@ -69,11 +69,9 @@ class Belief:
         if self.posterior is not None:
             # Each push touches another part of the outline.
             surface[1:] = NoiseModel().surface_std(self.shape) * rng.normal(size=n)
-            root = square_root(self.posterior.covariance)
-            unknowns, z = self.posterior.unknowns, self.posterior.z
-            others = [z + root @ draw for draw in rng.normal(size=(n, len(z)))]
-            drawn += [mechanics_at(unknowns, other) for other in others]
-            weights += [_share(model_at(unknowns, other)) for other in others]
+            others = self.posterior.drawn(rng.normal(size=(n, self.posterior.most_unknowns)))
+            drawn += [mechanics_at(part.unknowns, z) for part, z in others]
+            weights += [_share(model_at(part.unknowns, z)) for part, z in others]
         return [
             BatchModel(one.body, one.pusher_friction, _surface(one.effects) + offset, weight, effects=one.effects.at_rest.beside_outline)
             for one, offset, weight in zip(drawn, surface, weights, strict=False)

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.identification.results.posterior import Estimate, ModelPosterior, square_root
+from push_ident.identification.results.posterior import Estimate, ModelPosterior
 from push_ident.physics.effects import EFFECTS
 from push_ident.physics.simulation import GRAVITY
 from push_ident.types import Float64Array
@@ -69,14 +69,17 @@ def drawn_objects(posterior: ModelPosterior, n: int, seed: int = 0) -> list[Mode
     """
     if n < 1:
         raise InputError(f"The number of samples is {n}, expected at least 1.")
-    size, total = len(posterior.z), posterior.total_mass
+    size = posterior.most_unknowns
     normal = np.random.default_rng(seed).standard_normal((n, size + 1))
-    z = posterior.z + normal[:, :size] @ square_root(posterior.covariance).T
-    is_unknown = posterior.unknowns.blocks["total_mass"].size > 0
-    place, log_std = posterior.unknowns.slices["total_mass"], total.std / total.value
-    changes = posterior.unknowns.blocks["total_mass"].std * (z - posterior.z)[:, place] if is_unknown else log_std * normal[:, size:]
-    masses = total.value * np.exp(changes[:, 0])
-    return [replace(posterior, z=row, total_mass=Estimate(float(mass), 0.0)) for row, mass in zip(z, masses, strict=True)]
+    return [_object(part, z, row[size]) for (part, z), row in zip(posterior.drawn(normal), normal, strict=True)]
+
+
+def _object(part: ModelPosterior, z: Float64Array, normal: float) -> ModelPosterior:
+    """With unknowns `z`, and a total mass at `normal` standard deviations where it is none of them."""
+    total, of_mass = part.total_mass, part.unknowns.slices["total_mass"]
+    is_unknown = part.unknowns.blocks["total_mass"].size > 0
+    change = float((part.unknowns.blocks["total_mass"].std * (z - part.z)[of_mass])[0]) if is_unknown else total.std / total.value * normal
+    return replace(part, z=z, total_mass=Estimate(float(total.value * np.exp(change)), 0.0))
 
 
 def ranges(posterior: ModelPosterior, seed: int = 0) -> Ranges:

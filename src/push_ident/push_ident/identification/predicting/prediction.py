@@ -69,13 +69,12 @@ def predict(
     # two pushes can be compared.
     settings = _settings_of(posterior, scenario, first_covariance, noise)
     n_plane = 2 if noise.surface_std(unknowns.shape) > 0 else 0
-    draws = np.random.default_rng(0).normal(size=(n_samples, unknowns.size + 3 + n_plane))
-    z_root, first_root = square_root(posterior.covariance), square_root(first_covariance)
-    surface_std = noise.surface_std(unknowns.shape)
+    size = posterior.most_unknowns
+    draws = np.random.default_rng(0).normal(size=(n_samples, size + 3 + n_plane))
+    first_root, surface_std = square_root(first_covariance), noise.surface_std(unknowns.shape)
     poses, touched = [], []
-    for draw in draws:
-        drawn = mechanics_at(unknowns, posterior.z + z_root @ draw[: unknowns.size])
-        of_push = draw[unknowns.size :]
+    for (part, z), of_push in zip(posterior.drawn(draws), draws[:, size:], strict=True):
+        drawn = mechanics_at(part.unknowns, z)
         moved = np.zeros(3)
         moved[:n_plane] = surface_std * of_push[3:]
         start = true_pose(drawn.effects, first + first_root @ of_push[:3] - moved)
@@ -83,7 +82,7 @@ def predict(
         if motion.status is not SolveStatus.SIMULATION_FAILED:
             poses.append(motion.pose + moved)
             touched.append(motion.status is not SolveStatus.NO_CONTACT)
-    mean = posterior.mechanics
+    mean = posterior.mean_mechanics
     centre = mean.simulate(replace(scenario, pose_object_in_table=true_pose(mean.effects, first)), settings=settings)
     if len(poses) < len(draws) // 2 or centre.status is SolveStatus.SIMULATION_FAILED:
         unknown = np.full((len(centre.time), 3, 3), np.nan)
@@ -99,7 +98,7 @@ def _settings_of(
     posterior: ModelPosterior, scenario: PushScenario, first_covariance: Float64Array, noise: NoiseModel
 ) -> SimulationSettings:
     """Numerics with steps short enough for the last pose of the mean model, to the accuracy of the first pose and of the model."""
-    mechanics = posterior.mechanics
+    mechanics = posterior.mean_mechanics
     start = true_pose(mechanics.effects, scenario.pose_object_in_table)
 
     @cache

@@ -80,28 +80,15 @@ class Identifiability:
 
 
 def identifiability(posterior: ModelPosterior) -> Identifiability:
-    """Compare a posterior with its prior, both linearised at the posterior mean."""
+    """Compare a posterior with its prior, both linearised at the mean of each part of the mixture; the combinations of cells are those of
+    the likeliest part."""
     unknowns, covariance = posterior.unknowns, posterior.covariance
-    mechanics = posterior.mechanics
-    body, d_body = mechanics.body, mechanics.derivative
-    d_limit, total = mechanics.limit_derivative, float(body.limit.sum())
-    arms = unknowns.shape.cells.centres - posterior.model.centre_of_friction
-    friction_rows = arms.T @ d_limit / total
-    gyration = float(np.sqrt(body.inertia / body.mass))
-    rows = [
-        ("centre of friction x", "m", posterior.model.centre_of_friction[0], friction_rows[0]),
-        ("centre of friction y", "m", posterior.model.centre_of_friction[1], friction_rows[1]),
-        ("centre of mass x", "m", body.centre[0], d_body[Param.CENTRE]),
-        ("centre of mass y", "m", body.centre[1], d_body[Param.CENTRE + 1]),
-        ("radius of gyration", "m", gyration, d_body[Param.INERTIA] / (2 * gyration * body.mass)),
-        ("mean support friction", "", total / (body.mass * GRAVITY), d_limit.sum(axis=0) / (body.mass * GRAVITY)),
-        ("pusher friction", "", posterior.pusher_friction.value, d_body[Param.MU]),
-    ]
+    parts = [(weight, _quantities(part)) for weight, part in posterior.parts]
     quantities = []
-    for name, unit, value, row in rows:
-        before, after = float(np.linalg.norm(row)), float(np.sqrt(max(row @ covariance @ row, 0.0)))
-        knowledge = Knowledge.of(after / before) if before > 0 else Knowledge.GIVEN
-        quantities.append(Quantity(name, unit, float(value), after, before, knowledge))
+    for k, (name, unit, _, _, before) in enumerate(parts[0][1]):
+        value = sum(weight * rows[k][2] for weight, rows in parts)
+        after = float(np.sqrt(sum(weight * (rows[k][3] ** 2 + (rows[k][2] - value) ** 2) for weight, rows in parts)))
+        quantities.append(Quantity(name, unit, value, after, before, Knowledge.of(after / before) if before > 0 else Knowledge.GIVEN))
     mass, prior_std = posterior.total_mass, posterior.prior.total_mass * posterior.prior.total_mass_std
     # The standard deviation of the logarithm counts: a heavy object is not less known because it is heavy.
     ratio = (mass.std / mass.value) / posterior.prior.total_mass_std if prior_std > 0 else 0.0
@@ -121,6 +108,28 @@ def identifiability(posterior: ModelPosterior) -> Identifiability:
         for variance, direction in zip(value, vector.T, strict=True)
     ]
     return Identifiability(tuple(quantities), tuple(combinations))
+
+
+def _quantities(part: ModelPosterior) -> list[tuple[str, str, float, float, float]]:
+    """Name, unit, value, and standard deviation after the pushes and before them, of each named property in one part of a mixture."""
+    mechanics, model, covariance = part.mechanics, part.model, part.covariance
+    body, d_body = mechanics.body, mechanics.derivative
+    d_limit, total = mechanics.limit_derivative, float(body.limit.sum())
+    friction_rows = (part.unknowns.shape.cells.centres - model.centre_of_friction).T @ d_limit / total
+    gyration = float(np.sqrt(body.inertia / body.mass))
+    rows: list[tuple[str, str, float, Float64Array]] = [
+        ("centre of friction x", "m", model.centre_of_friction[0], friction_rows[0]),
+        ("centre of friction y", "m", model.centre_of_friction[1], friction_rows[1]),
+        ("centre of mass x", "m", body.centre[0], d_body[Param.CENTRE]),
+        ("centre of mass y", "m", body.centre[1], d_body[Param.CENTRE + 1]),
+        ("radius of gyration", "m", gyration, d_body[Param.INERTIA] / (2 * gyration * body.mass)),
+        ("mean support friction", "", total / (body.mass * GRAVITY), d_limit.sum(axis=0) / (body.mass * GRAVITY)),
+        ("pusher friction", "", part.pusher_friction.value, d_body[Param.MU]),
+    ]
+    return [
+        (name, unit, float(value), float(np.sqrt(max(row @ covariance @ row, 0.0))), float(np.linalg.norm(row)))
+        for name, unit, value, row in rows
+    ]
 
 
 def value_text(quantity: Quantity) -> str:

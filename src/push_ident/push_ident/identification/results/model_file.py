@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, astuple
+from dataclasses import asdict, astuple, replace
 from pathlib import Path
 from typing import Final
 
@@ -28,6 +28,18 @@ from push_ident.types import CellGrid, Float64Array, ObjectShape, SolveStatus
 _MODEL_FORMAT: Final = "push_ident/model/1"
 _CELL_ROUNDING: Final = 1e-6
 """Of the places of cells [m]."""
+
+
+class AlternativeContent(CheckedContent):
+    """Another kind of support, with the same outline, modes and effects; its total mass is that of the model where no force shows it."""
+
+    weight: float
+    """[1]"""
+    prior: dict[str, float]
+    z: Numbers
+    covariance: Rows
+    total_mass: float
+    total_mass_std: float
 
 
 class ModelContent(CheckedContent):
@@ -62,6 +74,8 @@ class ModelContent(CheckedContent):
     total_mass_identifiable: bool
     pose_noise_factor: float | None = None
     """On the stated noise of poses that no other frame checks, where the pushes set it."""
+    alternatives: Listed[AlternativeContent] = Field(default_factory=list)
+    """Other kinds of support that the pushes leave possible."""
     touched_outline: Points | None = None
     """The outline as the pushes show it, where it is an unknown; it follows from the other fields, as the last three do."""
     mass: Numbers
@@ -95,10 +109,22 @@ def model_content(posterior: ModelPosterior, object_id: str, sources: Sequence[s
         total_mass_std=posterior.total_mass.std,
         total_mass_identifiable=posterior.total_mass_identifiable,
         pose_noise_factor=posterior.pose_noise_factor,
+        alternatives=[_alternative_content(weight, part) for weight, part in posterior.alternatives],
         touched_outline=[(float(x), float(y)) for x, y in model.shape.outline] if len(posterior.unknowns.outline_modes) else None,
         mass=model.mass.tolist(),
         friction=model.friction.tolist(),
         pusher_friction=model.pusher_friction,
+    )
+
+
+def _alternative_content(weight: float, part: ModelPosterior) -> AlternativeContent:
+    return AlternativeContent(
+        weight=weight,
+        prior=asdict(part.prior),
+        z=part.z.tolist(),
+        covariance=part.covariance.tolist(),
+        total_mass=part.total_mass.value,
+        total_mass_std=part.total_mass.std,
     )
 
 
@@ -191,7 +217,7 @@ def _posterior(content: ModelContent) -> ModelPosterior:
         if len(content.cells) != len(squares) or not np.max(np.abs(shape.cells.centres - content.cells)) <= _CELL_ROUNDING:
             raise InputError("`cells` are not the centroids of `squares` within `outline`, expected those that were written with them.")
     modes = array_of(content.modes, "modes")
-    return ModelPosterior(
+    posterior = ModelPosterior(
         unknowns=UnknownsSpec.of(
             shape, prior_of(content.prior), modes=modes, effects=content.effects, outline=content.touched_outline is not None
         ),
@@ -200,6 +226,23 @@ def _posterior(content: ModelContent) -> ModelPosterior:
         total_mass=Estimate(content.total_mass, content.total_mass_std),
         total_mass_identifiable=content.total_mass_identifiable,
         pose_noise_factor=content.pose_noise_factor,
+    )
+    others = tuple((one.weight, _alternative(one, posterior)) for one in content.alternatives)
+    if not (all(weight >= 0.0 for weight, _ in others) and sum(weight for weight, _ in others) <= 1.0):
+        raise InputError(f"`alternatives` have the weights {[weight for weight, _ in others]}, expected numbers >= 0 of sum 1 at most.")
+    return replace(posterior, alternatives=others)
+
+
+def _alternative(content: AlternativeContent, beside: ModelPosterior) -> ModelPosterior:
+    """Raises InputError where its numbers are none of an object."""
+    return check_posterior(
+        replace(
+            beside,
+            unknowns=replace(beside.unknowns, prior=prior_of(content.prior)),
+            z=np.array(content.z),
+            covariance=array_of(content.covariance, "covariance"),
+            total_mass=Estimate(content.total_mass, content.total_mass_std),
+        )
     )
 
 

@@ -18,6 +18,7 @@ from push_ident.identification.fitting.levenberg_marquardt import FINE, minimise
 from push_ident.identification.fitting.map_prior import STARTS, EvidenceFit, fit_by_evidence
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.fitting.solver import Capabilities, FitTask, FrameFit, FrameTask, MapFit, Solver, WarmStart
+from push_ident.identification.fitting.stacking import left_out_log_densities, stacked_weights
 from push_ident.identification.observing.observation import UNCHECKED, NoiseModel
 from push_ident.identification.results.known_effects import effects_cost
 from push_ident.identification.results.posterior import ModelPosterior, with_total_mass
@@ -30,11 +31,10 @@ from push_ident.types import Float64Array, ObjectModel, SolveStatus
 
 _POOR_FIT: Final = 4.0
 """Reduced chi-square above which the pushes contradict each other or the model: residuals are then twice the stated noise."""
+_LEAST_WEIGHT: Final = 1.0 / 64.0
+"""Weight below which a kind of support is left out [1]: half a model of the 32 that a prediction draws."""
 _NEGLIGIBLE: Final = 7.0
 """Difference of log evidence [nat], odds of 1100 to 1: candidates so far below the best are not fitted to the end."""
-EVEN_ODDS: Final = 0.1
-"""Prior odds of equal cells against uneven ones: few objects are so even, and one push seldom tells which ones (decision 5) [-]."""
-_UNEVEN_MATERIAL, _UNEVEN_LOAD = STARTS
 _ADOPTED: Final = "adopted model"
 _EQUAL: Final = "equal cells"
 _NOMINAL: Final = "equal cells, nominal friction"
@@ -67,6 +67,8 @@ class GaussNewton(Solver):
         if not fits:
             return _failed(task)
         best, noise_factor, reduced_chi2 = candidates.best, candidates.noise_factor, candidates.reduced_chi2
+        left_out = np.column_stack([left_out_log_densities(entry.fit) for entry in fits])
+        weights = stacked_weights(left_out, np.array([entry.log_evidence for entry in fits]))
         status = best.status if candidates.is_complete else SolveStatus.BUDGET_SPENT
         if status in (SolveStatus.CONVERGED, SolveStatus.STALLED) and reduced_chi2 > _POOR_FIT:
             status = SolveStatus.POOR_FIT
@@ -77,8 +79,8 @@ class GaussNewton(Solver):
             cost=best.end.cost,
             reduced_chi2=reduced_chi2,
             warm_starts=tuple(candidates.warm_starts),
-            candidates=tuple(_candidate(entry, float(p)) for entry, p in zip(fits, _probabilities(fits), strict=True)),
-            posterior=replace(with_total_mass(_posterior(fits)), pose_noise_factor=noise_factor),
+            candidates=tuple(_candidate(entry, float(weight)) for entry, weight in zip(fits, weights, strict=True)),
+            posterior=_posterior(fits, weights, noise_factor),
         )
 
     def fit_frame(self, task: FrameTask) -> FrameFit | None:
@@ -146,12 +148,8 @@ class _Candidates:
 
     @property
     def may_stand_on_feet(self) -> bool:
-        """Whether the pushes speak for an uneven load rather than for uneven material: few feet are the extreme of one.
-
-        One push gives three numbers, too few for places of feet; and summed-up pushes count in the unknowns of maps only.
-        """
-        evidence = {_UNEVEN_LOAD: -np.inf, _UNEVEN_MATERIAL: -np.inf} | {entry.name: entry.log_evidence for entry in self.fits}
-        return evidence[_UNEVEN_LOAD] > evidence[_UNEVEN_MATERIAL] and len(self._task.records) > 1 and self._task.past is None
+        """One push gives three numbers, too few for places of feet; and summed-up pushes count in the unknowns of maps only."""
+        return len(self._task.records) > 1 and self._task.past is None
 
     @property
     def _needed_evidence(self) -> float:
@@ -201,7 +199,7 @@ class _Candidates:
             covariance = transform @ fit.covariance @ transform.T
             # Cells that are taken as equal: in units of the caller's prior some 4 % of a cell.
             covariance[full_maps, full_maps] += 0.05**2
-            self.fits.append(_Entry(name, full, fit.log_evidence + log(EVEN_ODDS), None, fit, transform @ fit.z, covariance))
+            self.fits.append(_Entry(name, full, fit.log_evidence, None, fit, transform @ fit.z, covariance))
 
     def _fitted_if_needed(self, start: Fit) -> Fit:
         """A rough fit from a start, gone on with to the end only where it is not negligible; a start that has converged is one already."""
@@ -357,31 +355,33 @@ def _failed(task: FitTask) -> MapFit:
     return MapFit(prior, SolveStatus.SIMULATION_FAILED, scalar.problem, scalar.x, np.inf, np.nan, tuple(task.warm_starts))
 
 
-def _candidate(entry: _Entry, probability: float) -> Candidate:
-    on_feet = _posterior([entry]) if entry.feet else None
-    return Candidate(entry.name, entry.log_evidence, entry.prior, probability, on_feet)
+def _candidate(entry: _Entry, weight: float) -> Candidate:
+    on_feet = _posterior([entry], np.ones(1), None) if entry.feet else None
+    return Candidate(entry.name, entry.log_evidence, entry.prior, weight, on_feet)
 
 
-def _posterior(fits: Sequence[_Entry]) -> ModelPosterior:
-    """Of the more probable kind of support (whole base, two feet, three), the Gaussian with the mean and the covariance of the mixture.
+def _posterior(fits: Sequence[_Entry], weights: Float64Array, noise_factor: float | None) -> ModelPosterior:
+    """A Gaussian for each kind of support (whole base, two feet, three), the heaviest first."""
+    kinds: dict[int, list[tuple[float, _Entry]]] = {}
+    for weight, entry in zip(weights, fits, strict=True):
+        kinds.setdefault(entry.feet, []).append((float(weight), entry))
+    parts = [(sum(weight for weight, _ in of_kind), _moments(of_kind, noise_factor)) for of_kind in kinds.values()]
+    parts.sort(key=lambda part: -part[0])
+    # What a part with less weight would change is below what the drawn models of a prediction resolve.
+    return replace(parts[0][1], alternatives=tuple((weight, part) for weight, part in parts[1:] if weight >= _LEAST_WEIGHT))
+
+
+def _moments(of_kind: Sequence[tuple[float, _Entry]], noise_factor: float | None) -> ModelPosterior:
+    """The Gaussian with the mean and the covariance of a mixture of fits of the same unknowns, with their weights.
 
     A fit worse than its noise shows that the model lacks something: then nothing is known as well as the curvature suggests, and its
     covariance counts multiplied by the reduced chi-square.
     """
-    probability: dict[int, float] = {}
-    for entry, weight in zip(fits, _probabilities(fits), strict=True):
-        probability[entry.feet] = probability.get(entry.feet, 0.0) + float(weight)
-    feet = max(probability, key=lambda kind: probability[kind])
-    chosen = [entry for entry in fits if entry.feet == feet]
-    unknowns, weights = chosen[0].unknowns, _probabilities(chosen)
-    mean = weights @ np.array([entry.z for entry in chosen])
+    unknowns, total = of_kind[0][1].unknowns, sum(weight for weight, _ in of_kind)
+    mean = np.sum([weight / total * entry.z for weight, entry in of_kind], axis=0)
     covariance = np.zeros((unknowns.size, unknowns.size))
-    for weight, entry in zip(weights, chosen, strict=True):
-        covariance += weight * (entry.covariance * max(1.0, entry.fit.reduced_chi2) + np.outer(entry.z - mean, entry.z - mean))
-    return replace(ModelPosterior.of_prior(unknowns), z=mean, covariance=0.5 * (covariance + covariance.T))
-
-
-def _probabilities(fits: Sequence[_Entry]) -> Float64Array:
-    evidence = np.array([entry.log_evidence for entry in fits])
-    weights = np.exp(evidence - evidence.max())
-    return np.asarray(weights / weights.sum())
+    for weight, entry in of_kind:
+        spread = entry.covariance * max(1.0, entry.fit.reduced_chi2) + np.outer(entry.z - mean, entry.z - mean)
+        covariance += weight / total * spread
+    posterior = replace(ModelPosterior.of_prior(unknowns), z=mean, covariance=0.5 * (covariance + covariance.T))
+    return replace(with_total_mass(posterior), pose_noise_factor=noise_factor)
