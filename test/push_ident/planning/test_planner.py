@@ -123,7 +123,7 @@ def test_goals_that_are_reached_pose_that_is_too_uncertain_and_walls_have_a_stat
     (x0, y0), (x1, y1) = MODEL.shape.outline.min(axis=0) - 0.012, MODEL.shape.outline.max(axis=0) + 0.012
     sides = ((x0 - 0.05, y0, x0, y1), (x1, y0, x1 + 0.05, y1), (x0 - 0.05, y0 - 0.05, x1 + 0.05, y0), (x0 - 0.05, y1, x1 + 0.05, y1 + 0.05))
     plan = PLANNER.plan(KNOWN, np.zeros(3), SURE, far, obstacles=[block(*side) for side in sides])
-    assert plan.status is PlanStatus.UNREACHABLE and plan.plan is None
+    assert plan.status is PlanStatus.BLOCKED and plan.plan is None
 
 
 def test_object_is_pushed_around_a_block_in_its_way() -> None:

@@ -144,6 +144,11 @@ class Library:
         deviation = np.where(known, motion - np.sum(filled, axis=0) / n, 0.0)
         return cls(contacts, lengths, motion, np.sum(deviation**2, axis=0) / n, centres, first)
 
+    @property
+    def spread_by_length(self) -> float:
+        """Standard deviation of the ends over the models, along the worse axis, by the length of the push: the median [1]."""
+        return float(np.median(np.sqrt(np.max(self.variance[..., :2], axis=-1)) / self.lengths))
+
     def holds_at(self, belief: Belief, pose: Float64Array) -> bool:
         """Whether it holds for an object at a pose, table frame of the arm, shape (3,)."""
         if not belief.depends_on_pose:
@@ -238,7 +243,7 @@ class Surroundings:
     """Constraints of a push other than the workspace."""
 
     obstacles: Sequence[Float64Array] = ()
-    """Outlines of other objects, table frame [m], each of shape (n_vertices, 2)."""
+    """Outlines that must not be touched, with their clearance, table frame [m], each of shape (n_vertices, 2)."""
     failed: Sequence[PushPlan2D] = ()
     """Pushes from this pose that did not move the object, or could not be made."""
     hold: EdgeHold | None = None
@@ -268,7 +273,7 @@ def is_possible(
     before, after = (p if around.hold is None else p[around.hold.edge.beyond(p) <= 0.0] for p in (outline, later[-1]))
     if settings.excess(after) > settings.excess(before):
         return False
-    if any(_gap(one, other) < settings.lowering_gap for one in later for other in around.obstacles):
+    if any(_gap(one, other) < min(_gap(outline, other), 0.0) for other in around.obstacles for one in later):
         return False
     try:
         check_push(plan, outline, settings, around.obstacles)

@@ -1,0 +1,241 @@
+"""What a push must not touch, how surely it does not, and the way round it.
+
+Outlines of obstacles are given with the clearance that the uncertainty of their place asks for. On top of it an object and its pushes are
+uncertain themselves: a push is made only where the chance that the object enters an outline, by the models that may be true, is at most
+`RISK`.
+
+The way round is found on a grid of poses (x, y, yaw): the shortest way to the goal of each pose, over poses at which the object enters no
+outline. Its length above that of the way without obstacles is `WayRound.extra`; the planner adds it to the way that is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, map_coordinates
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.special import ndtr, ndtri
+
+from push_ident.geometry.distance_field import RESOLUTION, DistanceField, grown
+from push_ident.geometry.se2 import inverse, transform_points, wrap_angle
+from push_ident.planning.goal import RISK, Goal
+from push_ident.pushing.push import PushSettings
+from push_ident.types import BoolArray, Float64Array, ObjectShape
+
+DEVIATIONS: Final = float(ndtri(1.0 - RISK))
+"""Standard deviations that are exceeded on one side with the chance `RISK` [1]."""
+_FAR: Final = 0.05
+"""Distance of an object from all obstacles above which a lower bound of it is enough [m]."""
+_BLOCK: Final = 5000
+"""Poses whose vertices are looked up at once: some 10 MB."""
+
+
+@dataclass(frozen=True, slots=True)
+class Obstacle:
+    """Something that must not be touched."""
+
+    name: str
+    """For people."""
+    outline: Float64Array
+    """With its clearance, table frame [m], shape (n_vertices, 2)."""
+
+    @classmethod
+    def of_object(cls, object_id: str, outline: Float64Array, pose: Float64Array, covariance: Float64Array | None) -> Obstacle:
+        """Another tracked object, by its outline, shape (n, 2), object frame, at a pose, shape (3,), with its covariance, (3, 3); None: not
+        known."""
+        wide = 0.0 if covariance is None else clearance(outline, covariance)
+        return cls(f"`{object_id}`", grown(transform_points(pose, outline), wide))
+
+
+def clearance(outline: Float64Array, covariance: Float64Array) -> float:
+    """Distance beyond which a point of an outline, shape (n, 2), object frame, lies with the chance `RISK` at most [m], for a pose with a
+    covariance, shape (3, 3)."""
+    lever = float(np.max(np.linalg.norm(outline, axis=1)))
+    across = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
+    return DEVIATIONS * float(np.sqrt(across + lever**2 * covariance[2, 2]))
+
+
+class KeepOut:
+    """Distances of one object and of the tool from obstacles.
+
+    Args:
+        outlines: of the obstacles, at least one, each of shape (n_vertices, 2), in the frame of the poses [m].
+    """
+
+    def __init__(self, shape: ObjectShape, outlines: Sequence[Float64Array], settings: PushSettings) -> None:
+        x_min, x_max, y_min, y_max = settings.workspace
+        low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
+        self._outline, self._settings = shape.outline, settings
+        self._reach = float(np.max(np.linalg.norm(shape.outline, axis=1)))
+        self.lever = float(np.sqrt(np.mean(np.sum(shape.outline**2, axis=1))))
+        """Root mean square distance of the corners of the object from its origin [m]."""
+        self._around = DistanceField.of(outlines, low - self._reach, high + self._reach)
+        self._within = DistanceField.of([shape.outline], np.full(2, -self._reach - 2 * _FAR), np.full(2, self._reach + 2 * _FAR))
+        self._corners = np.concatenate(outlines)
+
+    def gaps(self, poses: Float64Array) -> Float64Array:
+        """Distance of the object from the obstacles at poses, shape (..., 3): shape (...) [m], negative where it enters one; -inf for a
+        pose that is not finite. Above 5 cm it is a lower bound."""
+        flat = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+        found = self._around.at(flat[:, :2]) - self._reach
+        # Of two polygons that do not overlap, a corner of one is where they are nearest.
+        near = np.flatnonzero(np.isfinite(found) & (found < _FAR))
+        for first in range(0, len(near), _BLOCK):
+            some = flat[near[first : first + _BLOCK], None, :]
+            own = np.min(self._around.at(_placed(some, self._outline)), axis=1)
+            others = np.min(self._within.at(_placed(inverse(some), self._corners)), axis=1)
+            found[near[first : first + _BLOCK]] = np.minimum(own, others)
+        return found.reshape(np.shape(poses)[:-1])
+
+    def tool_gaps(self, tool: Float64Array) -> Float64Array:
+        """Distance of the tool from the obstacles with its axis at points, shape (..., 2): shape (...) [m]."""
+        return self._around.at(tool) - self._settings.pusher_radius
+
+    def is_tool_clear(self, start: Float64Array, path: Float64Array) -> BoolArray:
+        """Whether the tool can be lowered at `start`, shape (..., 2), and be moved along points, shape (..., n_points, 2): shape
+        (..., n_points), for the path up to each point."""
+        lowered = self.tool_gaps(start) >= self._settings.lowering_gap
+        return np.asarray(lowered[..., None] & (np.minimum.accumulate(self.tool_gaps(path), axis=-1) >= 0.0))
+
+
+def risk_of(least: Float64Array, now: Float64Array, std: float | Float64Array = 0.0) -> Float64Array:
+    """Chance that an object enters an obstacle, from its least distance during pushes under models [m], shape (n_models, ...): (...).
+
+    `now`: its distance before them [m], of a shape that fits; where it is nearer than its clearance, it may stay as near. `std`: deviation
+    of the least distance beside that over the models [m], shape (...).
+    """
+    room = least - np.minimum(now, 0.0)
+    finite = np.all(np.isfinite(room), axis=0)
+    safe = np.where(finite, room, 0.0)
+    spread = np.hypot(np.hypot(np.std(safe, axis=0), std), 0.5 * RESOLUTION)
+    # Few models have no tail of their own: that of a normal distribution, or the models themselves where these are worse.
+    chance = np.maximum(ndtr(-np.mean(safe, axis=0) / spread), np.mean(safe < -RESOLUTION, axis=0))
+    return np.asarray(np.where(finite, chance, 1.0))
+
+
+def _placed(poses: Float64Array, points: Float64Array) -> Float64Array:
+    """Points, shape (n, 2), of an object at poses, shape (m, 1, 3): shape (m, n, 2)."""
+    cosine, sine = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+    x, y = points.T
+    return np.stack([poses[..., 0] + cosine * x - sine * y, poses[..., 1] + sine * x + cosine * y], axis=-1)
+
+
+def between(poses: Float64Array, n: int) -> Float64Array:
+    """`n` poses from each to the next along the second to last axis, shape (..., m, 3): shape (..., (m - 1) n, 3), the first left out."""
+    share = (np.arange(n) + 1.0) / n
+    step = np.diff(poses, axis=-2)
+    step[..., 2] = wrap_angle(step[..., 2])
+    all_of = poses[..., :-1, None, :] + share[:, None] * step[..., None, :]
+    return np.asarray(all_of.reshape(*poses.shape[:-2], -1, 3))
+
+
+_CELLS_ALONG: Final = 80
+"""Largest number of cells along a side of the workspace [1]."""
+_STEP: Final = 0.01
+"""Spacing of the grid of poses where that allows it [m]: half the default tolerance of a goal."""
+_HEADINGS: Final = 24
+"""Headings of the grid [1]: 15 degrees apart, a corner at 8 cm moves by 2 cm."""
+_NOWHERE: Final = 1e3
+"""Length of a way that does not exist [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WayRound:
+    """Shortest ways to one goal on a grid of poses."""
+
+    low: Float64Array
+    """Position of the first pose [m], shape (2,)."""
+    step: float
+    """Spacing of positions [m]."""
+    longer: NDArray[np.float32] = field(repr=False)
+    """Length of the way above that without obstacles [m], shape (n_x, n_y, n_headings + 1): the last heading is the first one again."""
+
+    @classmethod
+    def to(cls, goal: Goal, keep_out: KeepOut, shape: ObjectShape, settings: PushSettings, spread: float, travel: float) -> WayRound | None:
+        """The ways to a goal; None where its surroundings are not connected with any other pose.
+
+        `spread`: standard deviation of the end of a push by its length [1]; `travel`: usual length of a push [m]. Where the gap is so
+        narrow that a push of that length would enter an obstacle with a chance above `RISK`, pushes are shorter, and the way counts by as
+        much more.
+        """
+        x_min, x_max, y_min, y_max = settings.workspace
+        step = max(_STEP, max(x_max - x_min, y_max - y_min) / _CELLS_ALONG)
+        x, y = np.arange(x_min, x_max + step, step), np.arange(y_min, y_max + step, step)
+        yaw = 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS
+        poses = np.stack(np.meshgrid(x, y, yaw, indexing="ij"), axis=-1)
+        gaps = keep_out.gaps(poses)
+        free = (gaps > 0.0) & _is_inside(shape.outline, poses, settings)
+        turn = goal.position / goal.yaw
+        offset = poses - goal.pose
+        offset[..., 2] = wrap_angle(offset[..., 2])
+        away = np.linalg.norm(offset * [1.0, 1.0, turn], axis=-1)
+        at_goal = np.unravel_index(np.argmin(np.where(free, away, np.inf)), free.shape)
+        if not free[at_goal] or away[at_goal] > 3.0 * step + turn * 2 * np.pi / _HEADINGS:
+            return None
+        weight = np.maximum(1.0, travel * DEVIATIONS * spread / np.maximum(gaps, RESOLUTION))
+        length = _lengths(free, weight, np.array([step, turn * 2 * np.pi / _HEADINGS]), np.ravel_multi_index(at_goal, free.shape))
+        dx, dy, dyaw = np.moveaxis(np.abs(poses - poses[at_goal]), -1, 0)
+        plain = np.maximum(dx, dy) + (np.sqrt(2.0) - 1.0) * np.minimum(dx, dy) + turn * np.abs(wrap_angle(dyaw))
+        longer = np.where(np.isfinite(length), np.maximum(length - plain, 0.0), _NOWHERE)
+        if np.count_nonzero(longer < _NOWHERE) < 2:
+            return None
+        return cls(np.array([x[0], y[0]]), step, _filled(longer, free))
+
+    def extra(self, poses: Float64Array) -> Float64Array:
+        """Length of the way from poses, shape (..., 3), above that without obstacles [m], shape (...); inf where there is no way, or the
+        pose is not finite."""
+        finite: BoolArray = np.all(np.isfinite(poses), axis=-1)
+        safe = np.where(finite[..., None], poses, 0.0)
+        at = (safe[..., :2] - self.low) / self.step
+        heading = np.mod(safe[..., 2], 2 * np.pi) / (2 * np.pi) * _HEADINGS
+        where = np.stack([at[..., 0], at[..., 1], heading]).reshape(3, -1)
+        found = map_coordinates(self.longer, where, order=1, mode="nearest").reshape(finite.shape)
+        return np.asarray(np.where(finite & (found < 0.01 * _NOWHERE), found, np.inf), dtype=np.float64)
+
+
+def _is_inside(outline: Float64Array, poses: Float64Array, settings: PushSettings) -> BoolArray:
+    """Whether an outline, shape (n, 2), is in the workspace at poses of a grid, shape (n_x, n_y, n_headings, 3)."""
+    x_min, x_max, y_min, y_max = settings.workspace
+    inside = np.empty(poses.shape[:3], dtype=np.bool_)
+    for k in range(poses.shape[2]):
+        at = transform_points(np.array([0.0, 0.0, poses[0, 0, k, 2]]), outline)
+        low, high = poses[:, :, k, :2] + at.min(axis=0), poses[:, :, k, :2] + at.max(axis=0)
+        inside[:, :, k] = np.all((low >= [x_min, y_min]) & (high <= [x_max, y_max]), axis=-1)
+    return inside
+
+
+def _lengths(free: BoolArray, weight: Float64Array, steps: Float64Array, goal: np.intp) -> Float64Array:
+    """Length of the shortest way between each free pose of a grid and the goal [m], inf where there is none, of the shape of `free`.
+
+    Neighbours differ by one step along x, y or both, or by one heading; `steps`: [m] of a position and of a heading.
+    """
+    number, goes_down = np.arange(free.size).reshape(free.shape), slice(None, -1)
+    all_of, after = slice(None), slice(1, None)
+    moves = [((goes_down, all_of), (after, all_of)), ((all_of, goes_down), (all_of, after))]
+    moves += [((goes_down, goes_down), (after, after)), ((goes_down, after), (after, goes_down))]
+    pairs = [(number[here].ravel(), number[there].ravel()) for here, there in moves]
+    pairs.append((number.ravel(), np.roll(number, -1, axis=2).ravel()))
+    root = float(np.sqrt(2.0)) * steps[0]
+    along = np.concatenate(
+        [np.full(len(pair[0]), length) for pair, length in zip(pairs, (steps[0], steps[0], root, root, steps[1]), strict=True)]
+    )
+    row, column = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    joined = free.ravel()[row] & free.ravel()[column]
+    row, column = row[joined], column[joined]
+    length = along[joined] * 0.5 * (weight.ravel()[row] + weight.ravel()[column])
+    both = np.concatenate([row, column]), np.concatenate([column, row])
+    graph = csr_array((np.tile(length, 2), both), shape=(free.size, free.size))
+    return np.asarray(dijkstra(graph, indices=int(goal))).reshape(free.shape)
+
+
+def _filled(longer: Float64Array, free: BoolArray) -> NDArray[np.float32]:
+    """The same with the value of the nearest free pose where there is none, and the first heading once more at the end."""
+    repeated = np.concatenate([longer, longer[:, :, :1]], axis=2)
+    blocked = ~np.concatenate([free, free[:, :, :1]], axis=2)
+    nearest = distance_transform_edt(blocked, return_distances=False, return_indices=True)
+    return np.asarray(repeated[tuple(nearest)], dtype=np.float32)
