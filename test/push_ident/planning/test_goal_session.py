@@ -18,6 +18,7 @@ from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import EdgeHold, Goal, GoalCode, GoalRefusedError, Target
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState, KnownModel, PushReport, SessionLimits, Wish
 from push_ident.planning.goal_session import GoalSession
+from push_ident.planning.keep_out import Obstacle
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathPush, PathStatus
 from push_ident.planning.path_session import PathSession
@@ -135,6 +136,8 @@ class Cell:
     """Of the table."""
     targets: list[Goal | Exception] = field(default_factory=list)
     """What is chosen at an edge, one after another; the last one again and again."""
+    in_the_way: list[Obstacle] = field(default_factory=list)
+    """What must not be touched."""
     failed: list[int] = field(default_factory=list)
     """Number of failed pushes passed to each plan."""
 
@@ -152,8 +155,11 @@ class Cell:
     def why_unseen(self, object_id: str) -> str:
         return f"no object `{object_id}`; known: o1."
 
-    def obstacles(self, object_id: str) -> list[Float64Array]:
-        return []
+    def obstacles(self, object_id: str) -> list[Obstacle]:
+        return self.in_the_way
+
+    def begin_random(self, model: KnownModel, seen: TrackedObject, obstacles: Any, seed: int) -> Computed:
+        return Computed(self, PushPlan2D(np.zeros(2), np.zeros(2), 0.0, 0.05, 0.1), self.time + 1.0)
 
     def model(self, object_id: str) -> KnownModel | None:
         stamp = self.learned[1] if self.learns and self.time >= self.learned[0] else 0.0

@@ -58,6 +58,16 @@ def grown(outline: Float64Array, by: float) -> Float64Array:
     return low + RESOLUTION * max(contours(near), key=len)
 
 
+def pieces(mask: BoolArray) -> list[tuple[Float64Array, BoolArray]]:
+    """Connected pieces of a mask: the (column, row) of the first cell of each, shape (2,), and the piece in its bounding box."""
+    n, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    found = []
+    for number in range(1, n):
+        x, y, width, height = stats[number, :4].tolist()
+        found.append((np.array([x, y], dtype=np.float64), labels[y : y + height, x : x + width] == number))
+    return found
+
+
 def contours(mask: BoolArray) -> list[Float64Array]:
     """Outer borders of the pieces of a mask, each of shape (n, 2), counter-clockwise, in (column, row) of cell centres."""
     found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

@@ -22,6 +22,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.special import ndtr, ndtri
 
 from push_ident.geometry.distance_field import RESOLUTION, DistanceField, grown
+from push_ident.geometry.outline import dense, signed_distance
 from push_ident.geometry.se2 import inverse, transform_points, wrap_angle
 from push_ident.planning.goal import RISK, Goal
 from push_ident.pushing.push import PushSettings
@@ -32,7 +33,11 @@ DEVIATIONS: Final = float(ndtri(1.0 - RISK))
 _FAR: Final = 0.05
 """Distance of an object from all obstacles above which a lower bound of it is enough [m]."""
 _BLOCK: Final = 5000
-"""Poses whose vertices are looked up at once: some 10 MB."""
+"""Poses whose points are looked up at once: some 10 MB."""
+_BETWEEN: Final = 8
+"""Poses at which the object is compared with obstacles, from each simulated one to the next [1]: 2.5 mm apart in the longest push."""
+_SPACING: Final = 0.01
+"""Of points along the outline of the object beside its corners [m]: nothing thinner crosses it unnoticed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +75,7 @@ class KeepOut:
     def __init__(self, shape: ObjectShape, outlines: Sequence[Float64Array], settings: PushSettings) -> None:
         x_min, x_max, y_min, y_max = settings.workspace
         low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
-        self._outline, self._settings = shape.outline, settings
+        self._outline, self._settings = dense(shape.outline, _SPACING), settings
         self._reach = float(np.max(np.linalg.norm(shape.outline, axis=1)))
         self.lever = float(np.sqrt(np.mean(np.sum(shape.outline**2, axis=1))))
         """Root mean square distance of the corners of the object from its origin [m]."""
@@ -83,7 +88,7 @@ class KeepOut:
         pose that is not finite. Above 5 cm it is a lower bound."""
         flat = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
         found = self._around.at(flat[:, :2]) - self._reach
-        # Of two polygons that do not overlap, a corner of one is where they are nearest.
+        # Of two polygons that do not overlap, a corner of one is where they are nearest; the other points find those that cross.
         near = np.flatnonzero(np.isfinite(found) & (found < _FAR))
         for first in range(0, len(near), _BLOCK):
             some = flat[near[first : first + _BLOCK], None, :]
@@ -102,6 +107,11 @@ class KeepOut:
         lowered = self.tool_gaps(start) >= self._settings.lowering_gap
         return np.asarray(lowered[..., None] & (np.minimum.accumulate(self.tool_gaps(path), axis=-1) >= 0.0))
 
+    def risk(self, poses: Float64Array) -> Float64Array:
+        """Chance that the object enters an obstacle during pushes, by poses under models, shape (n_models, ..., n_poses, 3), the first one
+        before the push: shape (...)."""
+        return risk_of(np.min(self.gaps(_between(poses, _BETWEEN)), axis=-1), self.gaps(poses[..., 0, :]))
+
 
 def risk_of(least: Float64Array, now: Float64Array, std: float | Float64Array = 0.0) -> Float64Array:
     """Chance that an object enters an obstacle, from its least distance during pushes under models [m], shape (n_models, ...): (...).
@@ -118,6 +128,18 @@ def risk_of(least: Float64Array, now: Float64Array, std: float | Float64Array = 
     return np.asarray(np.where(finite, chance, 1.0))
 
 
+def distance_between(one: Float64Array, other: Float64Array) -> float:
+    """Least distance of two outlines, each of shape (n, 2) [m]; negative where they overlap."""
+    near = (np.min(signed_distance(dense(line, _SPACING), of)) for line, of in ((one, other), (other, one)))
+    return float(min(near))
+
+
+def overlapping(outline: Float64Array, poses: Float64Array, obstacles: Sequence[Obstacle]) -> list[str]:
+    """Names of the obstacles that an outline, shape (n, 2), object frame, enters at one of some poses, shape (n_poses, 3)."""
+    placed = transform_points(np.reshape(poses, (-1, 3)), outline)
+    return [one.name for one in obstacles if any(distance_between(each, one.outline) < 0.0 for each in placed)]
+
+
 def _placed(poses: Float64Array, points: Float64Array) -> Float64Array:
     """Points, shape (n, 2), of an object at poses, shape (m, 1, 3): shape (m, n, 2)."""
     cosine, sine = np.cos(poses[..., 2]), np.sin(poses[..., 2])
@@ -125,7 +147,7 @@ def _placed(poses: Float64Array, points: Float64Array) -> Float64Array:
     return np.stack([poses[..., 0] + cosine * x - sine * y, poses[..., 1] + sine * x + cosine * y], axis=-1)
 
 
-def between(poses: Float64Array, n: int) -> Float64Array:
+def _between(poses: Float64Array, n: int) -> Float64Array:
     """`n` poses from each to the next along the second to last axis, shape (..., m, 3): shape (..., (m - 1) n, 3), the first left out."""
     share = (np.arange(n) + 1.0) / n
     step = np.diff(poses, axis=-2)

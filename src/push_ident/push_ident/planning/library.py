@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import PlanningError
-from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush, rollouts
 from push_ident.physics.body import BodyParameters
@@ -25,6 +24,7 @@ from push_ident.physics.effects import CAUSES
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.planning.goal import EdgeHold
+from push_ident.planning.keep_out import distance_between
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
 from push_ident.types import CellGrid, Float64Array, ObjectShape, PusherPath
@@ -273,15 +273,10 @@ def is_possible(
     before, after = (p if around.hold is None else p[around.hold.edge.beyond(p) <= 0.0] for p in (outline, later[-1]))
     if settings.excess(after) > settings.excess(before):
         return False
-    if any(_gap(one, other) < min(_gap(outline, other), 0.0) for other in around.obstacles for one in later):
+    if any(distance_between(one, other) < min(distance_between(outline, other), 0.0) for other in around.obstacles for one in later):
         return False
     try:
         check_push(plan, outline, settings, around.obstacles)
     except PlanningError:
         return False
     return True
-
-
-def _gap(outline: Float64Array, other: Float64Array) -> float:
-    """Least distance of a vertex of either outline from the other [m]; negative inside."""
-    return float(min(np.min(signed_distance(outline, other)), np.min(signed_distance(other, outline))))

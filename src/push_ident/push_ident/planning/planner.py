@@ -30,6 +30,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import KDTree
 
+from push_ident.errors import PlanningError
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush
 from push_ident.physics.scenario import PushScenario
@@ -37,9 +38,9 @@ from push_ident.physics.simulation import SimulationSettings
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import held_target
 from push_ident.planning.goal import CERTAIN, RISK, EdgeHold, Goal
-from push_ident.planning.keep_out import KeepOut, WayRound, between, risk_of
+from push_ident.planning.keep_out import KeepOut, WayRound, risk_of
 from push_ident.planning.library import Library, Strokes, Surroundings, is_possible, moved, path_of, placed, simulated, strokes
-from push_ident.pushing.push import PushPlan2D, PushSettings
+from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import BoolArray, Float64Array, ObjectShape, SolveStatus
 
 
@@ -66,9 +67,7 @@ class PlannerOptions:
     fall_cost: float = 20.0
     """Pushes that a fall counts as: as many as are made for a goal at most."""
     frames: int = 8
-    """Poses along a push at which the margin of an overhanging object is computed, and between which it is compared with obstacles."""
-    between: int = 8
-    """Poses at which it is compared with obstacles, from each of these to the next: 2.5 mm apart in the longest push."""
+    """Poses along a push at which the margin of an overhanging object is computed, and its distance from obstacles."""
     groups: int = 4
     """Groups of `judged` pushes beside obstacles, until one of them has a push that touches nothing."""
 
@@ -153,6 +152,33 @@ class GoalPlanner:
         if push.plan is None:
             return push
         return replace(push, end=compose(belief.camera, push.end), ends=compose(belief.camera, push.ends))
+
+    def random_push(
+        self, belief: Belief, pose: Float64Array, covariance: Float64Array, obstacles: Sequence[Float64Array], seed: int
+    ) -> PushPlan2D:
+        """A random push by which neither tool nor object touches an obstacle, with the lengths of random pushes; arguments as of `plan`.
+
+        Raises:
+            PlanningError: UNREACHABLE where there is none.
+        """
+        in_arm, covariance, goal = _in_arm_frame(belief.camera, pose, covariance, Goal(pose))
+        around = Surroundings([transform_points(inverse(belief.camera), outline) for outline in obstacles])
+        library = self._library_of(belief, in_arm)
+        keep_out = KeepOut(self._shape, around.obstacles, self._settings) if obstacles else None
+        task = _Task(belief, in_arm, covariance, goal, goal, around, keep_out, _FurtherPushes(library, goal, None))
+        low, high = self._settings.distance_range
+        usable = self._clear(library, task) & (library.lengths >= low) & (library.lengths <= high)
+        models = self._displaced_judges(in_arm, covariance)
+        for index in np.random.default_rng(seed).permutation(np.flatnonzero(usable))[: _OPTIONS.screened]:
+            number, k = divmod(int(index), len(library.lengths))
+            plan = placed(library.strokes, number, in_arm, float(library.lengths[k]), self._settings.speed_range[0])
+            if not is_possible(self._shape, self._settings, plan, in_arm, library.motion[0, number, k], around):
+                continue
+            if task.touch(self._poses(task, models, [(library.strokes.picked(number), plan.distance)]))[0] <= RISK:
+                return plan
+        raise PlanningError(
+            PushCode.UNREACHABLE, "no random push keeps object and tool clear of what must not be touched; make room for it."
+        )
 
     def _plan(self, belief: Belief, pose: Float64Array, covariance: Float64Array, goal: Goal, around: Surroundings) -> GoalPush:
         """As `plan`, all of it in the table frame of the arm."""
@@ -322,10 +348,7 @@ class _Task:
 
     def touch(self, poses: Float64Array) -> Float64Array:
         """Chance that the object enters an obstacle, by poses of pushes under models, (n_models, n_pushes, n_poses, 3): (n_pushes,)."""
-        if self.keep_out is None:
-            return np.zeros(poses.shape[1])
-        gaps = self.keep_out.gaps(between(poses, _OPTIONS.between))
-        return risk_of(np.min(gaps, axis=-1), self.keep_out.gaps(poses[:, :, 0]))
+        return np.zeros(poses.shape[1]) if self.keep_out is None else self.keep_out.risk(poses)
 
 
 def _in_arm_frame(

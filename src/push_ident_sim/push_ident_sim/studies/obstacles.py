@@ -8,10 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
 from push_ident.planning.goal import Goal
-from push_ident.planning.keep_out import Obstacle
+from push_ident.planning.keep_out import Obstacle, distance_between
 from push_ident.planning.planner import PlanStatus
 from push_ident.types import Float64Array
 from push_ident_sim.engines.bullet.push_world import PushWorld
@@ -36,11 +35,6 @@ _CELL: Final = 0.01
 """Edge of a cell of an obstacle [m]."""
 TOUCHED, MISSED, MOST = "touched an obstacle", "MISSED", "MAX_PUSHES"
 """Ends beside those of planning."""
-
-
-def gap(one: Float64Array, other: Float64Array) -> float:
-    """Least distance of two outlines, each of shape (n, 2) [m]; negative where a corner of one is in the other."""
-    return float(min(np.min(signed_distance(one, other)), np.min(signed_distance(other, one))))
 
 
 def block(rng: np.random.Generator) -> SimObject:
@@ -69,7 +63,7 @@ def _scene(outline: Float64Array, rng: np.random.Generator) -> tuple[Float64Arra
                 pose[:2] = start[:2] + rng.uniform(0.2, 0.8) * (goal - start)[:2]
             others = [transform_points(at, other.outline) for other, at in placed]
             here = transform_points(pose, one.outline)
-            if min(gap(here, end) for end in ends) > _ROOM and all(gap(here, other) > 0.0 for other in others):
+            if min(distance_between(here, end) for end in ends) > _ROOM and all(distance_between(here, other) > 0.0 for other in others):
                 placed.append((one, pose))
             if len(placed) == _OBSTACLES:
                 return start, goal, placed
