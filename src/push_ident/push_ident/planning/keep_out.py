@@ -10,6 +10,7 @@ outline. Its length above that of the way without obstacles is `WayRound.extra`;
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -23,17 +24,16 @@ from scipy.special import ndtr, ndtri
 
 from push_ident.geometry.distance_field import RESOLUTION, DistanceField, grown
 from push_ident.geometry.outline import dense, signed_distance
-from push_ident.geometry.se2 import inverse, transform_points, wrap_angle
+from push_ident.geometry.se2 import transform_points, wrap_angle
+from push_ident.physics.kernel import kernel
 from push_ident.planning.goal import RISK, Goal
 from push_ident.pushing.push import PushSettings
-from push_ident.types import BoolArray, Float64Array, ObjectShape
+from push_ident.types import BoolArray, CellGrid, Float64Array, ObjectShape
 
 DEVIATIONS: Final = float(ndtri(1.0 - RISK))
 """Standard deviations that are exceeded on one side with the chance `RISK` [1]."""
 _FAR: Final = 0.05
 """Distance of an object from all obstacles above which a lower bound of it is enough [m]."""
-_BLOCK: Final = 5000
-"""Poses whose points are looked up at once: some 10 MB."""
 _BETWEEN: Final = 8
 """Poses at which the object is compared with obstacles, from each simulated one to the next [1]: 2.5 mm apart in the longest push."""
 _SPACING: Final = 0.01
@@ -86,15 +86,9 @@ class KeepOut:
     def gaps(self, poses: Float64Array) -> Float64Array:
         """Distance of the object from the obstacles at poses, shape (..., 3): shape (...) [m], negative where it enters one; -inf for a
         pose that is not finite. Above 5 cm it is a lower bound."""
-        flat = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
-        found = self._around.at(flat[:, :2]) - self._reach
-        # Of two polygons that do not overlap, a corner of one is where they are nearest; the other points find those that cross.
-        near = np.flatnonzero(np.isfinite(found) & (found < _FAR))
-        for first in range(0, len(near), _BLOCK):
-            some = flat[near[first : first + _BLOCK], None, :]
-            own = np.min(self._around.at(_placed(some, self._outline)), axis=1)
-            others = np.min(self._within.at(_placed(inverse(some), self._corners)), axis=1)
-            found[near[first : first + _BLOCK]] = np.minimum(own, others)
+        flat = np.ascontiguousarray(poses, dtype=np.float64).reshape(-1, 3)
+        found, around, within = np.empty(len(flat)), self._around, self._within
+        _gaps(flat, around.distance, around.low, self._outline, within.distance, within.low, self._corners, self._reach, found)
         return found.reshape(np.shape(poses)[:-1])
 
     def tool_gaps(self, tool: Float64Array) -> Float64Array:
@@ -140,11 +134,48 @@ def overlapping(outline: Float64Array, poses: Float64Array, obstacles: Sequence[
     return [one.name for one in obstacles if any(distance_between(each, one.outline) < 0.0 for each in placed)]
 
 
-def _placed(poses: Float64Array, points: Float64Array) -> Float64Array:
-    """Points, shape (n, 2), of an object at poses, shape (m, 1, 3): shape (m, n, 2)."""
-    cosine, sine = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-    x, y = points.T
-    return np.stack([poses[..., 0] + cosine * x - sine * y, poses[..., 1] + sine * x + cosine * y], axis=-1)
+@kernel
+def _at(distance: NDArray[np.float32], low: Float64Array, x: float, y: float) -> float:
+    """As `DistanceField.at`."""
+    rows, columns = distance.shape
+    row, column = round((y - low[1]) / RESOLUTION), round((x - low[0]) / RESOLUTION)
+    return float(distance[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
+
+
+@kernel
+def _gaps(
+    poses: Float64Array,
+    around: NDArray[np.float32],
+    around_low: Float64Array,
+    outline: Float64Array,
+    within: NDArray[np.float32],
+    within_low: Float64Array,
+    corners: Float64Array,
+    reach: float,
+    found: Float64Array,
+) -> None:
+    """Fill `found`, shape (n,), for poses, shape (n, 3): see `KeepOut.gaps`."""
+    for k in range(len(poses)):
+        x, y, yaw = poses[k]
+        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(yaw)):
+            found[k] = -math.inf
+            continue
+        least = _at(around, around_low, x, y) - reach
+        if least < _FAR:
+            # Of two polygons that do not overlap, a corner of one is where they are nearest; the other points find those that cross.
+            cosine, sine, least = math.cos(yaw), math.sin(yaw), math.inf
+            for u, v in outline:
+                least = min(least, _at(around, around_low, x + cosine * u - sine * v, y + sine * u + cosine * v))
+            for px, py in corners:
+                u, v = px - x, py - y
+                least = min(least, _at(within, within_low, cosine * u + sine * v, cosine * v - sine * u))
+        found[k] = least
+
+
+def compile_keep_out() -> None:
+    """Compile the kernels, or load them."""
+    square = np.array([[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]])
+    KeepOut(ObjectShape(CellGrid(np.zeros((1, 2)), 0.02), square), [square], PushSettings()).gaps(np.zeros((1, 3)))
 
 
 def _between(poses: Float64Array, n: int) -> Float64Array:

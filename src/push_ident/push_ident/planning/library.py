@@ -24,7 +24,7 @@ from push_ident.physics.effects import CAUSES
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.planning.goal import EdgeHold
-from push_ident.planning.keep_out import distance_between
+from push_ident.planning.keep_out import compile_keep_out, distance_between
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
 from push_ident.types import CellGrid, Float64Array, ObjectShape, PusherPath
@@ -236,6 +236,7 @@ def compile_planning() -> None:
         for edge in (None, TableEdge(np.array([1.0, 0.0]), 1.0)):
             model = BatchModel(body, 0.3, weight=np.ones(1), effects=effects)
             rollouts(shape, [model], pushes, step=0.01, n_threads=1, edge=edge)
+    compile_keep_out()
 
 
 @dataclass(frozen=True, slots=True)

@@ -210,6 +210,7 @@ class GoalPlanner:
         """Feasible pushes in the order of their value, some at a time, and what refinement makes of them; at least one each time."""
         pose, around, strokes_of = task.pose, task.around, library.strokes
         risks = _EdgeRisk(around.hold, self._shape, library.centres, pose)
+        beside = replace(around, obstacles=())  # `_clear` has compared tool and object with them
         candidates: list[_Candidate] = []
         motions: list[Float64Array] = []
         n_groups = 0
@@ -217,7 +218,7 @@ class GoalPlanner:
             plan = placed(strokes_of, number, pose, float(library.lengths[k]), self._settings.speed_range[0])
             motion = library.motion[0, number, k]
             every = library.motion[:, number, k]
-            if is_possible(self._shape, self._settings, plan, pose, motion, around) and risks.allows(every, around.n_poses):
+            if is_possible(self._shape, self._settings, plan, pose, motion, beside) and risks.allows(every, around.n_poses):
                 candidates.append((strokes_of, number, float(library.lengths[k])))
                 motions.append(motion)
             if len(candidates) == _OPTIONS.judged:

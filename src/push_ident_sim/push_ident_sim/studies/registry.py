@@ -19,6 +19,7 @@ from push_ident_sim.studies import (
     recorded_scenes,
     scenes,
     sensors,
+    several,
 )
 from push_ident_sim.studies.bench import batches, engine, exports, fix, frames, identification, nodes, rivals
 from push_ident_sim.studies.blind import study as blind
@@ -40,6 +41,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         goals,
         edge,
         obstacles,
+        several,
         paths,
         pusht,
         sensors,

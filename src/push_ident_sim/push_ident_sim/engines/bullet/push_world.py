@@ -134,6 +134,12 @@ class PushWorld:
         assert chosen is not None, "it can be moved"
         self._object = chosen
 
+    def place(self, number: int, pose: ArrayLike) -> None:
+        """Put an object that is not fixed at a pose, shape (3,), at rest."""
+        chosen = self._objects[number]
+        assert chosen is not None, "it can be moved"
+        chosen.place(checked_pose(pose))
+
     def pose_of(self, number: int) -> Float64Array:
         """True pose of an object that is not fixed, shape (3,)."""
         chosen = self._objects[number]
