@@ -472,3 +472,35 @@ def test_path_that_cannot_be_followed_is_refused_before_anything_moves_and_a_can
     cell = PathCell(wants=lambda cell: Wish.HOLD if cell.time > 101.0 else Wish.GO_ON)
     outcome, _ = follow((0.12, PushCode.NONE), cell=cell)
     assert outcome.code is GoalCode.CANCELED and cell.pushes[0].cancelled_at is not None and cell.time < 103.0
+
+
+# --- obstacles
+
+
+def box_at(x: float, y: float) -> Obstacle:
+    return Obstacle("`o2`", np.array([[x - 0.02, y - 0.02], [x + 0.02, y - 0.02], [x + 0.02, y + 0.02], [x - 0.02, y + 0.02]]))
+
+
+def test_goal_on_an_obstacle_is_refused_by_its_name_before_anything_moves() -> None:
+    cell = Cell(in_the_way=[box_at(*GOAL.pose[:2])])
+    outcome, _ = run(cell)
+    assert outcome.code is GoalCode.UNREACHABLE and "would overlap `o2`" in outcome.text and not cell.asked
+    assert run(Cell(in_the_way=[box_at(-0.2, 0.2)]))[0].code is GoalCode.NONE
+    # Along a path, at any of its poses.
+    path = PathGoal(np.array([[-0.06, 0.0, 0.0], [0.06, 0.0, 0.0]]))
+    request = GoalRequest(object_id="", goal=path)
+    refused = PathSession(request, PathCell(in_the_way=[box_at(0.0, 0.0)])).run()
+    assert refused.code is GoalCode.UNREACHABLE and "`o2`" in refused.text
+
+
+@pytest.mark.parametrize("status", [PlanStatus.BLOCKED, PlanStatus.UNTOUCHED])
+def test_plan_without_a_way_names_what_is_in_it(status: PlanStatus) -> None:
+    outcome, _ = run(Cell(in_the_way=[box_at(-0.2, 0.2)], plans=[GoalPush(status, 0.0)]))
+    assert outcome.code is GoalCode.UNREACHABLE and status.value in outcome.text and "`o2`" in outcome.text
+
+
+def test_exploring_pushes_beside_obstacles_are_chosen_here_as_the_executor_keeps_only_the_tool_clear() -> None:
+    alone, beside = Cell(is_known=False), Cell(is_known=False, in_the_way=[box_at(-0.2, 0.2)])
+    for cell, kind in ((alone, int), (beside, PushPlan2D)):
+        run(cell, explore=1)
+        assert isinstance(cell.asked[0], kind)
