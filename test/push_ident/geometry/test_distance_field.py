@@ -28,7 +28,13 @@ def test_points_beyond_the_rectangle_have_the_distance_of_its_border_and_no_poin
     np.testing.assert_allclose(around.at(np.array([[0.9, 0.0], [0.0, -5.0]])), at_border, atol=2 * RESOLUTION)
     assert np.all(around.at(np.array([[np.nan, 0.0], [0.0, np.inf]])) == -np.inf)
     outside = DistanceField.of(TURNED[:1], np.full(2, 0.5), np.full(2, 0.6))
-    assert outside.at(TURNED[0].mean(axis=0)) < 0.02, "outlines beyond the rectangle are in it as well"
+    assert outside.at(np.full(2, 0.55)) > 0.1, "outlines beyond the rectangle do not count"
+
+
+def test_no_outline_takes_more_memory_than_there_is() -> None:
+    wide = DistanceField.of([100.0 * ANGLE], np.full(2, -100.0), np.full(2, 100.0))
+    assert wide.distance.size < 1e7 and wide.at(np.array([50.0, 0.0])) == pytest.approx(40.0, abs=0.1)
+    assert grown(ANGLE, 200.0)[:, 0].max() == pytest.approx(200.1, abs=0.3)
 
 
 @pytest.mark.parametrize("by", [0.002, 0.01])
@@ -46,8 +52,8 @@ def test_grown_outline_lies_outside_by_the_distance(by: float) -> None:
 
 def test_pieces_of_a_mask_have_their_place_and_their_border() -> None:
     mask = np.zeros((20, 30), dtype=np.bool_)
-    mask[3:6, 4:14], mask[10:18, 20:22] = True, True
-    found = pieces(mask)
+    mask[3:6, 4:14], mask[10:18, 20:22], mask[15, 3:5] = True, True, True
+    found = pieces(mask, 5)
     assert [first.tolist() for first, _ in found] == [[4.0, 3.0], [20.0, 10.0]]
     (border,) = contours(found[0][1])
     assert np.ptp(border, axis=0).tolist() == [9.0, 2.0] and polygon_area(border) == pytest.approx(18.0)

@@ -69,7 +69,8 @@ class KeepOut:
     """Distances of one object and of the tool from obstacles.
 
     Args:
-        outlines: of the obstacles, at least one, each of shape (n_vertices, 2), in the frame of the poses [m].
+        outlines: of the obstacles, at least one, each of shape (n_vertices, 2), in the frame of the poses [m]; what of them is further from
+            the workspace than the object reaches does not count.
     """
 
     def __init__(self, shape: ObjectShape, outlines: Sequence[Float64Array], settings: PushSettings) -> None:
@@ -88,7 +89,8 @@ class KeepOut:
         pose that is not finite. Above 5 cm it is a lower bound."""
         flat = np.ascontiguousarray(poses, dtype=np.float64).reshape(-1, 3)
         found, around, within = np.empty(len(flat)), self._around, self._within
-        _gaps(flat, around.distance, around.low, self._outline, within.distance, within.low, self._corners, self._reach, found)
+        fields = (around.distance, around.low, around.size), (within.distance, within.low, within.size)
+        _gaps(flat, *fields, self._outline, self._corners, self._reach, found)
         return found.reshape(np.shape(poses)[:-1])
 
     def tool_gaps(self, tool: Float64Array) -> Float64Array:
@@ -135,21 +137,20 @@ def overlapping(outline: Float64Array, poses: Float64Array, obstacles: Sequence[
 
 
 @kernel
-def _at(distance: NDArray[np.float32], low: Float64Array, x: float, y: float) -> float:
+def _at(field: tuple[NDArray[np.float32], Float64Array, float], x: float, y: float) -> float:
     """As `DistanceField.at`."""
+    distance, low, size = field
     rows, columns = distance.shape
-    row, column = round((y - low[1]) / RESOLUTION), round((x - low[0]) / RESOLUTION)
+    row, column = round((y - low[1]) / size), round((x - low[0]) / size)
     return float(distance[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
 
 
 @kernel
 def _gaps(
     poses: Float64Array,
-    around: NDArray[np.float32],
-    around_low: Float64Array,
+    around: tuple[NDArray[np.float32], Float64Array, float],
+    within: tuple[NDArray[np.float32], Float64Array, float],
     outline: Float64Array,
-    within: NDArray[np.float32],
-    within_low: Float64Array,
     corners: Float64Array,
     reach: float,
     found: Float64Array,
@@ -160,15 +161,15 @@ def _gaps(
         if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(yaw)):
             found[k] = -math.inf
             continue
-        least = _at(around, around_low, x, y) - reach
+        least = _at(around, x, y) - reach
         if least < _FAR:
             # Of two polygons that do not overlap, a corner of one is where they are nearest; the other points find those that cross.
             cosine, sine, least = math.cos(yaw), math.sin(yaw), math.inf
             for u, v in outline:
-                least = min(least, _at(around, around_low, x + cosine * u - sine * v, y + sine * u + cosine * v))
+                least = min(least, _at(around, x + cosine * u - sine * v, y + sine * u + cosine * v))
             for px, py in corners:
                 u, v = px - x, py - y
-                least = min(least, _at(within, within_low, cosine * u + sine * v, cosine * v - sine * u))
+                least = min(least, _at(within, cosine * u + sine * v, cosine * v - sine * u))
         found[k] = least
 
 

@@ -91,7 +91,7 @@ class _GoalPushing(Component):
             self._objects,
             self._models,
             table,
-            OccupancyInput(node, heavy, self._objects),
+            OccupancyInput(node, heavy, self._objects, self._settings["workspace"]),
             self._executor,
             self._settings.as_dict,
             self._push_settings,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from typing import Final
 
 from nav_msgs.msg import OccupancyGrid
@@ -18,10 +19,15 @@ TOPIC: Final = "workspace/occupancy"
 
 
 class OccupancyInput:
-    """Subscribes to the occupancy; a message that cannot be used does not replace the one before."""
+    """Subscribes to the occupancy; a message that cannot be used does not replace the one before.
 
-    def __init__(self, node: CellNode, callback_group: CallbackGroup, objects: TrackedObjects) -> None:
-        self._objects, self._things, self._lock = objects, UntrackedThings(), threading.Lock()
+    Args:
+        workspace: of the tool, as of `UntrackedThings`.
+    """
+
+    def __init__(self, node: CellNode, callback_group: CallbackGroup, objects: TrackedObjects, workspace: Sequence[float]) -> None:
+        x_min, x_max, y_min, y_max = workspace
+        self._objects, self._things, self._lock = objects, UntrackedThings((x_min, x_max, y_min, y_max)), threading.Lock()
         node.create_subscription(OccupancyGrid, TOPIC, self._on_grid, LATCHED, callback_group=callback_group)
 
     def beside(self, object_id: str) -> list[Obstacle]:
