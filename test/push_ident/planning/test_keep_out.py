@@ -69,8 +69,8 @@ def test_risk_is_that_of_a_normal_distribution_and_counts_models_that_enter() ->
     assert risk_of(np.full((9, 1), 0.001), inside)[0] < 1e-6 and risk_of(np.full((9, 1), -0.006), inside)[0] > 0.99
 
 
-def way_to(goal: Float64Array, outlines: list[Float64Array], spread: float = 0.0) -> WayRound | None:
-    return WayRound.to(Goal(goal), KeepOut(SQUARE, outlines, SETTINGS), SQUARE, SETTINGS, spread, 0.1)
+def way_to(goal: Float64Array, outlines: list[Float64Array], room: float = 0.0) -> WayRound | None:
+    return WayRound.to(Goal(goal), KeepOut(SQUARE, outlines, SETTINGS), SQUARE, SETTINGS, room)
 
 
 def test_way_round_a_wall_is_longer_by_what_the_wall_sticks_out() -> None:
@@ -99,10 +99,10 @@ def test_no_way_leads_out_of_a_ring_or_onto_an_obstacle() -> None:
     assert way_to(np.zeros(3), [block(-0.15, -0.15, 0.15, 0.15)]) is None
 
 
-def test_narrow_gap_is_a_longer_way_where_pushes_are_uncertain() -> None:
-    """Straight through a gap of 9 cm, 15 mm on either side, or round: it is passed in short pushes where ends are uncertain."""
+def test_narrow_gap_is_a_longer_way_where_pushes_need_more_room() -> None:
+    """Straight through a gap of 9 cm, 15 mm on either side, or round: it is passed in short pushes where usual ones need more room."""
     walls = [block(-0.02, 0.045, 0.02, 0.2), block(-0.02, -0.2, 0.02, -0.045)]
     goal, start = np.array([0.2, 0.0, 0.0]), np.array([-0.2, 0.0, 0.0])
-    certain, uncertain = way_to(goal, walls), way_to(goal, walls, spread=0.15)
-    assert certain is not None and uncertain is not None
-    assert certain.extra(start) < 0.01 < uncertain.extra(start)
+    free, narrow = way_to(goal, walls), way_to(goal, walls, room=0.03)
+    assert free is not None and narrow is not None
+    assert free.extra(start) < 0.01 < narrow.extra(start)

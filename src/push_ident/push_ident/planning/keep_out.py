@@ -115,12 +115,16 @@ def risk_of(least: Float64Array, now: Float64Array, std: float | Float64Array = 
     `now`: its distance before them [m], of a shape that fits; where it is nearer than its clearance, it may stay as near. `std`: deviation
     of the least distance beside that over the models [m], shape (...).
     """
-    room = least - np.minimum(now, 0.0)
-    finite = np.all(np.isfinite(room), axis=0)
-    safe = np.where(finite, room, 0.0)
-    spread = np.hypot(np.hypot(np.std(safe, axis=0), std), 0.5 * RESOLUTION)
+    finite = np.all(np.isfinite(least), axis=0)
+    # A push that leads away, or along, enters nothing, however near the object lies: only models that come nearer count.
+    nearer = np.where(np.isfinite(least), least < now - RESOLUTION, True)
+    room = np.where(nearer & np.isfinite(least), least - np.minimum(now, 0.0), 0.0)
+    n, of = np.sum(nearer, axis=0), np.maximum(np.sum(nearer, axis=0), 1)
+    mean = np.sum(room, axis=0) / of
+    deviation = np.sqrt(np.sum(np.where(nearer, room - mean, 0.0) ** 2, axis=0) / of)
+    spread = np.hypot(np.hypot(deviation, std), 0.5 * RESOLUTION)
     # Few models have no tail of their own: that of a normal distribution, or the models themselves where these are worse.
-    chance = np.maximum(ndtr(-np.mean(safe, axis=0) / spread), np.mean(safe < -RESOLUTION, axis=0))
+    chance = np.maximum(n / len(least) * ndtr(-mean / spread), np.mean(nearer & (room < -RESOLUTION), axis=0))
     return np.asarray(np.where(finite, chance, 1.0))
 
 
@@ -210,12 +214,11 @@ class WayRound:
     """Length of the way above that without obstacles [m], shape (n_x, n_y, n_headings + 1): the last heading is the first one again."""
 
     @classmethod
-    def to(cls, goal: Goal, keep_out: KeepOut, shape: ObjectShape, settings: PushSettings, spread: float, travel: float) -> WayRound | None:
+    def to(cls, goal: Goal, keep_out: KeepOut, shape: ObjectShape, settings: PushSettings, room: float) -> WayRound | None:
         """The ways to a goal; None where its surroundings are not connected with any other pose.
 
-        `spread`: standard deviation of the end of a push by its length [1]; `travel`: usual length of a push [m]. Where the gap is so
-        narrow that a push of that length would enter an obstacle with a chance above `RISK`, pushes are shorter, and the way counts by as
-        much more.
+        `room`: distance from obstacles in which pushes of usual length are possible [m]. Where there is less, they are shorter, and
+        the way counts by as much more.
         """
         x_min, x_max, y_min, y_max = settings.workspace
         step = max(_STEP, max(x_max - x_min, y_max - y_min) / _CELLS_ALONG)
@@ -231,7 +234,7 @@ class WayRound:
         at_goal = np.unravel_index(np.argmin(np.where(free, away, np.inf)), free.shape)
         if not free[at_goal] or away[at_goal] > 3.0 * step + turn * 2 * np.pi / _HEADINGS:
             return None
-        weight = np.maximum(1.0, travel * DEVIATIONS * spread / np.maximum(gaps, RESOLUTION))
+        weight = np.maximum(1.0, room / np.maximum(gaps, RESOLUTION))
         length = _lengths(free, weight, np.array([step, turn * 2 * np.pi / _HEADINGS]), np.ravel_multi_index(at_goal, free.shape))
         dx, dy, dyaw = np.moveaxis(np.abs(poses - poses[at_goal]), -1, 0)
         plain = np.maximum(dx, dy) + (np.sqrt(2.0) - 1.0) * np.minimum(dx, dy) + turn * np.abs(wrap_angle(dyaw))

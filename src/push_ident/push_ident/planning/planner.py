@@ -29,8 +29,10 @@ from typing import Final
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.special import ndtr
 
 from push_ident.errors import PlanningError
+from push_ident.geometry.distance_field import RESOLUTION
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush
 from push_ident.physics.scenario import PushScenario
@@ -38,7 +40,7 @@ from push_ident.physics.simulation import SimulationSettings
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import held_target
 from push_ident.planning.goal import CERTAIN, RISK, EdgeHold, Goal
-from push_ident.planning.keep_out import KeepOut, WayRound, risk_of
+from push_ident.planning.keep_out import DEVIATIONS, KeepOut, WayRound
 from push_ident.planning.library import Library, Strokes, Surroundings, is_possible, moved, path_of, placed, simulated, strokes
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import BoolArray, Float64Array, ObjectShape, SolveStatus
@@ -68,8 +70,9 @@ class PlannerOptions:
     """Pushes that a fall counts as: as many as are made for a goal at most."""
     frames: int = 8
     """Poses along a push at which the margin of an overhanging object is computed, and its distance from obstacles."""
-    groups: int = 4
-    """Groups of `judged` pushes beside obstacles, until one of them has a push that touches nothing."""
+    surer: tuple[float, ...] = (1.0, 0.1, 0.01, 1e-4)
+    """Largest chances of a touch, by the library, of the pushes that are judged, one after another until one is found that touches nothing
+    [`RISK`]."""
 
 
 _OPTIONS: Final = PlannerOptions()
@@ -167,7 +170,7 @@ class GoalPlanner:
         keep_out = KeepOut(self._shape, around.obstacles, self._settings) if obstacles else None
         task = _Task(belief, in_arm, covariance, goal, goal, around, keep_out, _FurtherPushes(library, goal, None))
         low, high = self._settings.distance_range
-        usable = self._clear(library, task) & (library.lengths >= low) & (library.lengths <= high)
+        usable = (self._touch_of_strokes(library, task) <= RISK) & (library.lengths >= low) & (library.lengths <= high)
         models = self._displaced_judges(in_arm, covariance)
         for index in np.random.default_rng(seed).permutation(np.flatnonzero(usable))[: _OPTIONS.screened]:
             number, k = divmod(int(index), len(library.lengths))
@@ -193,8 +196,8 @@ class GoalPlanner:
         keep_out = KeepOut(self._shape, around.obstacles, self._settings) if around.obstacles else None
         way = None
         if keep_out is not None:
-            spread, travel = library.spread_by_length, _OPTIONS.push_travel
-            way = WayRound.to(goal, keep_out, self._shape, self._settings, spread, travel)
+            room = _room_of(library, goal, _OPTIONS.push_travel)
+            way = WayRound.to(goal, keep_out, self._shape, self._settings, room)
             if way is None or not np.isfinite(way.extra(pose)):
                 return GoalPush(PlanStatus.BLOCKED, chance)
         wanted = Goal(compose(inverse(pose), goal.pose), goal.position, goal.yaw)
@@ -207,14 +210,19 @@ class GoalPlanner:
         return answer
 
     def _candidates(self, library: Library, task: _Task) -> Iterator[list[_Candidate]]:
-        """Feasible pushes in the order of their value, some at a time, and what refinement makes of them; at least one each time."""
+        """The best feasible pushes, and what refinement makes of them; then those among ever surer ones. At least one each time."""
+        touch = self._touch_of_strokes(library, task)
+        for limit in _OPTIONS.surer if task.keep_out is not None else (1.0,):
+            if candidates := self._best_feasible(library, task, touch <= limit * RISK):
+                yield candidates
+
+    def _best_feasible(self, library: Library, task: _Task, clear: BoolArray) -> list[_Candidate]:
         pose, around, strokes_of = task.pose, task.around, library.strokes
         risks = _EdgeRisk(around.hold, self._shape, library.centres, pose)
-        beside = replace(around, obstacles=())  # `_clear` has compared tool and object with them
+        beside = replace(around, obstacles=())  # tool and object have been compared with them
         candidates: list[_Candidate] = []
         motions: list[Float64Array] = []
-        n_groups = 0
-        for number, k in _ranked(library, task, self._clear(library, task)):
+        for number, k in _ranked(library, task, clear):
             plan = placed(strokes_of, number, pose, float(library.lengths[k]), self._settings.speed_range[0])
             motion = library.motion[0, number, k]
             every = library.motion[:, number, k]
@@ -222,12 +230,8 @@ class GoalPlanner:
                 candidates.append((strokes_of, number, float(library.lengths[k])))
                 motions.append(motion)
             if len(candidates) == _OPTIONS.judged:
-                yield self._with_refined(task, candidates, motions)
-                candidates, motions, n_groups = [], [], n_groups + 1
-            if n_groups == _OPTIONS.groups:
-                return
-        if candidates:
-            yield self._with_refined(task, candidates, motions)
+                break
+        return self._with_refined(task, candidates, motions)
 
     def _with_refined(self, task: _Task, candidates: list[_Candidate], motions: list[Float64Array]) -> list[_Candidate]:
         """Candidates, and those that may be the last push once more with its end at the goal."""
@@ -242,20 +246,23 @@ class GoalPlanner:
                     added.append((better.stroke, 0, better.length))
         return candidates + added
 
-    def _clear(self, library: Library, task: _Task) -> BoolArray:
-        """Which strokes and lengths of a library touch no obstacle, by its mean model and the spread of all, (n_strokes, n_lengths)."""
+    def _touch_of_strokes(self, library: Library, task: _Task) -> Float64Array:
+        """Chance that a stroke of a length brings the object onto an obstacle, by the mean model and the spread of all, 1 where the tool
+        touches one, shape (n_strokes, n_lengths)."""
         keep_out, strokes_of, pose = task.keep_out, library.strokes, task.pose
         if keep_out is None:
-            return np.ones(library.motion.shape[1:3], dtype=np.bool_)
+            return np.zeros(library.motion.shape[1:3])
         clearance, heading = self._settings.clearance, strokes_of.heading()
         along = np.concatenate([np.linspace(-clearance, 0.0, 1 + int(clearance / library.lengths[0])), library.lengths])
         tool = transform_points(pose, (strokes_of.tool[:, None] + along[:, None] * heading[:, None]).reshape(-1, 2))
         tool = tool.reshape(len(strokes_of), len(along), 2)
         clear = keep_out.is_tool_clear(tool[:, 0], tool)[:, -len(library.lengths) :]
-        least = np.minimum.accumulate(keep_out.gaps(compose(pose, library.motion[0])), axis=1)
-        variance = library.variance + np.diag(task.covariance)
+        gaps, now = keep_out.gaps(compose(pose, library.motion[0])), float(keep_out.gaps(pose))
+        variance = library.variance + np.where((gaps < now - RESOLUTION)[..., None], np.diag(task.covariance), 0.0)
         std = np.sqrt(np.max(variance[..., :2], axis=-1) + keep_out.lever**2 * variance[..., 2])
-        return np.asarray(clear & (risk_of(least[None], keep_out.gaps(pose), std) <= RISK))
+        # The error of the pose moves a push that leads away, or along, no nearer.
+        touch = ndtr(-(gaps - min(now, 0.0)) / np.hypot(std, 0.5 * RESOLUTION))
+        return np.where(clear, np.maximum.accumulate(touch, axis=1), 1.0)
 
     def _best(self, task: _Task, candidates: Sequence[_Candidate]) -> GoalPush:
         """The candidate after which the fewest pushes are expected, by more models and with the uncertainty of the pose."""
@@ -361,6 +368,16 @@ def _in_arm_frame(
     turn[:2, :2] = rotation(float(arm_from_camera[2]))
     goal_in_arm = Goal(compose(arm_from_camera, goal.pose), goal.position, goal.yaw)
     return compose(arm_from_camera, pose), turn @ covariance @ turn.T, goal_in_arm
+
+
+def _room_of(library: Library, goal: Goal, travel: float) -> float:
+    """Distance from obstacles in which pushes of a usual length are possible [m]: how far the best push of a library ends from a way that
+    leads straight on, the median over directions, and what is uncertain of its end with the chance `RISK`."""
+    flat = library.motion[0].reshape(-1, 3)
+    angle = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+    ahead = travel * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
+    distance, _ = KDTree(flat[np.all(np.isfinite(flat), axis=1)] / goal.tolerance).query(ahead / goal.tolerance)
+    return goal.position * float(np.median(distance)) + DEVIATIONS * library.spread_by_length * travel
 
 
 def _ranked(library: Library, task: _Task, clear: BoolArray) -> list[tuple[int, int]]:
