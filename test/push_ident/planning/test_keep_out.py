@@ -83,6 +83,8 @@ def test_way_round_a_wall_is_longer_by_what_the_wall_sticks_out() -> None:
     assert extra[0] == pytest.approx(2 * 0.13 * (np.sqrt(2.0) - 1.0), abs=0.03)
     assert extra[1] == 0.0 and extra[2] < 0.05
     assert np.all(np.isinf(way.extra(np.array([[np.nan, 0.0, 0.0]]))))
+    # A small turn beyond the first heading of the grid is no long way round.
+    assert way.extra(np.array([0.1, 0.0, -0.4])) == pytest.approx(0.0, abs=1e-6)
     # One heading is as good as the same one a turn later.
     turned = way.extra(np.array([[-0.2, 0.0, 0.3], [-0.2, 0.0, 0.3 + 2 * np.pi], [-0.2, 0.0, 0.3 - 2 * np.pi]]))
     np.testing.assert_allclose(turned, turned[0], atol=1e-6)

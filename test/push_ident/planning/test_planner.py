@@ -146,6 +146,25 @@ def test_object_is_pushed_around_a_block_in_its_way() -> None:
     assert np.max(np.abs([way[1] for way in ways])) > 0.05
 
 
+def test_object_is_brought_out_of_a_pocket_whose_bottom_is_before_the_goal() -> None:
+    """The next push alone seems best against the bottom: only the way round leads back first."""
+    around = np.linspace(0.0, 2 * np.pi, 17)[:-1]
+    disc = uniform(square(5, 0.012), 0.5, 0.3)
+    disc = replace(disc, shape=ObjectShape(disc.shape.cells, 0.034 * np.column_stack([np.cos(around), np.sin(around)])))
+    planner, goal = GoalPlanner(disc.shape, SETTINGS), Goal(np.array([0.2, 0.0, 0.0]), 0.01, np.pi)
+    pocket = [block(0.05, -0.16, 0.07, 0.16), block(-0.13, 0.14, 0.05, 0.16), block(-0.13, -0.16, 0.05, -0.14)]
+    pose, ways = np.array([-0.02, 0.0, 0.0]), []
+    for _ in range(10):
+        plan = planner.plan(Belief.certain(disc), pose, SURE, goal, obstacles=pocket)
+        if plan.plan is None:
+            break
+        pose = after(disc, pose, plan.plan)
+        ways.append(pose)
+        assert all(distance_between(transform_points(pose, disc.shape.outline), wall) > 0.0 for wall in pocket)
+    assert plan.status is PlanStatus.ARRIVED and len(ways) <= 9
+    assert min(way[0] for way in ways) < -0.1, "back out of it first"
+
+
 def test_no_push_that_a_model_of_the_belief_leads_onto_an_obstacle_is_proposed() -> None:
     """What is known little needs more room: pushes beside a wall, simulated under models that the planner did not draw."""
     belief = Belief.of(prior_posterior(MODEL.shape))
