@@ -64,6 +64,9 @@ def test_risk_is_that_of_a_normal_distribution_and_counts_models_that_enter() ->
     assert risk_of(one_enters, np.full((9, 1), 0.05))[0] >= 1.0 / 9.0
     one_enters[4] = -np.inf
     assert risk_of(one_enters, np.full((9, 1), 0.05))[0] == 1.0
+    # However near the object lies: a push that does not come nearer enters nothing.
+    near = 0.002 * np.abs(rng.normal(size=(33, 1)))
+    assert risk_of(near - 5e-4, near)[0] == 0.0 and risk_of(near - 4e-3, near)[0] > 0.3
     # What is within its clearance already may leave, and may not go further in.
     inside = np.full((9, 1), -0.003)
     assert risk_of(np.full((9, 1), 0.001), inside)[0] < 1e-6 and risk_of(np.full((9, 1), -0.006), inside)[0] > 0.99
