@@ -30,6 +30,7 @@ STEERED = right_goals()["execute_push"][1]
 GOALS = right_goals()["push_to_goal"]
 POSE, CELLS, OUTLINE = (RIGHT[f"objects/{OBJECT}/{name}"] for name in ("pose", "cells", "outline"))
 IMAGE, INFO = RIGHT["depth/image_rect"], RIGHT["depth/camera_info"]
+WORKSPACE = messages.occupancy_to_msg(np.zeros((3, 4), dtype=np.int8), 0.002, (-0.4, -0.4), POSE.header.stamp)
 GOAL_DEFAULTS = {parameter.name: parameter.default for parameter in PARAMETERS}
 LARGEST = LIMITS.COORDINATE.value
 
@@ -91,6 +92,7 @@ CONVERSIONS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any], bool]]] 
     "posterior": (RIGHT[f"objects/{OBJECT}/model"], posterior_from_msg, is_posterior),
     "table": (RIGHT["workspace/table"], table_from_msg, lambda table: finite(table.corners)),
     "edge": (RIGHT["workspace/edge"], edge_from_msg, lambda edge: near(edge.ends)),
+    "occupancy of the workspace": (WORKSPACE, messages.workspace_from_msg, lambda grid: grid.cells.size > 0 and near(grid.pose[:2])),
     "refusals": (RIGHT["workspace/refused"], refusals_from_msg, lambda found: all(near(line) for line, _ in found)),
     "goal markers": (RIGHT["push_to_goal/markers"], goal_markers_from_msg, lambda drawing: drawing is None or near(drawing.goal)),
     # Its numbers are checked where the push that it corrects is known.

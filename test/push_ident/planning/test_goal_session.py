@@ -18,6 +18,7 @@ from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import EdgeHold, Goal, GoalCode, GoalRefusedError, Target
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState, KnownModel, PushReport, SessionLimits, Wish
 from push_ident.planning.goal_session import GoalSession
+from push_ident.planning.keep_out import Obstacle
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathPush, PathStatus
 from push_ident.planning.path_session import PathSession
@@ -135,6 +136,8 @@ class Cell:
     """Of the table."""
     targets: list[Goal | Exception] = field(default_factory=list)
     """What is chosen at an edge, one after another; the last one again and again."""
+    in_the_way: list[Obstacle] = field(default_factory=list)
+    """What must not be touched."""
     failed: list[int] = field(default_factory=list)
     """Number of failed pushes passed to each plan."""
 
@@ -152,8 +155,11 @@ class Cell:
     def why_unseen(self, object_id: str) -> str:
         return f"no object `{object_id}`; known: o1."
 
-    def obstacles(self, object_id: str) -> list[Float64Array]:
-        return []
+    def obstacles(self, object_id: str) -> list[Obstacle]:
+        return self.in_the_way
+
+    def begin_random(self, model: KnownModel, seen: TrackedObject, obstacles: Any, seed: int) -> Computed:
+        return Computed(self, PushPlan2D(np.zeros(2), np.zeros(2), 0.0, 0.05, 0.1), self.time + 1.0)
 
     def model(self, object_id: str) -> KnownModel | None:
         stamp = self.learned[1] if self.learns and self.time >= self.learned[0] else 0.0
@@ -466,3 +472,35 @@ def test_path_that_cannot_be_followed_is_refused_before_anything_moves_and_a_can
     cell = PathCell(wants=lambda cell: Wish.HOLD if cell.time > 101.0 else Wish.GO_ON)
     outcome, _ = follow((0.12, PushCode.NONE), cell=cell)
     assert outcome.code is GoalCode.CANCELED and cell.pushes[0].cancelled_at is not None and cell.time < 103.0
+
+
+# --- obstacles
+
+
+def box_at(x: float, y: float) -> Obstacle:
+    return Obstacle("`o2`", np.array([[x - 0.02, y - 0.02], [x + 0.02, y - 0.02], [x + 0.02, y + 0.02], [x - 0.02, y + 0.02]]))
+
+
+def test_goal_on_an_obstacle_is_refused_by_its_name_before_anything_moves() -> None:
+    cell = Cell(in_the_way=[box_at(*GOAL.pose[:2])])
+    outcome, _ = run(cell)
+    assert outcome.code is GoalCode.UNREACHABLE and "would overlap `o2`" in outcome.text and not cell.asked
+    assert run(Cell(in_the_way=[box_at(-0.2, 0.2)]))[0].code is GoalCode.NONE
+    # Along a path, at any of its poses.
+    path = PathGoal(np.array([[-0.06, 0.0, 0.0], [0.06, 0.0, 0.0]]))
+    request = GoalRequest(object_id="", goal=path)
+    refused = PathSession(request, PathCell(in_the_way=[box_at(0.0, 0.0)])).run()
+    assert refused.code is GoalCode.UNREACHABLE and "`o2`" in refused.text
+
+
+@pytest.mark.parametrize("status", [PlanStatus.BLOCKED, PlanStatus.UNTOUCHED])
+def test_plan_without_a_way_names_what_is_in_it(status: PlanStatus) -> None:
+    outcome, _ = run(Cell(in_the_way=[box_at(-0.2, 0.2)], plans=[GoalPush(status, 0.0)]))
+    assert outcome.code is GoalCode.UNREACHABLE and status.value in outcome.text and "`o2`" in outcome.text
+
+
+def test_exploring_pushes_beside_obstacles_are_chosen_here_as_the_executor_keeps_only_the_tool_clear() -> None:
+    alone, beside = Cell(is_known=False), Cell(is_known=False, in_the_way=[box_at(-0.2, 0.2)])
+    for cell, kind in ((alone, int), (beside, PushPlan2D)):
+        run(cell, explore=1)
+        assert isinstance(cell.asked[0], kind)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.objects import square, uniform
-from push_ident.errors import InputError
+from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, transform_points
 from push_ident.identification.results.posterior import prior_posterior
@@ -19,7 +19,8 @@ from push_ident.physics.effect_values import EffectsLike
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.planning.belief import Belief
-from push_ident.planning.goal import Goal, GoalCode, GoalRefusedError
+from push_ident.planning.goal import RISK, Goal, GoalCode, GoalRefusedError
+from push_ident.planning.keep_out import distance_between
 from push_ident.planning.library import Library, path_of, strokes
 from push_ident.planning.path_goal import PathGoal, check_path, read_path
 from push_ident.planning.path_planner import PathPlanner, PathStatus
@@ -123,7 +124,7 @@ def test_goals_that_are_reached_pose_that_is_too_uncertain_and_walls_have_a_stat
     (x0, y0), (x1, y1) = MODEL.shape.outline.min(axis=0) - 0.012, MODEL.shape.outline.max(axis=0) + 0.012
     sides = ((x0 - 0.05, y0, x0, y1), (x1, y0, x1 + 0.05, y1), (x0 - 0.05, y0 - 0.05, x1 + 0.05, y0), (x0 - 0.05, y1, x1 + 0.05, y1 + 0.05))
     plan = PLANNER.plan(KNOWN, np.zeros(3), SURE, far, obstacles=[block(*side) for side in sides])
-    assert plan.status is PlanStatus.UNREACHABLE and plan.plan is None
+    assert plan.status is PlanStatus.BLOCKED and plan.plan is None
 
 
 def test_object_is_pushed_around_a_block_in_its_way() -> None:
@@ -143,6 +144,59 @@ def test_object_is_pushed_around_a_block_in_its_way() -> None:
         assert np.min(signed_distance(transform_points(pose, disc.shape.outline), wall)) > 0.0
     assert plan.status is PlanStatus.ARRIVED and 2 <= len(ways) <= 7
     assert np.max(np.abs([way[1] for way in ways])) > 0.05
+
+
+def test_object_is_brought_out_of_a_pocket_whose_bottom_is_before_the_goal() -> None:
+    """The next push alone seems best against the bottom: only the way round leads back first."""
+    around = np.linspace(0.0, 2 * np.pi, 17)[:-1]
+    disc = uniform(square(5, 0.012), 0.5, 0.3)
+    disc = replace(disc, shape=ObjectShape(disc.shape.cells, 0.034 * np.column_stack([np.cos(around), np.sin(around)])))
+    planner, goal = GoalPlanner(disc.shape, SETTINGS), Goal(np.array([0.2, 0.0, 0.0]), 0.01, np.pi)
+    pocket = [block(0.05, -0.16, 0.07, 0.16), block(-0.13, 0.14, 0.05, 0.16), block(-0.13, -0.16, 0.05, -0.14)]
+    pose, ways = np.array([-0.02, 0.0, 0.0]), []
+    for _ in range(10):
+        plan = planner.plan(Belief.certain(disc), pose, SURE, goal, obstacles=pocket)
+        if plan.plan is None:
+            break
+        pose = after(disc, pose, plan.plan)
+        ways.append(pose)
+        assert all(distance_between(transform_points(pose, disc.shape.outline), wall) > 0.0 for wall in pocket)
+    assert plan.status is PlanStatus.ARRIVED and len(ways) <= 9
+    assert min(way[0] for way in ways) < -0.1, "back out of it first"
+
+
+def test_no_push_that_a_model_of_the_belief_leads_onto_an_obstacle_is_proposed() -> None:
+    """What is known little needs more room: pushes beside a wall, simulated under models that the planner did not draw."""
+    belief = Belief.of(prior_posterior(MODEL.shape))
+    low, goal = float(MODEL.shape.outline[:, 1].min()), Goal(np.array([0.25, 0.0, 0.0]))
+    wall, touched, n = block(-0.1, low - 0.05, 0.4, low - 0.02), 0, 0
+    without, with_wall = (PLANNER.plan(belief, np.zeros(3), SURE, goal, outlines) for outlines in ((), [wall]))
+    for plan, is_checked in ((without, False), (with_wall, True)):
+        assert plan.plan is not None
+        path = path_of(plan.plan.tool_at_contact, plan.plan.heading, plan.plan.distance, plan.plan.speed, SETTINGS)
+        times = np.linspace(0.2, path.time[-1], 20)
+        poses = rollouts(MODEL.shape, belief.models(100, np.random.default_rng(9)), [BatchPush(path, np.zeros(3), times)], step=0.01)
+        gaps = [min(distance_between(transform_points(pose, MODEL.shape.outline), wall) for pose in ways) for ways in poses[:, 0]]
+        touched, n = touched + is_checked * sum(gap < 0.0 for gap in gaps), n + is_checked * len(gaps)
+        if not is_checked:
+            assert min(gaps) < 0.0, "the wall is in the way of what is planned without it"
+    assert n == 101 and touched <= 3  # 1 % are expected at most
+    assert with_wall.touch <= RISK and without.touch == 0.0
+
+
+def test_random_push_beside_an_obstacle_keeps_object_and_tool_clear_of_it() -> None:
+    wall = block(0.09, -0.2, 0.12, 0.2)
+    plans = [PLANNER.random_push(KNOWN, np.zeros(3), SURE, [wall], seed) for seed in range(6)]
+    assert len({round(plan.direction, 3) for plan in plans}) > 3
+    for plan in plans:
+        line = np.linspace(plan.tool_start(SETTINGS.clearance), plan.tool_end, 30)
+        assert np.min(signed_distance(line, wall)) > SETTINGS.pusher_radius - 1e-3
+        assert distance_between(transform_points(after(MODEL, np.zeros(3), plan), MODEL.shape.outline), wall) > 0.0
+        assert SETTINGS.distance_range[0] <= plan.distance <= SETTINGS.distance_range[1]
+    (x0, y0), (x1, y1) = MODEL.shape.outline.min(axis=0) - 0.012, MODEL.shape.outline.max(axis=0) + 0.012
+    ring = [block(x0 - 0.3, y0, x0, y1), block(x1, y0, x1 + 0.3, y1), block(x0, y0 - 0.3, x1, y0), block(x0, y1, x1, y1 + 0.3)]
+    with pytest.raises(PlanningError, match="make room"):
+        PLANNER.random_push(KNOWN, np.zeros(3), SURE, ring, 0)
 
 
 def test_goal_checks_its_numbers_and_its_chance_agrees_with_the_distribution() -> None:

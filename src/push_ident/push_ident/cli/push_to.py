@@ -13,6 +13,7 @@ from rich.markup import escape
 from push_ident.cli.checks import above_zero
 from push_ident.cli.goal_report import GoalReport, PathReport, broken_off, edge_message, goal_message, last_feedback, path_message, planar
 from push_ident.cli.output import JsonOption, OutOption, console, say, warn, write_json
+from push_ident.cli.push_several import SeveralReport, parse_goals, push_several
 from push_ident.cli.units import in_unit, parse_floats
 from push_ident.errors import InputError
 from push_ident.extras import need_ros
@@ -111,6 +112,15 @@ MaxPushesOption = Annotated[
     typer.Option("--max-pushes", min=1, help="Most pushes for a goal, exploring ones included.", show_default="15; along a path 60"),
 ]
 TimeLimitOption = Annotated[float, typer.Option("--time-limit", min=1.0, callback=above_zero, help="Longest time for a goal [s].")]
+GoalsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--goal",
+        metavar="ID:X,Y,YAW",
+        help="Goal of one of several objects, once for each: they are pushed one after another [m, rad, or with units].",
+        show_default=False,
+    ),
+]
 ObjectOption = Annotated[str, typer.Option("--object", metavar="ID", help="The object. Default: the only one.", show_default=False)]
 
 
@@ -161,6 +171,15 @@ def parse_edge(text: str) -> Float64Array:
     return points
 
 
+def _one_form(both: str | None, mm: float | None, deg: float | None) -> tuple[float | None, float | None]:
+    """Tolerances [mm] and [degrees], given in one text or in two numbers. Raises InputError where both forms are given."""
+    if both is None:
+        return mm, deg
+    if mm is not None or deg is not None:
+        raise InputError("--tolerance was given beside --tolerance-mm or --tolerance-deg; give one of both forms.")
+    return parse_tolerance(both)
+
+
 def push_to_goal(client: CellClient, report: GoalReport, show: Callable[[str], None]) -> None:
     """Push an object to the goal of a report, with one line a push; `show` gets what is under way.
 
@@ -209,24 +228,27 @@ def push_to_command(
     max_pushes: MaxPushesOption = None,
     time_limit: TimeLimitOption = 300.0,
     object_id: ObjectOption = "",
+    goal: GoalsOption = None,
     out: OutOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Push an object of a live cell to a goal pose, along a path, or out over an edge; exit status 0 only where it was reached.
+    """Push objects of a live cell to a pose, along a path, or out over an edge; exit status 0 only where all was reached.
 
     Ctrl-C holds the arm; results are written all the same.
     """
     for_edge = {"--edge-line": edge_line, "--overhang-mm": overhang_mm, "--held-mm": held_mm}
     _check_edge_options(edge, for_edge, {"--x": x, "--y": y, "--path": path})
     line = None if edge_line is None else parse_edge(edge_line)
-    if tolerance is not None:
-        if tolerance_mm is not None or tolerance_deg is not None:
-            raise InputError("--tolerance was given beside --tolerance-mm or --tolerance-deg; give one of both forms.")
-        tolerance_mm, tolerance_deg = parse_tolerance(tolerance)
+    tolerance_mm, tolerance_deg = _one_form(tolerance, tolerance_mm, tolerance_deg)
+    if goal:
+        others = {"--x": x, "--y": y, "--yaw": yaw, "--path": path, "--edge": edge or None, "--object": object_id or None}
+        limits: dict[str, Any] = {"time_limit": time_limit, "max_pushes": max_pushes or 15, "explore": explore}
+        _push_several(goal, others, (tolerance_mm or 20.0, tolerance_deg or 5.73), limits, (out, json))
+        return
     poses = np.full((1, 3), np.nan) if edge else goals_of(x, y, yaw, path, spacing_mm)
     need_ros()
     follows = path is not None and spacing_mm is None
-    limits: dict[str, Any] = {"object_id": object_id, "time_limit": time_limit}
+    limits = {"object_id": object_id, "time_limit": time_limit}
     limits |= {"tolerance_mm": tolerance_mm or (3.0 if follows else 20.0), "max_pushes": max_pushes or (60 if follows else 15)}
     if edge:
         limits |= {"tolerance_deg": tolerance_deg or 15.0, "overhang_mm": overhang_mm or 40.0, "held_mm": held_mm or 10.0}
@@ -267,6 +289,40 @@ def _pursue(goals: Sequence[PushToGoal.Goal], reports: list[GoalReport]) -> None
             push_to_goal(client, reports[-1], show)
             if not reports[-1].is_reached:
                 break
+
+
+def _push_several(
+    texts: Sequence[str],
+    others: Mapping[str, object],
+    tolerance: tuple[float, float],
+    limits: Mapping[str, Any],
+    files: tuple[Path | None, Path | None],
+) -> None:
+    """Push several objects, and say how it ended; `files`: folder and JSON file of the result. Raises typer.Exit with status 1 where not
+    all are at their goals."""
+    from push_ident.nodes.client.cell_client import CellClient
+
+    if given := [name for name, value in others.items() if value is not None]:
+        raise InputError(f"--goal was given beside {', '.join(given)}; name each object with --goal.")
+    goals = parse_goals(texts)
+    need_ros()
+    report = SeveralReport(goals)
+    try:
+        with CellClient() as client, console.status("looking for the cell") as status:
+
+            def push(client: CellClient, of: GoalReport, prefix: str) -> None:
+                push_to_goal(client, of, lambda text: status.update(escape(prefix + text)))
+
+            push_several(client, report, goals, push, tolerance=tolerance, limits=limits)
+    finally:
+        out, json = files
+        for file in (json, None if out is None else out / "result.json"):
+            write_json(file, report.content())
+    content = report.content()
+    if report.why:
+        warn(f"push-ident: {content['n_reached']} of {content['n_objects']} objects are at their goals: {printable(report.why)}")
+        raise typer.Exit(1)
+    say(f"all {content['n_objects']} objects at their goals after {content['n_pushes']} pushes and {content['time_s']:.0f} s")
 
 
 def _write(content: dict[str, Any], out: Path | None, json: Path | None) -> None:

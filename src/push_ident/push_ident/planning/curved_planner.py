@@ -18,6 +18,8 @@ from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_ang
 from push_ident.physics.batch import ModelBatch
 from push_ident.planning.belief import Belief
 from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Horizon, PushStart, RolledPushes, face_of
+from push_ident.planning.goal import RISK
+from push_ident.planning.keep_out import KeepOut
 from push_ident.planning.library import Strokes, Surroundings, is_possible, placed, strokes
 from push_ident.planning.path_follower import FollowerOptions, ModelWeights, PathFollower, guesses_around
 from push_ident.planning.path_goal import PathGoal
@@ -123,6 +125,7 @@ class CurvedPathPlanner:
         if path.length - now < PATH_OPTIONS.least_progress:
             return CurvedPush(PathStatus.ARRIVED, now)
         around = Surroundings([transform_points(camera_in_arm, outline) for outline in obstacles], failed)
+        keep_out = KeepOut(self._shape, around.obstacles, self._settings) if around.obstacles else None
         numbers = _along(self._strokes, observed, path, now)
         if len(numbers) == 0:
             return CurvedPush(PathStatus.UNREACHABLE, now)
@@ -144,7 +147,11 @@ class CurvedPathPlanner:
             contact = placed(fine[order[k]], 0, observed, _OPTIONS.straight_length, path.speed)
             motion = compose(inverse(observed), judged.poses[0, k, 0, cut])
             tool = judged.tool[k, 0]
-            if is_possible(self._shape, self._settings, contact, observed, motion, around) and self._is_free(tool, around):
+            if (
+                is_possible(self._shape, self._settings, contact, observed, motion, around)
+                and self._is_free(tool, around)
+                and (keep_out is None or keep_out.risk(_with_start(observed, judged.poses[:, k, 0, : cut + 1])) <= RISK)
+            ):
                 expected = now + float(judged.progress[:, k, 0, cut].mean())
                 error = float(np.sqrt(np.mean(judged.error[0, k, 0, : cut + 1] ** 2)))
                 corridor = self._corridor(tool, path, now)
@@ -188,6 +195,11 @@ class CurvedPathPlanner:
         # An object far from its path is led back by a tool that goes further aside.
         excess = float(np.max(corridor.excess(tool)))
         return Corridor(corridor.line, self._half_width + excess + _OPTIONS.corridor_margin) if excess > 0.0 else corridor
+
+
+def _with_start(start: Float64Array, poses: Float64Array) -> Float64Array:
+    """Poses under models, shape (n_models, n, 3), after one that all begin with, shape (3,)."""
+    return np.concatenate([np.broadcast_to(start, (len(poses), 1, 3)), poses], axis=1)
 
 
 def _along(contacts: Strokes, observed: Float64Array, path: PathGoal, now: float) -> np.ndarray:

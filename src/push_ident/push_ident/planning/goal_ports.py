@@ -14,6 +14,7 @@ from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal, GoalCode, Target
+from push_ident.planning.keep_out import Obstacle
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush
@@ -153,8 +154,8 @@ class GoalPorts(Protocol):
     def why_unseen(self, object_id: str) -> str:
         """One line: why `observe` gives nothing."""
 
-    def obstacles(self, object_id: str) -> list[Float64Array]:
-        """Outlines of the other objects, table frame [m], each of shape (n_vertices, 2)."""
+    def obstacles(self, object_id: str) -> list[Obstacle]:
+        """What must not be touched: the other objects, and what is on the table beside the tracked ones."""
 
     def model(self, object_id: str) -> KnownModel | None:
         """Model of an object from identification; None before the first message."""
@@ -176,7 +177,10 @@ class GoalPorts(Protocol):
     def begin_plan(
         self, model: KnownModel, observed: TrackedObject, target: Target, obstacles: list[Float64Array], failed: list[PushPlan2D]
     ) -> UnderWay[GoalPush]:
-        """Begin to plan; returns at once."""
+        """Begin to plan beside outlines, table frame, each of shape (n_vertices, 2); returns at once."""
+
+    def begin_random(self, model: KnownModel, observed: TrackedObject, obstacles: list[Float64Array], seed: int) -> UnderWay[PushPlan2D]:
+        """Begin to choose a random push beside outlines, which may raise PlanningError; returns at once."""
 
     def begin_push(self, object_id: str, push: PushPlan2D | int) -> PushUnderWay:
         """Request a push, or a random one of a seed; returns at once."""

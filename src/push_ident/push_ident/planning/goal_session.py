@@ -30,6 +30,7 @@ from push_ident.planning.goal_ports import (
     UnderWay,
     Wish,
 )
+from push_ident.planning.keep_out import overlapping
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.planner import GoalPush, PlanStatus
 from push_ident.pushing.ports import TrackedObject
@@ -143,7 +144,20 @@ class GoalSession:
                     f"at the goal `{observed.object_id}` would reach {1e3 * at_goal:.0f} mm out of the workspace {settings.workspace} m; "
                     "choose a goal further inside.",
                 )
+            self._check_clear(observed, goal.pose)
         self._check_known(observed)
+
+    def _check_clear(self, observed: TrackedObject, poses: Float64Array) -> None:
+        """End where the object would enter an obstacle at one of some poses, shape (..., 3)."""
+        if entered := overlapping(observed.shape.outline, poses, self._ports.obstacles(observed.object_id)):
+            raise Ended(
+                GoalCode.UNREACHABLE,
+                f"at the goal `{observed.object_id}` would overlap {', '.join(entered)}; move that away, or choose another goal.",
+            )
+
+    def _outlines(self, observed: TrackedObject) -> list[Float64Array]:
+        """Of what must not be touched, table frame [m], each of shape (n, 2)."""
+        return [one.outline for one in self._ports.obstacles(observed.object_id)]
 
     def _check_known(self, observed: TrackedObject) -> None:
         model = self._ports.model(observed.object_id)
@@ -185,7 +199,7 @@ class GoalSession:
             self.progress.plan = None
             self._enter(GoalState.EXPLORE)
             try:
-                report = self._carry_out(self._ports.begin_push(observed.object_id, self._choice.random_push(observed, seed)))
+                report = self._carry_out(self._ports.begin_push(observed.object_id, self._random_push(observed, seed)))
             except PlanningError as error:
                 report = PushReport(PushCode.UNREACHABLE, str(error))
             seed += 1
@@ -195,6 +209,19 @@ class GoalSession:
             if self._is_there(observed):
                 break
         return observed
+
+    def _random_push(self, observed: TrackedObject, seed: int) -> PushPlan2D | int:
+        """An exploring push. Beside obstacles it is chosen here: of those the executor keeps the tool clear, but not the object.
+
+        Raises:
+            PlanningError: none is possible.
+        """
+        outlines = self._outlines(observed)
+        if self._choice.is_at_edge or not outlines:
+            return self._choice.random_push(observed, seed)
+        push = self._wait(self._ports.begin_random(self._model(observed), observed, outlines, seed).result)
+        assert push is not None, "without a timeout"
+        return push
 
     def _settle(self, model: KnownModel, observed: TrackedObject) -> None:
         """Choose the target, or judge it anew with a newer model."""
@@ -226,7 +253,7 @@ class GoalSession:
         def plan() -> GoalPush:
             self._settle(model, observed)
             assert self._choice.target is not None, "settled"
-            obstacles = self._ports.obstacles(observed.object_id)
+            obstacles = self._outlines(observed)
             return self._computed(self._ports.begin_plan(model, observed, self._choice.target, obstacles, list(self._failed)), observed)
 
         plan_made = plan()
@@ -240,6 +267,9 @@ class GoalSession:
         """A plan with a push, or with the object at the goal; ends with the reason otherwise."""
         if plan.status is PlanStatus.UNHELD:
             raise Ended(GoalCode.NOT_HELD, f"{plan.status.value} (the least chance is {100 * plan.risk:.1f} %).")
+        if plan.status is PlanStatus.BLOCKED or plan.status is PlanStatus.UNTOUCHED:
+            names = ", ".join(one.name for one in self._ports.obstacles(observed.object_id))
+            raise Ended(GoalCode.UNREACHABLE, f"{plan.status.value} (they are {names}).")
         if plan.status is PlanStatus.UNREACHABLE:
             tried = f", beside {len(self._failed)} that failed" if self._failed else ""
             risky = "; at the edge, each may risk its fall as well" if self._choice.is_at_edge else ""
@@ -558,7 +588,8 @@ class TargetChoice:
         settings = self._ports.push_settings()
         if not self.is_at_edge or settings is None:
             return seed
-        return push_on_table(observed.shape, observed.pose, seed, settings, self.edges(), self._ports.obstacles(observed.object_id))
+        outlines = [one.outline for one in self._ports.obstacles(observed.object_id)]
+        return push_on_table(observed.shape, observed.pose, seed, settings, self.edges(), outlines)
 
     def is_off_table(self, outline: Float64Array, pose: Float64Array) -> bool:
         """Whether all of an outline, shape (n, 2), object frame, lies beyond the edge of the target at a pose, shape (3,)."""

@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 
 from push_ident.errors import PlanningError
-from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush, rollouts
 from push_ident.physics.body import BodyParameters
@@ -25,6 +24,7 @@ from push_ident.physics.effects import CAUSES
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.planning.goal import EdgeHold
+from push_ident.planning.keep_out import compile_keep_out, distance_between
 from push_ident.pushing.push import PushPlan2D, PushSettings
 from push_ident.pushing.sampling import check_push
 from push_ident.types import CellGrid, Float64Array, ObjectShape, PusherPath
@@ -144,6 +144,11 @@ class Library:
         deviation = np.where(known, motion - np.sum(filled, axis=0) / n, 0.0)
         return cls(contacts, lengths, motion, np.sum(deviation**2, axis=0) / n, centres, first)
 
+    @property
+    def spread_by_length(self) -> float:
+        """Standard deviation of the ends over the models, along the worse axis, by the length of the push: the median [1]."""
+        return float(np.median(np.sqrt(np.max(self.variance[..., :2], axis=-1)) / self.lengths))
+
     def holds_at(self, belief: Belief, pose: Float64Array) -> bool:
         """Whether it holds for an object at a pose, table frame of the arm, shape (3,)."""
         if not belief.depends_on_pose:
@@ -231,6 +236,7 @@ def compile_planning() -> None:
         for edge in (None, TableEdge(np.array([1.0, 0.0]), 1.0)):
             model = BatchModel(body, 0.3, weight=np.ones(1), effects=effects)
             rollouts(shape, [model], pushes, step=0.01, n_threads=1, edge=edge)
+    compile_keep_out()
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +244,7 @@ class Surroundings:
     """Constraints of a push other than the workspace."""
 
     obstacles: Sequence[Float64Array] = ()
-    """Outlines of other objects, table frame [m], each of shape (n_vertices, 2)."""
+    """Outlines that must not be touched, with their clearance, table frame [m], each of shape (n_vertices, 2)."""
     failed: Sequence[PushPlan2D] = ()
     """Pushes from this pose that did not move the object, or could not be made."""
     hold: EdgeHold | None = None
@@ -268,15 +274,10 @@ def is_possible(
     before, after = (p if around.hold is None else p[around.hold.edge.beyond(p) <= 0.0] for p in (outline, later[-1]))
     if settings.excess(after) > settings.excess(before):
         return False
-    if any(_gap(one, other) < settings.lowering_gap for one in later for other in around.obstacles):
+    if any(distance_between(one, other) < min(distance_between(outline, other), 0.0) for other in around.obstacles for one in later):
         return False
     try:
         check_push(plan, outline, settings, around.obstacles)
     except PlanningError:
         return False
     return True
-
-
-def _gap(outline: Float64Array, other: Float64Array) -> float:
-    """Least distance of a vertex of either outline from the other [m]; negative inside."""
-    return float(min(np.min(signed_distance(outline, other)), np.min(signed_distance(other, outline))))

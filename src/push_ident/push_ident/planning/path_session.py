@@ -45,6 +45,8 @@ class PathSession(GoalSession):
             check_path(self._path, observed.shape, self._settings())
         except GoalRefusedError as error:
             raise Ended(error.code, str(error)) from None
+        spacing = PATH_OPTIONS.least_progress
+        self._check_clear(observed, self._path.at(np.append(np.arange(0.0, self._path.length, spacing), self._path.length)))
 
     def _is_there(self, observed: TrackedObject) -> bool:
         at_end = self._arrived or self._path.length - self._done < PATH_OPTIONS.least_progress
@@ -74,7 +76,7 @@ class PathSession(GoalSession):
         self._check_pushes()
         model = self._model(observed)
         self._enter(GoalState.PLAN)
-        obstacles = self._ports.obstacles(observed.object_id)
+        obstacles = self._outlines(observed)
         work = self._path_ports.begin_step(model, observed, self._path, self._done, obstacles, list(self._failed), steers=self._steers)
         step = self._computed(work, observed)
         if step.status is PathStatus.UNREACHABLE:

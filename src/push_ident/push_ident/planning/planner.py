@@ -22,24 +22,28 @@ fallen there are left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.special import ndtr
 
+from push_ident.errors import PlanningError
+from push_ident.geometry.distance_field import RESOLUTION
 from push_ident.geometry.se2 import compose, inverse, rotation, transform_points, wrap_angle
 from push_ident.physics.batch import BatchModel, BatchPush
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import held_target
-from push_ident.planning.goal import CERTAIN, EdgeHold, Goal
+from push_ident.planning.goal import CERTAIN, RISK, EdgeHold, Goal
+from push_ident.planning.keep_out import DEVIATIONS, KeepOut, WayRound
 from push_ident.planning.library import Library, Strokes, Surroundings, is_possible, moved, path_of, placed, simulated, strokes
-from push_ident.pushing.push import PushPlan2D, PushSettings
-from push_ident.types import Float64Array, ObjectShape, SolveStatus
+from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
+from push_ident.types import BoolArray, Float64Array, ObjectShape, SolveStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +69,10 @@ class PlannerOptions:
     fall_cost: float = 20.0
     """Pushes that a fall counts as: as many as are made for a goal at most."""
     frames: int = 8
-    """Poses along a push at which the margin of an overhanging object is computed."""
+    """Poses along a push at which the margin of an overhanging object is computed, and its distance from obstacles."""
+    surer: tuple[float, ...] = (1.0, 0.1, 0.01, 1e-4)
+    """Largest chances of a touch, by the library, of the pushes that are judged, one after another until one is found that touches nothing
+    [`RISK`]."""
 
 
 _OPTIONS: Final = PlannerOptions()
@@ -80,6 +87,11 @@ class PlanStatus(Enum):
     UNHELD = (
         "with what is known, each push might bring the centre of mass too near to the border of its support: push the object a few times "
         "more on the table, or allow less overhang"
+    )
+    BLOCKED = "no way leads to the goal between the things that must not be touched: move them away, or choose another goal"
+    UNTOUCHED = (
+        "each push might bring object or tool onto something that must not be touched: move it away, or push the object a few times more, "
+        "so that it is known better"
     )
     UNREACHABLE = "no push within the workspace brings the object nearer: move it to the middle, or choose a nearer goal"
 
@@ -98,6 +110,8 @@ class GoalPush:
     """Poses after it under models that may be true, shape (n_models, 3), table frame."""
     risk: float = 0.0
     """Chance that the object is not held by the margin during the push [1]; 0 away from edges."""
+    touch: float = 0.0
+    """Chance that it enters the outline of an obstacle during the push [1]; 0 without any."""
 
 
 class GoalPlanner:
@@ -130,8 +144,9 @@ class GoalPlanner:
     ) -> GoalPush:
         """The next push of an object at a pose in the table frame, shape (3,), of a covariance, shape (3, 3).
 
-        `obstacles`: outlines of other objects, table frame [m], each of shape (n_vertices, 2); `failed`: pushes from this pose that did not
-        move the object, or could not be made; `hold`: an edge of the table near the goal, and by how much the object must be held there.
+        `obstacles`: outlines that must not be touched, with their clearance, table frame [m], each of shape (n_vertices, 2); `failed`:
+        pushes from this pose that did not move the object, or could not be made; `hold`: an edge of the table near the goal, and by how
+        much the object must be held there.
         """
         hold_in_arm = None if hold is None else hold.in_frame(belief.camera)
         in_arm = _in_arm_frame(belief.camera, pose, covariance, goal)
@@ -140,6 +155,33 @@ class GoalPlanner:
         if push.plan is None:
             return push
         return replace(push, end=compose(belief.camera, push.end), ends=compose(belief.camera, push.ends))
+
+    def random_push(
+        self, belief: Belief, pose: Float64Array, covariance: Float64Array, obstacles: Sequence[Float64Array], seed: int
+    ) -> PushPlan2D:
+        """A random push by which neither tool nor object touches an obstacle, with the lengths of random pushes; arguments as of `plan`.
+
+        Raises:
+            PlanningError: UNREACHABLE where there is none.
+        """
+        in_arm, covariance, goal = _in_arm_frame(belief.camera, pose, covariance, Goal(pose))
+        around = Surroundings([transform_points(inverse(belief.camera), outline) for outline in obstacles])
+        library = self._library_of(belief, in_arm)
+        keep_out = KeepOut(self._shape, around.obstacles, self._settings) if obstacles else None
+        task = _Task(belief, in_arm, covariance, goal, goal, around, keep_out, _FurtherPushes(library, goal, None))
+        low, high = self._settings.distance_range
+        usable = (self._touch_of_strokes(library, task) <= RISK) & (library.lengths >= low) & (library.lengths <= high)
+        models = self._displaced_judges(in_arm, covariance)
+        for index in np.random.default_rng(seed).permutation(np.flatnonzero(usable))[: _OPTIONS.screened]:
+            number, k = divmod(int(index), len(library.lengths))
+            plan = placed(library.strokes, number, in_arm, float(library.lengths[k]), self._settings.speed_range[0])
+            if not is_possible(self._shape, self._settings, plan, in_arm, library.motion[0, number, k], around):
+                continue
+            if task.touch(self._poses(task, models, [(library.strokes.picked(number), plan.distance)]))[0] <= RISK:
+                return plan
+        raise PlanningError(
+            PushCode.UNREACHABLE, "no random push keeps object and tool clear of what must not be touched; make room for it."
+        )
 
     def _plan(self, belief: Belief, pose: Float64Array, covariance: Float64Array, goal: Goal, around: Surroundings) -> GoalPush:
         """As `plan`, all of it in the table frame of the arm."""
@@ -151,61 +193,104 @@ class GoalPlanner:
         if len(self._strokes) == 0:
             return GoalPush(PlanStatus.UNREACHABLE, chance)
         library = self._library_of(belief, pose)
+        keep_out = KeepOut(self._shape, around.obstacles, self._settings) if around.obstacles else None
+        way = None
+        if keep_out is not None:
+            room = _room_of(library, goal, _OPTIONS.push_travel)
+            way = WayRound.to(goal, keep_out, self._shape, self._settings, room)
+            if way is None or not np.isfinite(way.extra(pose)):
+                return GoalPush(PlanStatus.BLOCKED, chance)
         wanted = Goal(compose(inverse(pose), goal.pose), goal.position, goal.yaw)
-        further = _FurtherPushes(library, goal)
-        ranked = _ranked(library, further, wanted)
-        strokes_of = library.strokes
+        task = _Task(belief, pose, covariance, goal, wanted, around, keep_out, _FurtherPushes(library, goal, way))
+        answer = GoalPush(PlanStatus.UNREACHABLE, chance)
+        for candidates in self._candidates(library, task):
+            answer = self._best(task, candidates)
+            if answer.plan is not None or keep_out is None:
+                break
+        return answer
+
+    def _candidates(self, library: Library, task: _Task) -> Iterator[list[_Candidate]]:
+        """The best feasible pushes, and what refinement makes of them; then those among ever surer ones. At least one each time."""
+        touch = self._touch_of_strokes(library, task)
+        for limit in _OPTIONS.surer if task.keep_out is not None else (1.0,):
+            if candidates := self._best_feasible(library, task, touch <= limit * RISK):
+                yield candidates
+
+    def _best_feasible(self, library: Library, task: _Task, clear: BoolArray) -> list[_Candidate]:
+        pose, around, strokes_of = task.pose, task.around, library.strokes
         risks = _EdgeRisk(around.hold, self._shape, library.centres, pose)
-        candidates: list[tuple[Strokes, int, float]] = []
+        beside = replace(around, obstacles=())  # tool and object have been compared with them
+        candidates: list[_Candidate] = []
         motions: list[Float64Array] = []
-        for number, k in ranked:
+        for number, k in _ranked(library, task, clear):
             plan = placed(strokes_of, number, pose, float(library.lengths[k]), self._settings.speed_range[0])
             motion = library.motion[0, number, k]
             every = library.motion[:, number, k]
-            if is_possible(self._shape, self._settings, plan, pose, motion, around) and risks.allows(every, around.n_poses):
+            if is_possible(self._shape, self._settings, plan, pose, motion, beside) and risks.allows(every, around.n_poses):
                 candidates.append((strokes_of, number, float(library.lengths[k])))
                 motions.append(motion)
             if len(candidates) == _OPTIONS.judged:
                 break
-        if not candidates:
-            return GoalPush(PlanStatus.UNREACHABLE, chance)
-        for (_, number, length), motion in zip(list(candidates), motions, strict=True):
-            if wanted.relative_error(motion) > _OPTIONS.near:
-                continue
-            better = refine(belief, strokes_of.picked(number), length, wanted, self._settings, pose)
-            if better is not None:
-                plan = placed(better.stroke, 0, pose, better.length, self._settings.speed_range[0])
-                if is_possible(self._shape, self._settings, plan, pose, better.motion, around):
-                    candidates.append((better.stroke, 0, better.length))
-        return self._best(belief, further, candidates, pose, covariance, goal, around.hold)
+        return self._with_refined(task, candidates, motions)
 
-    def _best(
-        self,
-        belief: Belief,
-        further: _FurtherPushes,
-        candidates: Sequence[tuple[Strokes, int, float]],
-        pose: Float64Array,
-        covariance: Float64Array,
-        goal: Goal,
-        hold: EdgeHold | None,
-    ) -> GoalPush:
+    def _with_refined(self, task: _Task, candidates: list[_Candidate], motions: list[Float64Array]) -> list[_Candidate]:
+        """Candidates, and those that may be the last push once more with its end at the goal."""
+        added: list[_Candidate] = []
+        for (group, number, length), motion in zip(candidates, motions, strict=True):
+            if task.wanted.relative_error(motion) > _OPTIONS.near:
+                continue
+            better = refine(task.belief, group.picked(number), length, task.wanted, self._settings, task.pose)
+            if better is not None:
+                plan = placed(better.stroke, 0, task.pose, better.length, self._settings.speed_range[0])
+                if is_possible(self._shape, self._settings, plan, task.pose, better.motion, task.around):
+                    added.append((better.stroke, 0, better.length))
+        return candidates + added
+
+    def _touch_of_strokes(self, library: Library, task: _Task) -> Float64Array:
+        """Chance that a stroke of a length brings the object onto an obstacle, by the mean model and the spread of all, 1 where the tool
+        touches one, shape (n_strokes, n_lengths)."""
+        keep_out, strokes_of, pose = task.keep_out, library.strokes, task.pose
+        if keep_out is None:
+            return np.zeros(library.motion.shape[1:3])
+        clearance, heading = self._settings.clearance, strokes_of.heading()
+        along = np.concatenate([np.linspace(-clearance, 0.0, 1 + int(clearance / library.lengths[0])), library.lengths])
+        tool = transform_points(pose, (strokes_of.tool[:, None] + along[:, None] * heading[:, None]).reshape(-1, 2))
+        tool = tool.reshape(len(strokes_of), len(along), 2)
+        clear = keep_out.is_tool_clear(tool[:, 0], tool)[:, -len(library.lengths) :]
+        gaps, now = keep_out.gaps(compose(pose, library.motion[0])), float(keep_out.gaps(pose))
+        variance = library.variance + np.where((gaps < now - RESOLUTION)[..., None], np.diag(task.covariance), 0.0)
+        std = np.sqrt(np.max(variance[..., :2], axis=-1) + keep_out.lever**2 * variance[..., 2])
+        # The error of the pose moves a push that leads away, or along, no nearer.
+        touch = ndtr(-(gaps - min(now, 0.0)) / np.hypot(std, 0.5 * RESOLUTION))
+        return np.where(clear, np.maximum.accumulate(touch, axis=1), 1.0)
+
+    def _best(self, task: _Task, candidates: Sequence[_Candidate]) -> GoalPush:
         """The candidate after which the fewest pushes are expected, by more models and with the uncertainty of the pose."""
-        models = self._displaced_judges(pose, covariance)
+        pose, goal, hold = task.pose, task.goal, task.around.hold
+        models = self._displaced_judges(pose, task.covariance)
         pushes = [(group.picked(number), length) for group, number, length in candidates]
+        chance = goal.chance(pose, task.covariance)
         if hold is None:
             # A few models choose the pushes that all of them judge.
-            ends, _ = self._ends(belief, models[: 1 + _OPTIONS.n_models], pushes, pose, hold)
-            most = np.argsort(np.nan_to_num(_value(further, ends, goal), nan=np.inf))[: _OPTIONS.finalists]
+            poses = self._poses(task, models[: 1 + _OPTIONS.n_models], pushes)
+            value = np.where(task.touch(poses) <= RISK, _value(task.further, poses[:, :, -1], goal, poses[:, :, -1]), np.nan)
+            most = np.argsort(np.nan_to_num(value, nan=np.inf))[: _OPTIONS.finalists]
+            most = most[np.isfinite(value[most])] if task.keep_out is not None else most
             candidates, pushes = [candidates[k] for k in most], [pushes[k] for k in most]
-        ends, margins = self._ends(belief, models, pushes, pose, hold)
+            if not pushes:
+                return GoalPush(PlanStatus.UNTOUCHED, chance)
+        poses = self._poses(task, models, pushes)
+        ends, touch = poses[:, :, -1], task.touch(poses)
         risks = _EdgeRisk(hold, self._shape, np.array([model.body.centre for model in models]), pose)
-        risk = risks.risk(margins)
-        value, allowed = _value(further, ends, goal) + _OPTIONS.fall_cost * risk, risk <= risks.allowed
+        risk = risks.risk(self._margins(hold, models, poses[:, :, 1:]))
+        value, allowed = _value(task.further, ends, goal, ends) + _OPTIONS.fall_cost * risk, risk <= risks.allowed
         if not np.any(allowed):
-            return GoalPush(PlanStatus.UNHELD, goal.chance(pose, covariance), risk=float(np.min(risk)))
-        value = np.where(allowed, value, np.nan)
+            return GoalPush(PlanStatus.UNHELD, chance, risk=float(np.min(risk)))
+        if not np.any(touch <= RISK):
+            return GoalPush(PlanStatus.UNTOUCHED, chance, touch=float(np.min(touch)))
+        value = np.where(allowed & (touch <= RISK), value, np.nan)
         if not np.any(np.isfinite(value)):
-            return GoalPush(PlanStatus.UNREACHABLE, goal.chance(pose, covariance))
+            return GoalPush(PlanStatus.UNREACHABLE, chance)
         best = int(np.nanargmin(value))
         group, number, length = candidates[best]
         return GoalPush(
@@ -215,6 +300,7 @@ class GoalPlanner:
             ends[0, best],
             ends[:, best],
             float(risk[best]),
+            float(touch[best]),
         )
 
     def _displaced_judges(self, pose: Float64Array, covariance: Float64Array) -> list[BatchModel]:
@@ -226,29 +312,51 @@ class GoalPlanner:
         models = self._judges * (len(displacements) // len(self._judges))
         return [model._replace(displacement=shift) for model, shift in zip(models, displacements, strict=True)]
 
-    def _ends(
-        self,
-        belief: Belief,
-        models: Sequence[BatchModel],
-        pushes: Sequence[tuple[Strokes, float]],
-        pose: Float64Array,
-        hold: EdgeHold | None,
-    ) -> tuple[Float64Array, Float64Array]:
-        """Ends of pushes of an object that is observed at a pose, under models, shape (n_models, n_pushes, 3), and the least margin during
-        them [m], shape (n_models, n_pushes)."""
-        settings, frames = self._settings, 1 if hold is None else _OPTIONS.frames
+    def _poses(self, task: _Task, models: Sequence[BatchModel], pushes: Sequence[tuple[Strokes, float]]) -> Float64Array:
+        """Poses before, during and after pushes under models, shape (n_models, n_pushes, n_poses, 3); without edge and obstacles before and
+        after only."""
+        settings, hold = self._settings, task.around.hold
+        frames = 1 if hold is None and task.keep_out is None else _OPTIONS.frames
         speed, batch = settings.speed_range[0], []
         for stroke, length in pushes:
             path = path_of(stroke.tool[0], stroke.heading()[0], length, speed, settings)
-            first = 0.0 if hold is None else settings.clearance / speed
+            first = 0.0 if frames == 1 else settings.clearance / speed
             # The path of the tool follows from the observed pose.
-            batch.append(BatchPush(moved(pose, path), pose, np.linspace(first, path.time[-1], frames + 1)[1:]))
-        poses = simulated(belief, models, batch, None if hold is None else hold.edge)
+            batch.append(BatchPush(moved(task.pose, path), task.pose, np.linspace(first, path.time[-1], frames + 1)[1:]))
+        poses = simulated(task.belief, models, batch, None if hold is None else hold.edge)
+        before = compose(task.pose, np.array([model.displacement for model in models]))
+        return np.concatenate([np.broadcast_to(before[:, None, None], (*poses.shape[:2], 1, 3)), poses], axis=2)
+
+    def _margins(self, hold: EdgeHold | None, models: Sequence[BatchModel], poses: Float64Array) -> Float64Array:
+        """Least margin during pushes [m], shape (n_models, n_pushes)."""
         if hold is None:
-            return poses[:, :, -1], np.full(poses.shape[:2], np.inf)
+            return np.full(poses.shape[:2], np.inf)
         centres = np.array([model.body.centre for model in models])
-        margins = hold.margins(self._shape.cells.centres, centres[:, None, None], poses)
-        return poses[:, :, -1], np.min(margins, axis=2)
+        return np.asarray(np.min(hold.margins(self._shape.cells.centres, centres[:, None, None], poses), axis=2))
+
+
+_Candidate = tuple[Strokes, int, float]
+"""Strokes, which of them, and its travel after contact [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """What one push is planned for, in the table frame of the arm."""
+
+    belief: Belief
+    pose: Float64Array
+    covariance: Float64Array
+    goal: Goal
+    wanted: Goal
+    """The goal in the frame of the object."""
+    around: Surroundings
+    keep_out: KeepOut | None
+    """None without obstacles."""
+    further: _FurtherPushes
+
+    def touch(self, poses: Float64Array) -> Float64Array:
+        """Chance that the object enters an obstacle, by poses of pushes under models, (n_models, n_pushes, n_poses, 3): (n_pushes,)."""
+        return np.zeros(poses.shape[1]) if self.keep_out is None else self.keep_out.risk(poses)
 
 
 def _in_arm_frame(
@@ -262,34 +370,48 @@ def _in_arm_frame(
     return compose(arm_from_camera, pose), turn @ covariance @ turn.T, goal_in_arm
 
 
-def _ranked(library: Library, further: _FurtherPushes, wanted: Goal) -> list[tuple[int, int]]:
-    """Strokes and lengths by the pushes that are expected from now on, the best first: by the mean model, then by all models."""
+def _room_of(library: Library, goal: Goal, travel: float) -> float:
+    """Distance from obstacles in which pushes of a usual length are possible [m]: how far the best push of a library ends from a way that
+    leads straight on, the median over directions, and what is uncertain of its end with the chance `RISK`."""
+    flat = library.motion[0].reshape(-1, 3)
+    angle = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+    ahead = travel * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
+    distance, _ = KDTree(flat[np.all(np.isfinite(flat), axis=1)] / goal.tolerance).query(ahead / goal.tolerance)
+    return goal.position * float(np.median(distance)) + DEVIATIONS * library.spread_by_length * travel
+
+
+def _ranked(library: Library, task: _Task, clear: BoolArray) -> list[tuple[int, int]]:
+    """Strokes and lengths that are clear, by the pushes that are expected from now on, the best first: by the mean model, then by all."""
+
+    def value_of(motion: Float64Array) -> Float64Array:
+        return _value(task.further, motion, task.wanted, compose(task.pose, motion))
+
     mean = library.motion[0]
-    value = _value(further, mean.reshape(1, -1, 3), wanted)
-    first = np.argsort(np.where(np.isfinite(value), value, np.inf))[: _OPTIONS.screened]
+    value = value_of(mean.reshape(1, -1, 3))
+    first = np.argsort(np.where(np.isfinite(value) & clear.ravel(), value, np.inf))[: _OPTIONS.screened]
     motion = library.motion.reshape(len(library.motion), -1, 3)[:, first]
-    value = _value(further, motion, wanted)
+    value = np.where(clear.ravel()[first], value_of(motion), np.inf)
     order = np.argsort(np.where(np.isfinite(value), value, np.inf))
     n_lengths = len(library.lengths)
     return [(int(first[k] // n_lengths), int(first[k] % n_lengths)) for k in order if np.isfinite(value[k])]
 
 
-def _value(further: _FurtherPushes, motion: Float64Array, wanted: Goal) -> Float64Array:
+def _value(further: _FurtherPushes, motion: Float64Array, wanted: Goal, ends: Float64Array) -> Float64Array:
     """Pushes expected from now on for each motion that a push may make, shape (n_models, n_motions, 3), or for each pose where it may end;
-    `wanted` in the same frame: shape (n_motions,)."""
+    `wanted` in the same frame: shape (n_motions,). `ends`: the poses in the table frame, of the shape of `motion`."""
     at_goal = _probability_within_tolerance(wanted.relative_error(motion))
     remaining = compose(inverse(motion), wanted.pose)
-    after = further.after(remaining.reshape(-1, 3)).reshape(at_goal.shape)
+    after = further.after(remaining.reshape(-1, 3)).reshape(at_goal.shape) + further.detour(ends)
     return 1.0 + np.asarray(np.mean((1.0 - at_goal) * after, axis=0))
 
 
 class _FurtherPushes:
     """Pushes that are expected to make a motion within the tolerances of a goal, looked up in the motions of the mean model."""
 
-    def __init__(self, library: Library, goal: Goal) -> None:
+    def __init__(self, library: Library, goal: Goal, way: WayRound | None) -> None:
         flat, variance = library.motion[0].reshape(-1, 3), library.variance.reshape(-1, 3)
         known = np.all(np.isfinite(flat), axis=1)
-        self._goal, self._tree = goal, KDTree(flat[known] / goal.tolerance)
+        self._goal, self._way, self._tree = goal, way, KDTree(flat[known] / goal.tolerance)
         self._spread = np.sqrt(np.sum(variance[known] / goal.tolerance**2, axis=1))
         """Of each motion over the models, in units of the tolerances, shape (n_motions,)."""
 
@@ -302,6 +424,10 @@ class _FurtherPushes:
         chance = _probability_within_tolerance(np.hypot(distance, self._spread[index]))
         beyond = np.maximum(distance - 1.0, 0.0) * self._goal.position / _OPTIONS.push_travel
         return np.where(finite, np.min(1.0 + (1.0 - chance) * (1.0 + beyond), axis=1), np.nan)
+
+    def detour(self, poses: Float64Array) -> float | Float64Array:
+        """Pushes that the way round obstacles needs beside these, from poses, shape (..., 3): shape (...); inf where there is none."""
+        return 0.0 if self._way is None else self._way.extra(poses) / _OPTIONS.push_travel
 
 
 class _EdgeRisk:

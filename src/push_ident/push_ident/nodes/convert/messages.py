@@ -31,6 +31,7 @@ from push_ident.geometry.shape_check import check_shape
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
 from push_ident.perception.frame.camera_info import check_image_size, intrinsics_of
 from push_ident.perception.frame.depth_image import depth_from_buffer, unit_of
+from push_ident.planning.untracked import WorkspaceGrid
 from push_ident.pushing.cutter import PushInterval
 from push_ident.pushing.state_intake import no_positions
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape, PusherShape
@@ -326,6 +327,24 @@ def occupancy_to_msg(
     msg.info.origin.orientation.w = 1.0
     msg.data = array("b", np.ascontiguousarray(data, dtype=np.int8).tobytes())
     return msg
+
+
+def workspace_from_msg(msg: OccupancyGrid) -> WorkspaceGrid:
+    """Occupancy of the workspace. Raises InputError: another frame, a size that does not fit the data, a resolution or a place that cannot
+    be."""
+    _check_frame(msg.header.frame_id, TABLE_FRAME)
+    height, width = int(msg.info.height), int(msg.info.width)
+    LIMITS.GRID.check(height * width, "Occupancy of the workspace")
+    if height * width != len(msg.data) or not msg.data:
+        raise InputError(f"The occupancy of the workspace has {len(msg.data)} values, expected width * height = {width} * {height}, not 0.")
+    size, pose = float(msg.info.resolution), planar_pose_of(msg.info.origin)
+    if not (np.isfinite(size) and size > 0.0 and np.isfinite(pose).all()):
+        raise InputError(
+            f"The occupancy of the workspace has cells of {size} m at {pose.tolist()}, expected a positive size, finite place."
+        )
+    corner = transform_points(pose, size * np.array([[0.0, 0.0], [width, height]]))
+    check_coordinates(corner, "The occupancy of the workspace")
+    return WorkspaceGrid(np.array(msg.data, dtype=np.int8).reshape(height, width), pose, size)
 
 
 def intrinsics_from_msg(info: CameraInfo) -> CameraIntrinsics:

@@ -24,6 +24,7 @@ from push_ident.nodes.convert.tool_path import path_goal
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink, RequestedPush
 from push_ident.nodes.goal_pushing.parameters import GOAL_PUSHING
 from push_ident.nodes.input.objects import ObjectTopics, TrackedObjects
+from push_ident.nodes.input.occupancy import OccupancyInput
 from push_ident.nodes.input.table import TableInput
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
@@ -31,6 +32,7 @@ from push_ident.planning.curved_planner import CurvedPush
 from push_ident.planning.edge_goal import EdgeGoal, edge_target, edges_of, held_target
 from push_ident.planning.goal import Target
 from push_ident.planning.goal_ports import KnownModel, PushReport, Wish
+from push_ident.planning.keep_out import Obstacle
 from push_ident.planning.path_follower import Correction, FollowStatus, PathFollower
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_steps import PathStep, PathSteps
@@ -260,6 +262,7 @@ class CellView:
     objects: TrackedObjects
     models: ModelInput
     table: TableInput
+    occupancy: OccupancyInput
     executor: ExecutorLink
     values: Callable[[], dict[str, Any]]
     """Parameters of the node."""
@@ -311,9 +314,9 @@ class CellPorts:
             return str(error)
         return f"there is no new pose of `{object_id}`."
 
-    def obstacles(self, object_id: str) -> list[Float64Array]:
+    def obstacles(self, object_id: str) -> list[Obstacle]:
         """As `GoalPorts`."""
-        return self._view.objects.outlines_of_others(object_id)
+        return self._view.occupancy.beside(object_id)
 
     def model(self, object_id: str) -> KnownModel | None:
         """As `GoalPorts`."""
@@ -355,6 +358,14 @@ class CellPorts:
             return planner.plan(belief, pose, covariance, target.goal, obstacles, failed, target.hold)
 
         return self._view.planners.begin(tracked.object_id, model.posterior, self._settings(), plan)
+
+    def begin_random(self, model: KnownModel, tracked: TrackedObject, obstacles: list[Float64Array], seed: int) -> WorkUnderWay[PushPlan2D]:
+        """As `GoalPorts`."""
+
+        def choose(belief: Belief, planner: GoalPlanner) -> PushPlan2D:
+            return planner.random_push(belief, tracked.pose, tracked.covariance, obstacles, seed)
+
+        return self._view.planners.begin(tracked.object_id, model.posterior, self._settings(), choose)
 
     def _settings(self) -> PushSettings:
         settings = self._view.settings()

@@ -31,6 +31,7 @@ from push_ident.nodes.goal_pushing.convert_goal import draw_goal, feedback_to_ms
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink
 from push_ident.nodes.goal_pushing.parameters import GOAL_PUSHING, PARAMETERS, check_values, push_settings
 from push_ident.nodes.input.objects import TrackedObjects
+from push_ident.nodes.input.occupancy import OccupancyInput
 from push_ident.nodes.input.table import TableInput
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import GoalCode, GoalRefusedError
@@ -90,6 +91,7 @@ class _GoalPushing(Component):
             self._objects,
             self._models,
             table,
+            OccupancyInput(node, heavy, self._objects, self._settings["workspace"]),
             self._executor,
             self._settings.as_dict,
             self._push_settings,

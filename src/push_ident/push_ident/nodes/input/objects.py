@@ -21,6 +21,7 @@ from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.base.arrivals import StampCheck
 from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.convert.messages import outline_from_msg, outline_std_from_msg, planar_pose_from_msg, shape_from_msgs
+from push_ident.planning.keep_out import Obstacle
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.pose_noise import PAUSE, PoseNoise
 from push_ident.pushing.push import PushCode
@@ -149,6 +150,15 @@ class TrackedObjects:
     def outlines_of_others(self, object_id: str) -> list[Float64Array]:
         """Outlines of all other objects, table frame [m], each of shape (n_vertices, 2)."""
         return [transform_points(self._poses[other][1], self._shapes[other].outline) for other in self.ids if other != object_id]
+
+    def poses(self) -> dict[str, Float64Array]:
+        """Latest pose of each object, table frame, shape (3,)."""
+        return {object_id: self._poses[object_id][1] for object_id in self.ids}
+
+    def obstacles(self, object_id: str = "") -> list[Obstacle]:
+        """All objects but one, each with the clearance that its latest covariance asks for."""
+        others = [other for other in self.ids if other != object_id]
+        return [Obstacle.of_object(other, self._shapes[other].outline, *self._poses[other][1:3]) for other in others]
 
     def _subscribe(self, object_id: str) -> None:
         for kind, name, callback, qos in (

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from push_ident.errors import InputError
 from push_ident.physics.support import GRAVITY
 from push_ident.types import Float64Array, PusherPath
-from push_ident_sim.engines.bullet.bullet_object import OUTLINE_GROUP, PUSHER_GROUP, BulletObject, add_table, connect
+from push_ident_sim.engines.bullet.bullet_object import OUTLINE_GROUP, PUSHER_GROUP, BulletObject, add_table, connect, outline_shape
 from push_ident_sim.engines.bullet.rigid_object import RigidObject
 from push_ident_sim.engines.true_motion import TrueMotion, checked_pose
 from push_ident_sim.injected import InjectedEffects
@@ -61,6 +61,11 @@ class PushWorld:
         )
         self._tool = ToolErrors(effects, time_step) if ToolErrors.needed(effects) else None
         self._add_pusher(float(sim_object.height.max()) / 2 if pusher_height is None else pusher_height, effects)
+        self._objects: list[BulletObject | RigidObject | None] = [self._object]
+        """By their number; None for what is fixed to the table."""
+        self._bodies = [(self._object.body, self._object.outline_link)]
+        self.touched: set[int] = set()
+        """Numbers of what the pushed object or the pusher touched beside each other since `begin`."""
         # An object on springs may only be reversing.
         self._still_steps = 30 if "compliant_table" in effects or "tether" in effects else 1
         self._force, self._at = np.zeros(2), np.zeros(len(self._driven))
@@ -115,6 +120,55 @@ class PushWorld:
             client.setJointMotorControl2(self._pusher, self._pusher_link, bullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque)
         client.setCollisionFilterGroupMask(self._pusher, self._pusher_link, PUSHER_GROUP, OUTLINE_GROUP)
 
+    def add(self, sim_object: SimObject, pose: ArrayLike, *, fixed: bool) -> int:
+        """Put one more object onto the table, at a pose, shape (3,); `fixed`: nothing moves it. Its number; the first object has 0."""
+        client, number = self._client, len(self._objects)
+        if fixed:
+            x, y, yaw = checked_pose(pose).tolist()
+            body, link = (
+                client.createMultiBody(
+                    0.0,
+                    outline_shape(client, sim_object, 0.0),
+                    basePosition=[x, y, 0.0],
+                    baseOrientation=client.getQuaternionFromEuler([0.0, 0.0, yaw]),
+                ),
+                -1,
+            )
+            self._objects.append(None)
+        else:
+            added = BulletObject(client, sim_object, GRAVITY)
+            added.place(checked_pose(pose))
+            body, link = added.body, added.outline_link
+            self._objects.append(added)
+        self._bodies.append((body, link))
+        for some, its_link in self._bodies:
+            client.setCollisionFilterGroupMask(some, its_link, OUTLINE_GROUP, PUSHER_GROUP | OUTLINE_GROUP)
+        return number
+
+    def remove(self, number: int) -> None:
+        """Take what was added last off the table."""
+        assert number == len(self._objects) - 1 > 0, "the last one"
+        self._client.removeBody(self._bodies.pop()[0])
+        self._objects.pop()
+
+    def turn_to(self, number: int) -> None:
+        """Push another object from now on, one that is not fixed."""
+        chosen = self._objects[number]
+        assert chosen is not None, "it can be moved"
+        self._object = chosen
+
+    def place(self, number: int, pose: ArrayLike) -> None:
+        """Put an object that is not fixed at a pose, shape (3,), at rest."""
+        chosen = self._objects[number]
+        assert chosen is not None, "it can be moved"
+        chosen.place(checked_pose(pose))
+
+    def pose_of(self, number: int) -> Float64Array:
+        """True pose of an object that is not fixed, shape (3,)."""
+        chosen = self._objects[number]
+        assert chosen is not None, "it can be moved"
+        return chosen.pose()
+
     def push(
         self,
         pose_object_in_table: ArrayLike,
@@ -167,6 +221,7 @@ class PushWorld:
         `tool`: axis of the pusher as its arm reports it [m], shape (2,); of fingers their frame (x, y, yaw), shape (3,).
         """
         start = self._begin(tool, pushes_done)
+        self.touched = set()
         # Bullet keeps a contact of the push before where both bodies were put elsewhere, as long as they parted along its normal: it then
         # counts as a deep one, and throws the object away. Distant bodies have no contact.
         self._place_pusher(self._away(start))
@@ -226,9 +281,22 @@ class PushWorld:
         self._client.setJointMotorControlArray(
             self._pusher, self._driven, bullet.VELOCITY_CONTROL, targetVelocities=velocity.tolist(), forces=[effort] * len(velocity)
         )
-        self._object.prepare_step(self._force, self.time_step)
+        for one in self._objects:
+            if one is not None:
+                one.prepare_step(self._force if one is self._object else np.zeros(2), self.time_step)
         self._client.stepSimulation()
         self._force = self._object.force_of(self._pusher, self._pusher_link)[:2]
+        self._note_touched()
+
+    def _note_touched(self) -> None:
+        pushed = (self._object.body, self._object.outline_link)
+        for number, (body, link) in enumerate(self._bodies if len(self._bodies) > 1 else ()):
+            if (body, link) == pushed:
+                continue
+            for other, its_link in (pushed, (self._pusher, self._pusher_link)):
+                # Bullet keeps contacts of bodies that are near: only those that overlap touch.
+                if any(contact[8] <= 0.0 for contact in self._client.getContactPoints(other, body, its_link, link)):
+                    self.touched.add(number)
 
     def _begin(self, reported: Float64Array, pushes_done: int) -> Float64Array:
         """True position of the tool when a path begins at `reported`, after some pushes."""

@@ -26,7 +26,7 @@ TABLE: Final = np.array([0.8, 0.7])
 """Half the sides of the table [m]."""
 _EXPLORING: Final = 3
 """Random pushes before the first goal."""
-_SYSTEMATIC_STD: Final = np.array([7e-4, 7e-4, 6e-3])
+SYSTEMATIC_STD: Final = np.array([7e-4, 7e-4, 6e-3])
 """Standard deviation of the errors of a pose at rest that no further frame lessens [m, m, rad]: perception in the simulated cell,
 where it is worst."""
 REST: Final = 0.4
@@ -45,7 +45,9 @@ class PushedObject:
     ) -> None:
         self._truth_settings, self._noise, self._rng, self._kind = TruthSettings(), CameraNoise(), rng, kind
         self.settings = pushes or self._truth_settings.pushes
-        self._world = PushWorld(sim_object, self.settings.pusher_radius, time_step=self._truth_settings.time_step, rigid=rigid)
+        self.world = PushWorld(sim_object, self.settings.pusher_radius, time_step=self._truth_settings.time_step, rigid=rigid)
+        """In which it is pushed."""
+        self._number = 0
         self.truth = true_model(sim_object)
         self.centre: Float64Array = self.truth.mass @ self.truth.shape.cells.centres / self.truth.total_mass
         """True centre of mass [m], shape (2,), object frame."""
@@ -73,13 +75,20 @@ class PushedObject:
         self._learn()
         return motion
 
+    def enter(self, world: PushWorld, number: int) -> None:
+        """Go on in another engine, in which it has a number; its own one is freed."""
+        if world is not self.world:
+            self.world.close()
+        self.world, self._number = world, number
+        self.pose = world.pose_of(number)
+
     def close(self) -> None:
         """Free the engine."""
-        self._world.close()
+        self.world.close()
 
     def observe(self) -> tuple[Float64Array, Float64Array]:
         """Pose as perceived at rest, shape (3,), and its covariance, shape (3, 3)."""
-        std = np.hypot(self._frame_std / np.sqrt(int(REST * self._noise.rate)), _SYSTEMATIC_STD)
+        std = np.hypot(self._frame_std / np.sqrt(int(REST * self._noise.rate)), SYSTEMATIC_STD)
         return self.pose + std * self._rng.normal(size=3), np.diag(std**2)
 
     def push(self, plan: PushPlan2D, edge: TableEdge | None = None) -> TrueMotion:
@@ -93,9 +102,9 @@ class PushedObject:
 
     def touch(self, tool: Float64Array) -> None:
         """Begin a push whose tool is steered while it moves, with its axis at `tool` [m], shape (2,)."""
-        self._world.begin(self.pose, tool, pushes_done=len(self._records))
+        self.world.begin(self.pose, tool, pushes_done=len(self._records))
         self._steered = [(self.pose, tool, np.zeros(2))]
-        self._displaced, self._systematic = False, _SYSTEMATIC_STD * self._rng.normal(size=3)
+        self._displaced, self._systematic = False, SYSTEMATIC_STD * self._rng.normal(size=3)
 
     @property
     def clock(self) -> float:
@@ -107,24 +116,24 @@ class PushedObject:
         step = self._truth_settings.time_step
         for _ in range(round((until - self.clock) / step)):
             now = self.clock + step
-            self._steered.append(self._world.advance(np.array([np.interp(now, time, column) for column in tool.T])))
+            self._steered.append(self.world.advance(np.array([np.interp(now, time, column) for column in tool.T])))
         self.pose = self._steered[-1][0]
 
     def frame(self) -> tuple[Float64Array, Float64Array]:
         """Pose as one frame shows it while the object moves, shape (3,), and its covariance, shape (3, 3)."""
         noise = self._frame_std * self._rng.normal(size=3)
-        return self.pose + self._systematic + noise, np.diag(self._frame_std**2 + _SYSTEMATIC_STD**2)
+        return self.pose + self._systematic + noise, np.diag(self._frame_std**2 + SYSTEMATIC_STD**2)
 
     def displace(self, pose: Float64Array) -> None:
         """Someone displaces the object to a pose, shape (3,), clear of the tool."""
-        self._world.displace(pose)
+        self.world.displace(pose)
         self.pose, self._displaced = np.array(pose), True
 
     def let_go(self) -> TrueMotion:
         """The tool stands until the object rests; what it did since `touch`. Learns from it, unless it was displaced or took too long."""
         tool, last = self._steered[-1][1], self.clock + 1.0
-        while not self._world.is_still() and self.clock < last:
-            self._steered.append(self._world.advance(tool))
+        while not self.world.is_still() and self.clock < last:
+            self._steered.append(self.world.advance(tool))
         pose, pusher, force = (np.array(column) for column in zip(*self._steered, strict=True))
         motion = TrueMotion(np.arange(len(pose)) * np.float64(self._truth_settings.time_step), pose, pusher, pusher, force)
         self.pose = pose[-1]
@@ -140,7 +149,7 @@ class PushedObject:
     @property
     def has_fallen(self) -> bool:
         """Whether the object tipped over an edge, or its centre of mass is beyond the table."""
-        return self._world.has_fallen or bool(np.any(np.abs(transform_points(self.pose, self.centre[None])[0]) > TABLE))
+        return self.world.has_fallen or bool(np.any(np.abs(transform_points(self.pose, self.centre[None])[0]) > TABLE))
 
     @property
     def _frame_std(self) -> Float64Array:
@@ -148,7 +157,8 @@ class PushedObject:
         return np.array([self._noise.position_std, self._noise.position_std, self._noise.yaw_std])
 
     def _move(self, plan: PushPlan2D) -> TrueMotion:
-        motion = self._world.push(self.pose, path_of_plan(plan, self._truth_settings), pushes_done=len(self._records))
+        self.world.turn_to(self._number)
+        motion = self.world.push(self.pose, path_of_plan(plan, self._truth_settings), pushes_done=len(self._records))
         self.pose = motion.pose[-1]
         return motion
 
