@@ -68,15 +68,14 @@ def predict(
     # the posterior describe it better than the derivative at the mean. The draws are the same for every push, so that the predictions of
     # two pushes can be compared.
     settings = _settings_of(posterior, scenario, first_covariance, noise)
-    n_plane = 2 if noise.surface_std(unknowns.shape) > 0 else 0
     size = posterior.most_unknowns
-    draws = np.random.default_rng(0).normal(size=(n_samples, size + 3 + n_plane))
+    draws = np.random.default_rng(0).normal(size=(n_samples, size + 5))
     first_root, surface_std = square_root(first_covariance), noise.surface_std(unknowns.shape)
     poses, touched = [], []
     for (part, z), of_push in zip(posterior.drawn(draws), draws[:, size:], strict=True):
         drawn = mechanics_at(part.unknowns, z)
         moved = np.zeros(3)
-        moved[:n_plane] = surface_std * of_push[3:]
+        moved[:2] = surface_std * of_push[3:]
         start = true_pose(drawn.effects, first + first_root @ of_push[:3] - moved)
         motion = drawn.simulate(replace(scenario, pose_object_in_table=start), settings=settings)
         if motion.status is not SolveStatus.SIMULATION_FAILED:
