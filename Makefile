@@ -9,7 +9,7 @@ PYTHON := $(shell for p in python3.12 python3.11 python3; do \
 endif
 VENV := .venv/bin
 
-.PHONY: help setup setup-dev demo docs bench experiments blind recordings scenes labelled states faults fuzz test test-long test-oldest test-release lint format dist dist-check changelog release clean
+.PHONY: help setup setup-dev demo docs bench experiments blind recordings scenes labelled held-out obstacles two-fingers states faults fuzz test test-long test-oldest test-release lint format dist dist-check changelog release clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## */  make \1\t/' | expand -t 16
@@ -61,6 +61,16 @@ blind: setup-dev  ## the diagnosis on sealed cases of two other engines (twenty 
 DATA ?= ../shared/data
 recordings: setup-dev  ## recordings of others, set by set, DATA=FOLDER of them (goes on where it stopped), then the page
 	$(call experiment,recorded --models 2 --recordings "$(DATA)")
+	$(VENV)/push-ident experiment report
+
+SETS ?= sensor_log
+held-out: setup-dev  ## recorded pushes known by their ends, SETS=FOLDER of sets of 35 pushes and more (half an hour), then the page
+	$(call experiment,held-out --models 5 --recordings "$(SETS)")
+	$(VENV)/push-ident experiment report
+
+obstacles: setup-dev  ## pushing to goals between obstacles, and several objects to theirs, in Bullet (hours; goes on where it stopped), then the pages
+	$(call experiment,obstacles --seed 300 --models 4 --goals 5 --variants round)
+	$(call experiment,several --seed 300 --models 8)
 	$(VENV)/push-ident experiment report
 
 FINGERS ?= robot_exp_logs

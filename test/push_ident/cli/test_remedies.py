@@ -20,6 +20,7 @@ TRACKED = ("import csv", "import rosbag")
 PRINTED_BY = {
     "axes": TRACKED,
     "bag_view": ("view",),
+    "cmu_fingers": ("import cmu-fingers",),
     "cmu_icra16": ("import cmu-icra16",),
     "cmu_mocap": ("import cmu-mocap",),
     "depth_images": ("look",),
@@ -37,6 +38,7 @@ PRINTED_BY = {
 """Commands by the module whose texts they print, outside `cli`."""
 SHARED = {
     "overrides": ("up",),
+    "push_several": ("push-to",),
     "robot": ("up", "replay"),
     "robot_doctor": ("doctor",),
     "live_view": ("up",),

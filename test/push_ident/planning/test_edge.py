@@ -16,9 +16,10 @@ from push_ident.physics.batch import BatchPush, rollouts
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import EdgeGoal, edge_target, edges_of, held_target, pregrasp
-from push_ident.planning.goal import CERTAIN, RISK, EdgeHold, Goal, GoalCode, GoalRefusedError
+from push_ident.planning.goal import CERTAIN, EdgeHold, Goal, GoalCode, GoalRefusedError
 from push_ident.planning.goal_session import push_on_table
 from push_ident.planning.library import BATCH_STEP, path_of
+from push_ident.planning.obstacle import RISK
 from push_ident.planning.planner import GoalPlanner, PlanStatus
 from push_ident.pushing.push import PushSettings
 from push_ident_sim.objects import make_object

@@ -18,7 +18,7 @@ from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import EdgeHold, Goal, GoalCode, GoalRefusedError, Target
 from push_ident.planning.goal_ports import GoalOutcome, GoalProgress, GoalRequest, GoalState, KnownModel, PushReport, SessionLimits, Wish
 from push_ident.planning.goal_session import GoalSession
-from push_ident.planning.keep_out import Obstacle
+from push_ident.planning.obstacle import Obstacle
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PathPush, PathStatus
 from push_ident.planning.path_session import PathSession

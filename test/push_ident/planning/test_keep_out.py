@@ -8,8 +8,9 @@ import pytest
 from helpers.objects import square
 from push_ident.geometry.outline import dense, signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.planning.goal import RISK, Goal
-from push_ident.planning.keep_out import DEVIATIONS, KeepOut, Obstacle, WayRound, clearance, distance_between, overlapping, risk_of
+from push_ident.planning.goal import Goal
+from push_ident.planning.keep_out import KeepOut, WayRound, distance_between, overlapping, risk_of
+from push_ident.planning.obstacle import DEVIATIONS, RISK, Obstacle, clearance
 from push_ident.pushing.push import PushSettings
 from push_ident.types import CellGrid, Float64Array, ObjectShape
 

@@ -19,9 +19,10 @@ from push_ident.physics.effect_values import EffectsLike
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.planning.belief import Belief
-from push_ident.planning.goal import RISK, Goal, GoalCode, GoalRefusedError
+from push_ident.planning.goal import Goal, GoalCode, GoalRefusedError
 from push_ident.planning.keep_out import distance_between
 from push_ident.planning.library import Library, path_of, strokes
+from push_ident.planning.obstacle import RISK
 from push_ident.planning.path_goal import PathGoal, check_path, read_path
 from push_ident.planning.path_planner import PathPlanner, PathStatus
 from push_ident.planning.path_steps import PathSteps

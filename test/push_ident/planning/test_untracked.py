@@ -9,8 +9,9 @@ from helpers.objects import square
 from push_ident.errors import InputError
 from push_ident.geometry.outline import signed_distance
 from push_ident.geometry.se2 import transform_points
-from push_ident.planning.keep_out import Obstacle
-from push_ident.planning.untracked import UntrackedThings, WorkspaceGrid
+from push_ident.geometry.workspace_grid import WorkspaceGrid
+from push_ident.planning.obstacle import Obstacle
+from push_ident.planning.untracked import UntrackedThings
 from push_ident.types import Float64Array
 
 SHAPE = square(6, 0.01)

@@ -138,9 +138,9 @@ class BagWriter:
         x, y = (float(value) for value in np.asarray(position, dtype=np.float64))
         self._write(Role.PUSHER, stamp, self._header(stamp, TABLE_FRAME), self._pose(x, y, z, yaw))
 
-    def write_pusher_shape(self, stamp: float, shape: float | PusherShape, *, height: float = 0.1) -> None:
+    def write_pusher_shape(self, stamp: float, radius: float | PusherShape, *, height: float = 0.1) -> None:
         """The pusher: the radius of an upright cylinder [m], or another outline of this height [m]."""
-        shape = shape if isinstance(shape, PusherShape) else PusherShape(shape)
+        shape = radius if isinstance(radius, PusherShape) else PusherShape(radius)
         kinds: Any = self._store.types[Role.PUSHER_SHAPE.msgtype]
         kind = kinds.CYLINDER if shape.polygon is None else kinds.PRISM
         corners = [] if shape.is_cylinder else [self._new("geometry_msgs/msg/Point32", float(x), float(y), 0.0) for x, y in shape.core]

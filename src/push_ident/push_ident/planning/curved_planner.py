@@ -18,9 +18,9 @@ from push_ident.geometry.se2 import compose, inverse, transform_points, wrap_ang
 from push_ident.physics.batch import ModelBatch
 from push_ident.planning.belief import Belief
 from push_ident.planning.curved import N_LIMITS, N_SEGMENTS, CurvedPushes, Horizon, PushStart, RolledPushes, face_of
-from push_ident.planning.goal import RISK
 from push_ident.planning.keep_out import KeepOut
 from push_ident.planning.library import Strokes, Surroundings, is_possible, placed, strokes
+from push_ident.planning.obstacle import RISK
 from push_ident.planning.path_follower import FollowerOptions, ModelWeights, PathFollower, guesses_around
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_planner import PATH_OPTIONS, PathStatus

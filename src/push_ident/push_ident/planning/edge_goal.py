@@ -12,7 +12,8 @@ from push_ident.geometry.se2 import rotation, transform_points, wrap_angle
 from push_ident.geometry.table import Table
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.belief import Belief
-from push_ident.planning.goal import RISK, EdgeHold, Goal, GoalCode, GoalRefusedError, Target
+from push_ident.planning.goal import EdgeHold, Goal, GoalCode, GoalRefusedError, Target
+from push_ident.planning.obstacle import RISK
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
 

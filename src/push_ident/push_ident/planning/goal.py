@@ -13,6 +13,7 @@ from push_ident.errors import InputError
 from push_ident.geometry.se2 import rotation, wrap_angle
 from push_ident.identification.results.posterior import square_root
 from push_ident.physics.overhang import TableEdge
+from push_ident.planning.obstacle import RISK
 from push_ident.types import Float64Array
 
 
@@ -126,11 +127,6 @@ class Target:
         if self.goal.chance(pose, covariance) < CERTAIN:
             return False
         return self.hold is None or self.hold.chance(self.cells, self.centres, pose, covariance) >= CERTAIN
-
-
-RISK: Final = 0.01
-"""Default of the largest chance that a push brings the centre of mass nearer to the border than the margin [1]: that of a fall is much
-smaller."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.physics.overhang import TableEdge
 from push_ident.planning.edge_goal import EdgeGoal
 from push_ident.planning.goal import Goal, GoalCode, Target
-from push_ident.planning.keep_out import Obstacle
+from push_ident.planning.obstacle import Obstacle
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush

@@ -20,49 +20,23 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
-from push_ident.geometry.distance_field import RESOLUTION, DistanceField, grown
+from push_ident.geometry.distance_field import RESOLUTION, DistanceField
 from push_ident.geometry.outline import dense, signed_distance
 from push_ident.geometry.se2 import transform_points, wrap_angle
 from push_ident.physics.kernel import kernel
-from push_ident.planning.goal import RISK, Goal
+from push_ident.planning.goal import Goal
+from push_ident.planning.obstacle import Obstacle
 from push_ident.pushing.push import PushSettings
 from push_ident.types import BoolArray, CellGrid, Float64Array, ObjectShape
 
-DEVIATIONS: Final = float(ndtri(1.0 - RISK))
-"""Standard deviations that are exceeded on one side with the chance `RISK` [1]."""
 _FAR: Final = 0.05
 """Distance of an object from all obstacles above which a lower bound of it is enough [m]."""
 _BETWEEN: Final = 8
 """Poses at which the object is compared with obstacles, from each simulated one to the next [1]: 2.5 mm apart in the longest push."""
 _SPACING: Final = 0.01
 """Of points along the outline of the object beside its corners [m]: nothing thinner crosses it unnoticed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Obstacle:
-    """Something that must not be touched."""
-
-    name: str
-    """For people."""
-    outline: Float64Array
-    """With its clearance, table frame [m], shape (n_vertices, 2)."""
-
-    @classmethod
-    def of_object(cls, object_id: str, outline: Float64Array, pose: Float64Array, covariance: Float64Array | None) -> Obstacle:
-        """Another tracked object, by its outline, shape (n, 2), object frame, at a pose, shape (3,), with its covariance, (3, 3); None: not
-        known."""
-        wide = 0.0 if covariance is None else clearance(outline, covariance)
-        return cls(f"`{object_id}`", grown(transform_points(pose, outline), wide))
-
-
-def clearance(outline: Float64Array, covariance: Float64Array) -> float:
-    """Distance beyond which a point of an outline, shape (n, 2), object frame, lies with the chance `RISK` at most [m], for a pose with a
-    covariance, shape (3, 3)."""
-    lever = float(np.max(np.linalg.norm(outline, axis=1)))
-    across = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-    return DEVIATIONS * float(np.sqrt(across + lever**2 * covariance[2, 2]))
 
 
 class KeepOut:

@@ -39,9 +39,10 @@ from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.planning.belief import Belief
 from push_ident.planning.edge_goal import held_target
-from push_ident.planning.goal import CERTAIN, RISK, EdgeHold, Goal
-from push_ident.planning.keep_out import DEVIATIONS, KeepOut, WayRound
+from push_ident.planning.goal import CERTAIN, EdgeHold, Goal
+from push_ident.planning.keep_out import KeepOut, WayRound
 from push_ident.planning.library import Library, Strokes, Surroundings, is_possible, moved, path_of, placed, simulated, strokes
+from push_ident.planning.obstacle import DEVIATIONS, RISK
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
 from push_ident.types import BoolArray, Float64Array, ObjectShape, SolveStatus
 

@@ -125,7 +125,7 @@ def _tables(summary: Json) -> str:
                 "; ".join(millimetres(rows["10-pushes"][key]) for key in ("supports_m", "best_m")),
                 of(name, "within_90", percent),
                 of(name, "beyond", percent),
-                of(name, "median_s", number),
+                of(name, "median_s", lambda value: number(value, "{:.1f}")),
             ]
             for name, rows in summary["sets"].items()
         ],

@@ -10,7 +10,8 @@ import numpy as np
 
 from push_ident.geometry.se2 import transform_points
 from push_ident.planning.goal import Goal
-from push_ident.planning.keep_out import Obstacle, distance_between
+from push_ident.planning.keep_out import distance_between
+from push_ident.planning.obstacle import Obstacle
 from push_ident.planning.planner import PlanStatus
 from push_ident.types import Float64Array
 from push_ident_sim.engines.bullet.push_world import PushWorld

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 
 from push_ident.planning.goal import Goal
-from push_ident.planning.keep_out import Obstacle, distance_between
+from push_ident.planning.keep_out import distance_between
+from push_ident.planning.obstacle import Obstacle
 from push_ident.planning.several import NoTurnError, PlacedObject, SeveralGoals
 from push_ident.types import Float64Array
 from push_ident_sim.engines.bullet.push_world import PushWorld

@@ -86,9 +86,9 @@ def identifiability(posterior: ModelPosterior) -> Identifiability:
     parts = [(weight, _quantities(part)) for weight, part in posterior.parts]
     quantities = []
     for k, (name, unit, _, _, before) in enumerate(parts[0][1]):
-        value = sum(weight * rows[k][2] for weight, rows in parts)
-        after = float(np.sqrt(sum(weight * (rows[k][3] ** 2 + (rows[k][2] - value) ** 2) for weight, rows in parts)))
-        quantities.append(Quantity(name, unit, value, after, before, Knowledge.of(after / before) if before > 0 else Knowledge.GIVEN))
+        mean = float(sum(weight * rows[k][2] for weight, rows in parts))
+        after = float(np.sqrt(sum(weight * (rows[k][3] ** 2 + (rows[k][2] - mean) ** 2) for weight, rows in parts)))
+        quantities.append(Quantity(name, unit, mean, after, before, Knowledge.of(after / before) if before > 0 else Knowledge.GIVEN))
     mass, prior_std = posterior.total_mass, posterior.prior.total_mass * posterior.prior.total_mass_std
     # The standard deviation of the logarithm counts: a heavy object is not less known because it is heavy.
     ratio = (mass.std / mass.value) / posterior.prior.total_mass_std if prior_std > 0 else 0.0
@@ -127,7 +127,7 @@ def _quantities(part: ModelPosterior) -> list[tuple[str, str, float, float, floa
         ("pusher friction", "", part.pusher_friction.value, d_body[Param.MU]),
     ]
     return [
-        (name, unit, float(value), float(np.sqrt(max(row @ covariance @ row, 0.0))), float(np.linalg.norm(row)))
+        (name, unit, float(value), float(np.sqrt(max(float(row @ covariance @ row), 0.0))), float(np.linalg.norm(row)))
         for name, unit, value, row in rows
     ]
 

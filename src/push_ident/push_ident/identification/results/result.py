@@ -60,7 +60,7 @@ class Candidate:
     maps: MapPrior | None
     """What the pushes made of the prior of the maps; None: no maps."""
     probability: float
-    """Weight in the mixture, by how well each predicts the pushes that it was not fitted to [-] (`fitting/stacking.py`)."""
+    """Among the candidates, by evidence [-]: its weight in the mixture."""
     on_feet: ModelPosterior | None = None
     """Of a prior with feet, see `supports`; None: the whole base bears the load."""
 

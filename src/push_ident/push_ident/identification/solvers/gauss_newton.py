@@ -11,6 +11,7 @@ from math import factorial, log
 from typing import ClassVar, Final
 
 import numpy as np
+from scipy.special import softmax
 
 from push_ident.identification.fitting.budget import Meter
 from push_ident.identification.fitting.fit import Fit
@@ -18,7 +19,6 @@ from push_ident.identification.fitting.levenberg_marquardt import FINE, minimise
 from push_ident.identification.fitting.map_prior import STARTS, EvidenceFit, fit_by_evidence
 from push_ident.identification.fitting.problem import FitProblem
 from push_ident.identification.fitting.solver import Capabilities, FitTask, FrameFit, FrameTask, MapFit, Solver, WarmStart
-from push_ident.identification.fitting.stacking import left_out_log_densities, stacked_weights
 from push_ident.identification.observing.observation import UNCHECKED, NoiseModel
 from push_ident.identification.results.known_effects import effects_cost
 from push_ident.identification.results.posterior import ModelPosterior, with_total_mass
@@ -67,8 +67,7 @@ class GaussNewton(Solver):
         if not fits:
             return _failed(task)
         best, noise_factor, reduced_chi2 = candidates.best, candidates.noise_factor, candidates.reduced_chi2
-        left_out = np.column_stack([left_out_log_densities(entry.fit) for entry in fits])
-        weights = stacked_weights(left_out, np.array([entry.log_evidence for entry in fits]))
+        weights = softmax(np.array([entry.log_evidence for entry in fits]))
         status = best.status if candidates.is_complete else SolveStatus.BUDGET_SPENT
         if status in (SolveStatus.CONVERGED, SolveStatus.STALLED) and reduced_chi2 > _POOR_FIT:
             status = SolveStatus.POOR_FIT
@@ -148,8 +147,8 @@ class _Candidates:
 
     @property
     def may_stand_on_feet(self) -> bool:
-        """One push gives three numbers, too few for places of feet; and summed-up pushes count in the unknowns of maps only."""
-        return len(self._task.records) > 1 and self._task.past is None
+        """Two pushes give six numbers, fewer than feet have unknowns; and pushes that are summed up count in the unknowns of maps only."""
+        return len(self._task.records) > 2 and self._task.past is None
 
     @property
     def _needed_evidence(self) -> float:
@@ -365,10 +364,14 @@ def _posterior(fits: Sequence[_Entry], weights: Float64Array, noise_factor: floa
     kinds: dict[int, list[tuple[float, _Entry]]] = {}
     for weight, entry in zip(weights, fits, strict=True):
         kinds.setdefault(entry.feet, []).append((float(weight), entry))
-    parts = [(sum(weight for weight, _ in of_kind), _moments(of_kind, noise_factor)) for of_kind in kinds.values()]
-    parts.sort(key=lambda part: -part[0])
+    heaviest, *others = sorted(kinds.values(), key=lambda of_kind: -_total(of_kind))
     # What a part with less weight would change is below what the drawn models of a prediction resolve.
-    return replace(parts[0][1], alternatives=tuple((weight, part) for weight, part in parts[1:] if weight >= _LEAST_WEIGHT))
+    alternatives = [(_total(of_kind), _moments(of_kind, noise_factor)) for of_kind in others if _total(of_kind) >= _LEAST_WEIGHT]
+    return replace(_moments(heaviest, noise_factor), alternatives=tuple(alternatives))
+
+
+def _total(of_kind: Sequence[tuple[float, _Entry]]) -> float:
+    return sum(weight for weight, _ in of_kind)
 
 
 def _moments(of_kind: Sequence[tuple[float, _Entry]], noise_factor: float | None) -> ModelPosterior:
@@ -377,7 +380,7 @@ def _moments(of_kind: Sequence[tuple[float, _Entry]], noise_factor: float | None
     A fit worse than its noise shows that the model lacks something: then nothing is known as well as the curvature suggests, and its
     covariance counts multiplied by the reduced chi-square.
     """
-    unknowns, total = of_kind[0][1].unknowns, sum(weight for weight, _ in of_kind)
+    unknowns, total = of_kind[0][1].unknowns, _total(of_kind)
     mean = np.sum([weight / total * entry.z for weight, entry in of_kind], axis=0)
     covariance = np.zeros((unknowns.size, unknowns.size))
     for weight, entry in of_kind:

@@ -28,10 +28,10 @@ from push_ident.geometry.outline import outline_of_cells
 from push_ident.geometry.se2 import quaternion_of_yaw, transform_points, yaw_of_quaternion
 from push_ident.geometry.se3 import pose_of_quaternion, quaternion_of_pose
 from push_ident.geometry.shape_check import check_shape
+from push_ident.geometry.workspace_grid import WorkspaceGrid
 from push_ident.limits import LIMITS, check_coordinates, check_object_id, plain_text
 from push_ident.perception.frame.camera_info import check_image_size, intrinsics_of
 from push_ident.perception.frame.depth_image import depth_from_buffer, unit_of
-from push_ident.planning.untracked import WorkspaceGrid
 from push_ident.pushing.cutter import PushInterval
 from push_ident.pushing.state_intake import no_positions
 from push_ident.types import CameraAccuracy, CameraIntrinsics, CellGrid, DepthFrame, Float64Array, ObjectShape, PusherShape

@@ -32,7 +32,7 @@ from push_ident.planning.curved_planner import CurvedPush
 from push_ident.planning.edge_goal import EdgeGoal, edge_target, edges_of, held_target
 from push_ident.planning.goal import Target
 from push_ident.planning.goal_ports import KnownModel, PushReport, Wish
-from push_ident.planning.keep_out import Obstacle
+from push_ident.planning.obstacle import Obstacle
 from push_ident.planning.path_follower import Correction, FollowStatus, PathFollower
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_steps import PathStep, PathSteps

@@ -21,7 +21,7 @@ from push_ident.limits import LIMITS, plain_text
 from push_ident.nodes.base.arrivals import StampCheck
 from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.convert.messages import outline_from_msg, outline_std_from_msg, planar_pose_from_msg, shape_from_msgs
-from push_ident.planning.keep_out import Obstacle
+from push_ident.planning.obstacle import Obstacle
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.pose_noise import PAUSE, PoseNoise
 from push_ident.pushing.push import PushCode

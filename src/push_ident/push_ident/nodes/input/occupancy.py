@@ -12,7 +12,7 @@ from rclpy.callback_groups import CallbackGroup
 from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.convert.messages import workspace_from_msg
 from push_ident.nodes.input.objects import TrackedObjects
-from push_ident.planning.keep_out import Obstacle
+from push_ident.planning.obstacle import Obstacle
 from push_ident.planning.untracked import UntrackedThings
 
 TOPIC: Final = "workspace/occupancy"

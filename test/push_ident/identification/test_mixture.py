@@ -1,4 +1,4 @@
-"""Weights of models by left-out pushes, and the mixture that they make."""
+"""Kinds of support that stay beside each other in a posterior."""
 
 from __future__ import annotations
 
@@ -10,10 +10,6 @@ import pytest
 
 from helpers.objects import random_records, square
 from push_ident.errors import ModelFileError
-from push_ident.identification.fitting.fit import Fit
-from push_ident.identification.fitting.levenberg_marquardt import minimise
-from push_ident.identification.fitting.problem import FitProblem
-from push_ident.identification.fitting.stacking import left_out_log_densities, stacked_weights
 from push_ident.identification.predicting.prediction import predict
 from push_ident.identification.results.explanation import Explanation, PushEvidence
 from push_ident.identification.results.identifiability import identifiability
@@ -26,29 +22,6 @@ from push_ident.physics.scenario import PushScenario
 
 SHAPE = square(5, 0.02)
 RECORDS = random_records(uniform_model(SHAPE), 5, 3)
-
-
-def converged(problem: FitProblem, start: np.ndarray | None = None) -> Fit:
-    return Fit(problem, *minimise(problem, np.zeros(problem.size) if start is None else start, tolerance=1e-6))
-
-
-def test_left_out_density_is_that_of_a_fit_without_the_push() -> None:
-    problem = FitProblem(RECORDS, UnknownsSpec.of(SHAPE, Prior(max_modes=4)))
-    fit = converged(problem)
-    expected = [fit.log_evidence - converged(problem.without([i])).log_evidence for i in range(len(RECORDS))]
-    assert left_out_log_densities(fit) == pytest.approx(expected, abs=0.3)
-    assert np.ptp(expected) > 1.0
-
-
-def test_weights_follow_the_pushes_from_the_evidence_on() -> None:
-    """Where only one model explains n pushes, their sum and that of a prior as sure as one push decide."""
-    even, n = np.zeros(2), 3
-    assert stacked_weights(np.zeros((n, 2)), np.log([0.2, 0.8])) == pytest.approx([0.2, 0.8])
-    only_first = np.column_stack([np.zeros(n), np.full(n, -np.inf)])
-    assert stacked_weights(only_first, even) == pytest.approx([(n + 0.5) / (n + 1), 0.5 / (n + 1)], abs=1e-5)
-    hopeless = np.array([0.0, -2000.0])
-    assert stacked_weights(np.zeros((n, 2)), hopeless) == pytest.approx([1.0, 0.0])
-    assert stacked_weights(np.full((n, 2), -np.inf), even) == pytest.approx([0.5, 0.5])
 
 
 def mixture() -> ModelPosterior:
