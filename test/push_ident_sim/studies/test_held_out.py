@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from helpers.recordings import icra16_file
+from push_ident.bags.importers.shapes import right_triangle
 from push_ident.errors import InputError
 from push_ident.identification.fitting.budget import Budget
 from push_ident_sim.recordings.truth import CameraNoise, TruthSettings
 from push_ident_sim.studies.common.study import Case, CaseResult, CaseSettings
-from push_ident_sim.studies.held_out import harmed
+from push_ident_sim.studies.held_out import harmed, on_supports
 from push_ident_sim.studies.registry import EXPERIMENTS
 
 STUDY = EXPERIMENTS["held-out"]
@@ -32,6 +34,16 @@ def test_pushes_are_learned_from_or_predicted_and_known_supports_stand_beside_th
     assert sum(errors["best"]) <= sum(errors["supports"])
     with pytest.raises(InputError, match="expected 30 and more"):
         STUDY.run(Case(NAME, 0, "5-pushes"), settings_of(tmp_path))
+
+
+def test_known_supports_bear_the_weight_by_statics() -> None:
+    shape, supports = right_triangle(0.15, 0.15), np.array([[0.01, 0.01], [0.09, 0.03], [0.01, 0.13]])
+    model = on_supports(shape, supports, 0.3)
+    # The centroid of the triangle is at a third of its legs: (50, 50) mm.
+    assert model.centre_of_friction == pytest.approx([0.05, 0.05], abs=1e-3)
+    load = model.mass * model.friction
+    near = [float(load[np.linalg.norm(shape.cells.centres - place, axis=1) < 0.02].sum()) for place in supports]
+    assert np.array(near) / load.sum() == pytest.approx([0.25, 0.5, 0.25], abs=0.02)
 
 
 def test_a_set_is_harmed_from_two_per_cent_on() -> None:

@@ -58,7 +58,7 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     models = {"identified": result.model, "scalar": result.scalar, "uniform": result.uniform}
     errors = {name: held_out_errors(model, test) for name, model in models.items()}
     if supports is not None:
-        known = [held_out_errors(_on_supports(test[0].shape, supports, mu), test) for mu in (Prior().pusher_friction, *_FRICTIONS)]
+        known = [held_out_errors(on_supports(test[0].shape, supports, mu), test) for mu in (Prior().pusher_friction, *_FRICTIONS)]
         errors |= {"supports": known[0], "best": min(known[1:], key=lambda values: float(np.nanmean(values)))}
     scores = [score_push(result.posterior, record, 1) for record in test]
     return solve_values(result) | {
@@ -68,11 +68,12 @@ def _run(case: Case, settings: CaseSettings) -> Json:
     }
 
 
-def _on_supports(shape: ObjectShape, supports: Float64Array, pusher_friction: float) -> ObjectModel:
+def on_supports(shape: ObjectShape, supports: Float64Array, pusher_friction: float) -> ObjectModel:
     """An even object on points, which bear what statics gives them."""
     prior, cells = Prior(), shape.cells
-    feet = feet_load(cells.parts, cells.centres, supports, 0.6 * cells.size, np.zeros(len(supports)))
-    return ObjectModel(shape, prior.total_mass * cells.parts, prior.friction * feet.load / cells.parts, pusher_friction)
+    weight = cells.areas / cells.areas.sum()
+    feet = feet_load(weight, cells.centres, supports, 0.6 * cells.size, np.zeros(len(supports)))
+    return ObjectModel(shape, prior.total_mass * weight, prior.friction * feet.load / weight, pusher_friction)
 
 
 def _summarise(results: Sequence[CaseResult]) -> Json:
