@@ -13,6 +13,7 @@ from push_ident.errors import ModelFileError
 from push_ident.identification.predicting.prediction import predict
 from push_ident.identification.results.explanation import Explanation, PushEvidence
 from push_ident.identification.results.identifiability import identifiability
+from push_ident.identification.results.known_effects import KnownEffect, with_known_effects
 from push_ident.identification.results.model_file import load_model, save_model
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.identification.unknowns.mechanics import model_at, uniform_model
@@ -78,3 +79,10 @@ def test_one_push_that_cannot_be_simulated_condemns_no_fit() -> None:
     failed = replace(good, error=np.inf)
     assert not Explanation((good,) * 9 + (failed,)).contradiction
     assert Explanation((failed,) * 3).contradiction
+
+
+def test_effects_that_are_adopted_leave_no_kind_of_support_that_lacks_them(tmp_path: Path) -> None:
+    changed, _ = with_known_effects(mixture(), [KnownEffect("table_tilt", np.array([0.01, 0.0]), np.array([0.002, 0.002]))])
+    assert changed.effects.names == ("table_tilt",) and not changed.alternatives
+    save_model(tmp_path / "model.json", changed, object_id="1")
+    assert load_model(tmp_path / "model.json")[1].effects.names == ("table_tilt",)

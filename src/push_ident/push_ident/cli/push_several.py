@@ -108,8 +108,10 @@ def _known(client: CellClient) -> dict[str, PlacedObject]:
     """Objects with their latest pose."""
     from push_ident.planning.several import PlacedObject
 
-    found = {name: (client.poses(name), client.is_known(name)) for name in client.object_ids()}
-    return {name: PlacedObject(client.shape(name).outline, poses[-1][1]) for name, (poses, is_known) in found.items() if poses and is_known}
+    tracks = {name: (client.poses(name), client.is_known(name)) for name in client.object_ids()}
+    return {
+        name: PlacedObject(client.shape(name).outline, poses[-1][1]) for name, (poses, is_known) in tracks.items() if poses and is_known
+    }
 
 
 def _missing(client: CellClient, goals: Mapping[str, Float64Array]) -> str:

@@ -45,8 +45,8 @@ class DistanceField:
         finite: BoolArray = np.all(np.isfinite(points), axis=-1)
         index = np.rint((np.where(finite[..., None], points, 0.0) - self.low) / self.size).astype(np.int64)
         rows, columns = self.distance.shape
-        found = self.distance[np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1)]
-        return np.asarray(np.where(finite, found, -np.inf), dtype=np.float64)
+        nearest = self.distance[np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1)]
+        return np.asarray(np.where(finite, nearest, -np.inf), dtype=np.float64)
 
 
 def grown(outline: Float64Array, by: float) -> Float64Array:
@@ -74,9 +74,9 @@ def pieces(mask: BoolArray, least: int) -> list[tuple[Float64Array, BoolArray]]:
 
 def contours(mask: BoolArray) -> list[Float64Array]:
     """Outer borders of the pieces of a mask, each of shape (n, 2), counter-clockwise, in (column, row) of cell centres."""
-    found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    borders, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     # Within half a cell, so that a straight side has two ends.
-    lines = [cv2.approxPolyDP(contour, 0.5, closed=True)[:, 0, :].astype(np.float64) for contour in found]
+    lines = [cv2.approxPolyDP(contour, 0.5, closed=True)[:, 0, :].astype(np.float64) for contour in borders]
     return [line[::-1] if cv2.contourArea(line.astype(np.float32), oriented=True) < 0 else line for line in lines]
 
 

@@ -58,7 +58,7 @@ def dubins_path(start: Float64Array, end: Float64Array, radius: float) -> Dubins
     dx, dy = (end[0] - start[0]) / radius, (end[1] - start[1]) / radius
     distance, bearing = math.hypot(dx, dy), math.atan2(dy, dx)
     alpha, beta = (start[2] - bearing) % _TURN, (end[2] - bearing) % _TURN
-    word, lengths = min(_words(alpha, beta, distance), key=lambda found: sum(found[1]))
+    word, lengths = min(_words(alpha, beta, distance), key=lambda solution: sum(solution[1]))
     t, p, q = lengths
     return DubinsPath(np.array(start, dtype=np.float64), radius, word, (radius * t, radius * p, radius * q))
 

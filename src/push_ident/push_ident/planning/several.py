@@ -19,11 +19,11 @@ from push_ident.planning.keep_out import distance_between
 from push_ident.pushing.push import PushSettings
 from push_ident.types import Float64Array
 
-_TURN: Final = 0.3
+_ANGLE_ASIDE: Final = 0.3
 """Largest angle to a place aside [rad]: there it matters only that the object is out of the way."""
 _STEP: Final = 0.02
 """Between places aside that are tried [m]: the tolerance of a goal."""
-_TURNS: Final = 4
+_MOST_TURNS: Final = 4
 """Turns of each object at most, those to make room included: each object makes room for each of three others, and goes to its goal."""
 
 
@@ -118,7 +118,7 @@ class SeveralGoals:
         raise NoTurnError(self._why(waiting, blockers))
 
     def _may(self, name: str) -> bool:
-        return name not in self._failed and self._turns.get(name, 0) < _TURNS
+        return name not in self._failed and self._turns.get(name, 0) < _MOST_TURNS
 
     def _begin(self, turn: Turn) -> Turn:
         self._turns[turn.object_id] = self._turns.get(turn.object_id, 0) + 1
@@ -140,7 +140,7 @@ class SeveralGoals:
             pose = np.append(place, moved.pose[2])
             outline = moved.at(pose)
             if self.settings.excess(outline) == 0.0 and all(distance_between(outline, other) > self.room for other in taken):
-                return Goal(pose, yaw=_TURN)
+                return Goal(pose, yaw=_ANGLE_ASIDE)
         return None
 
     def _why(self, waiting: Sequence[str], blockers: Mapping[str, Sequence[str]]) -> str:

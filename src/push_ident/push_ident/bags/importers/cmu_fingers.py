@@ -125,10 +125,10 @@ def finger_logs(paths: Sequence[Path]) -> list[Path]:
     """The files, those of folders and their folders by name. Raises InputError for a folder without any."""
     files: list[Path] = []
     for path in map(Path, paths):
-        found = sorted(path.rglob("log*.txt")) if path.is_dir() else [path]
-        if not found:
+        logs = sorted(path.rglob("log*.txt")) if path.is_dir() else [path]
+        if not logs:
             raise InputError(f"{path}: no log*.txt in it; give the logs of `robot_exp_logs`, or a folder of them.")
-        files += found
+        files += logs
     return files
 
 
@@ -147,8 +147,8 @@ def registration_of(pushes: Sequence[Float64Array], shape: ObjectShape) -> Regis
     units, noise = np.array([0.1, 2e-3, 2e-3, 0.02]), 0.5e-3
 
     def residuals(x: Float64Array) -> Float64Array:
-        found = Registration(float(x[0] * units[0]), (float(x[1] * units[1]), float(x[2] * units[2]), float(x[3] * units[3])))
-        return np.concatenate([*(_finger_gaps(rows, shape, found).ravel() / noise for rows in pushes), x])
+        tried = Registration(float(x[0] * units[0]), (float(x[1] * units[1]), float(x[2] * units[2]), float(x[3] * units[3])))
+        return np.concatenate([*(_finger_gaps(rows, shape, tried).ravel() / noise for rows in pushes), x])
 
     # From no delay, the search ends where a turn of the camera stands for it.
     start, latest = np.array([1.0, 0.0, 0.0, 0.0]), _LATEST / units[0]

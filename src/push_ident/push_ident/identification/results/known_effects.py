@@ -103,7 +103,8 @@ def with_known_effects(posterior: ModelPosterior, effects: Sequence[KnownEffect]
         covariance[at, :], covariance[:, at] = 0.0, 0.0
         z[at] = np.where(variance < 1.0, value, 0.0)
         covariance[at, at] = np.diag(np.minimum(variance, 1.0))
-    return replace(posterior, unknowns=unknowns, z=z, covariance=covariance), onto
+    # Other kinds of support were fitted with the effects before.
+    return replace(posterior, unknowns=unknowns, z=z, covariance=covariance, alternatives=()), onto
 
 
 def effects_in_use(posterior: ModelPosterior) -> tuple[KnownEffect, ...]:
