@@ -11,6 +11,10 @@ All strokes and lengths are judged by the mean model, the best by all models, an
 leave the workspace or touch something else first. Contact, direction and length of a push that may be the last one are then improved
 by the exact derivative, and its expectation is taken over more models and the uncertainty of the pose.
 
+r may promise too much where things stand around the object: then every push that leads out seems worse than one that hardly moves it. So
+J of the push that was chosen is remembered, and r is no less at poses within the tolerances of that one (real-time heuristic search, LRTA*:
+Korf, Artificial Intelligence 42, 1990): an object that comes back to where it was is pushed another way.
+
 Diagnosed effects are part of the models. Where they make a motion depend on the place, the library is made anew where the object
 lies.
 
@@ -124,6 +128,9 @@ class GoalPlanner:
         self._belief: Belief | None = None
         self._library: Library | None = None
         self._judges: list[BatchModel] = []
+        self._towards: Float64Array | None = None
+        self._passed: list[tuple[Float64Array, float]] = []
+        """Poses from which pushes to the goal `_towards` were planned, table frame of the arm, and the J of each push [1]."""
 
     def _library_of(self, belief: Belief, pose: Float64Array) -> Library:
         if belief is not self._belief:
@@ -169,7 +176,7 @@ class GoalPlanner:
         around = Surroundings([transform_points(inverse(belief.camera), outline) for outline in obstacles])
         library = self._library_of(belief, in_arm)
         keep_out = KeepOut(self._shape, around.obstacles, self._settings) if obstacles else None
-        task = _Task(belief, in_arm, covariance, goal, goal, around, keep_out, _FurtherPushes(library, goal, None))
+        task = _Task(belief, in_arm, covariance, goal, goal, around, keep_out, _FurtherPushes(library, goal, None, ()))
         low, high = self._settings.distance_range
         usable = (self._touch_of_strokes(library, task) <= RISK) & (library.lengths >= low) & (library.lengths <= high)
         models = self._displaced_judges(in_arm, covariance)
@@ -202,7 +209,10 @@ class GoalPlanner:
             if way is None or not np.isfinite(way.extra(pose)):
                 return GoalPush(PlanStatus.BLOCKED, chance)
         wanted = Goal(compose(inverse(pose), goal.pose), goal.position, goal.yaw)
-        task = _Task(belief, pose, covariance, goal, wanted, around, keep_out, _FurtherPushes(library, goal, way))
+        if self._towards is None or not np.array_equal(goal.pose, self._towards):
+            self._towards, self._passed = goal.pose, []
+        further = _FurtherPushes(library, goal, way, self._passed)
+        task = _Task(belief, pose, covariance, goal, wanted, around, keep_out, further)
         answer = GoalPush(PlanStatus.UNREACHABLE, chance)
         for candidates in self._candidates(library, task):
             answer = self._best(task, candidates)
@@ -293,6 +303,7 @@ class GoalPlanner:
         if not np.any(np.isfinite(value)):
             return GoalPush(PlanStatus.UNREACHABLE, chance)
         best = int(np.nanargmin(value))
+        self._passed.append((pose, float(value[best])))
         group, number, length = candidates[best]
         return GoalPush(
             PlanStatus.PUSH,
@@ -403,16 +414,17 @@ def _value(further: _FurtherPushes, motion: Float64Array, wanted: Goal, ends: Fl
     at_goal = _probability_within_tolerance(wanted.relative_error(motion))
     remaining = compose(inverse(motion), wanted.pose)
     after = further.after(remaining.reshape(-1, 3)).reshape(at_goal.shape) + further.detour(ends)
-    return 1.0 + np.asarray(np.mean((1.0 - at_goal) * after, axis=0))
+    return 1.0 + np.asarray(np.mean((1.0 - at_goal) * np.maximum(after, further.shown(ends)), axis=0))
 
 
 class _FurtherPushes:
     """Pushes that are expected to make a motion within the tolerances of a goal, looked up in the motions of the mean model."""
 
-    def __init__(self, library: Library, goal: Goal, way: WayRound | None) -> None:
+    def __init__(self, library: Library, goal: Goal, way: WayRound | None, passed: Sequence[tuple[Float64Array, float]]) -> None:
         flat, variance = library.motion[0].reshape(-1, 3), library.variance.reshape(-1, 3)
         known = np.all(np.isfinite(flat), axis=1)
         self._goal, self._way, self._tree = goal, way, KDTree(flat[known] / goal.tolerance)
+        self._passed = passed
         self._spread = np.sqrt(np.sum(variance[known] / goal.tolerance**2, axis=1))
         """Of each motion over the models, in units of the tolerances, shape (n_motions,)."""
 
@@ -429,6 +441,14 @@ class _FurtherPushes:
     def detour(self, poses: Float64Array) -> float | Float64Array:
         """Pushes that the way round obstacles needs beside these, from poses, shape (..., 3): shape (...); inf where there is none."""
         return 0.0 if self._way is None else self._way.extra(poses) / _OPTIONS.push_travel
+
+    def shown(self, poses: Float64Array) -> Float64Array:
+        """Pushes that were found to be needed from there before, from poses, shape (..., 3): shape (...); 0 where none was planned."""
+        least = np.zeros(poses.shape[:-1])
+        for pose, value in self._passed:
+            is_there = np.asarray(replace(self._goal, pose=pose).relative_error(poses)) <= 1.0
+            least = np.where(is_there, np.maximum(least, value), least)
+        return least
 
 
 class _EdgeRisk:
