@@ -41,7 +41,7 @@ experiments: setup-dev  ## the paper's experiments and those of pushing to goals
 	$(call experiment,convergence --models 1)
 	$(call experiment,maps --models 2)
 	$(call experiment,coverage --models 2)
-	$(call experiment,real-protocol --models 2)
+	$(call experiment,few-pushes --models 10)
 	$(call experiment,goals --seed 41000 --models 8)
 	$(call experiment,edge --seed 44000 --models 25)
 	$(call experiment,paths --seed 52000 --models 4)

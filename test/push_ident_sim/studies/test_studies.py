@@ -180,14 +180,14 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> CaseSettings:
     return CaseSettings(folder, Budget(max_seconds=None, max_simulations=60), truth, CameraNoise())
 
 
-@pytest.mark.parametrize("name", ["real-protocol", "convergence", "maps", "coverage"])
+@pytest.mark.parametrize("name", ["few-pushes", "convergence", "maps", "coverage"])
 def test_case_gives_table_answer_and_figure(name: str, settings: CaseSettings, tmp_path: Path) -> None:
     study = EXPERIMENTS[name]
     cases = [Case("toolbox", 3, variant) for variant in study.variants[:1]]
     summary = json.loads(json.dumps(study.summarise([CaseResult(case, study.run(case, settings)) for case in cases]), allow_nan=False))
     assert study.tables(summary).startswith("|") and study.answer(summary).endswith(".")
     written = [(tmp_path / figure).read_text() for figure in study.draw(summary, tmp_path)]
-    assert len(written) == (name != "real-protocol") and all("<svg" in text for text in written)
+    assert len(written) == (name != "few-pushes") and all("<svg" in text for text in written)
     assert [(tmp_path / figure).read_text() for figure in study.draw(summary, tmp_path)] == written
 
 
