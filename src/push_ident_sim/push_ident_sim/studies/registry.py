@@ -7,6 +7,7 @@ from push_ident_sim.studies import (
     coverage,
     demo,
     edge,
+    few_pushes,
     goals,
     held_out,
     injected,
