@@ -35,6 +35,9 @@ _LEAST_WEIGHT: Final = 1.0 / 64.0
 """Weight below which a kind of support is left out [1]: half a model of the 32 that a prediction draws."""
 _NEGLIGIBLE: Final = 7.0
 """Difference of log evidence [nat], odds of 1100 to 1: candidates so far below the best are not fitted to the end."""
+_WEIGHED: Final = 0.866
+"""Mean of the weighted squares of normal residuals of a pose [1]: of 7 u / (4 + u) / 3 over u, chi squared with 3 degrees of freedom
+(`FitProblem.weigh`). The scale of Student's t is as much smaller than the deviation that predictions take for a normal one."""
 _ADOPTED: Final = "adopted model"
 _EQUAL: Final = "equal cells"
 _NOMINAL: Final = "equal cells, nominal friction"
@@ -266,7 +269,7 @@ class _Candidates:
         """
         best, freedom = self.best, 4.0
         weight = best.problem.weigh(best.end.residual)[1]
-        squares = self._inflation**2 * float(weight @ np.sum(best.end.residual**2, axis=1)) + freedom
+        squares = self._inflation**2 * float(weight @ np.sum(best.end.residual**2, axis=1)) / _WEIGHED + freedom
         return float(np.sqrt(squares / (best.degrees_of_freedom + freedom)))
 
     @property
