@@ -69,8 +69,8 @@ held-out: setup-dev  ## recorded pushes known by their ends, SETS=FOLDER of sets
 	$(VENV)/push-ident experiment report
 
 obstacles: setup-dev  ## pushing to goals between obstacles, and several objects to theirs, in Bullet (hours; goes on where it stopped), then the pages
-	$(call experiment,obstacles --seed 400 --models 4 --goals 5)
-	$(call experiment,several --seed 400 --models 20)
+	$(call experiment,obstacles --seed 400 --models 4 --goals 5 --variants round)
+	$(call experiment,several --seed 400 --models 8)
 	$(VENV)/push-ident experiment report
 
 FINGERS ?= robot_exp_logs
