@@ -101,7 +101,7 @@ def test_push_straight_ahead_is_stable_if_the_centre_lies_between_the_contacts_w
 def test_load_at_a_single_point_bounds_the_angle_by_the_friction_cone() -> None:
     """All load at the centre of the block: the table then exerts a force through it, against its velocity."""
     centre = np.array([0.0, 0.0])
-    single = Support(np.zeros((1, 2)), np.ones((1, 1)), centre)
+    single = Support(np.zeros((1, 2)), np.ones((1, 1)), centre, np.zeros((1, 4)))
     for angle in (0.99, 1.01):
         # The centre of rotation is so far away that the velocity at the block's centre is at this share of the cone's half-angle.
         heading = angle * np.arctan(FRICTION)

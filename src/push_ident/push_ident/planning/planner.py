@@ -253,11 +253,13 @@ class GoalPlanner:
         keep_out, strokes_of, pose = task.keep_out, library.strokes, task.pose
         if keep_out is None:
             return np.zeros(library.motion.shape[1:3])
-        clearance, heading = self._settings.clearance, strokes_of.heading()
-        along = np.concatenate([np.linspace(-clearance, 0.0, 1 + int(clearance / library.lengths[0])), library.lengths])
+        clearance, span, heading = self._settings.clearance, self._settings.span, strokes_of.heading()
+        # The rear end of a tool with two contacts follows the front one, and begins where both are lowered.
+        rear = np.linspace(-clearance - span, -clearance, 1 + int(np.ceil(span / library.lengths[0])))
+        along = np.concatenate([rear, np.linspace(-clearance, 0.0, 1 + int(clearance / library.lengths[0]))[1:], library.lengths])
         tool = transform_points(pose, (strokes_of.tool[:, None] + along[:, None] * heading[:, None]).reshape(-1, 2))
         tool = tool.reshape(len(strokes_of), len(along), 2)
-        clear = keep_out.is_tool_clear(tool[:, 0], tool)[:, -len(library.lengths) :]
+        clear = keep_out.is_tool_clear(tool[:, : len(rear)], tool)[:, -len(library.lengths) :]
         gaps, now = keep_out.gaps(compose(pose, library.motion[0])), float(keep_out.gaps(pose))
         variance = library.variance + np.where((gaps < now - RESOLUTION)[..., None], np.diag(task.covariance), 0.0)
         std = np.sqrt(np.max(variance[..., :2], axis=-1) + keep_out.lever**2 * variance[..., 2])
