@@ -31,7 +31,7 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
 
 from push_ident.errors import InputError
-from push_ident.geometry.dubins import dubins_path
+from push_ident.geometry.dubins import DubinsPath, dubins_paths
 from push_ident.geometry.outline import edge_normals
 from push_ident.geometry.se2 import compose, inverse
 from push_ident.physics.body import BodyParameters
@@ -266,10 +266,10 @@ def stable_turns(contact: FaceContact, support: Support, friction: float, speed:
     return best
 
 
-def stable_push(
+def stable_pushes(
     turns: StableTurns, start: Float64Array, goal: Float64Array, tool: PusherShape, *, speed: float, clearance: float = 0.0
-) -> StablePush | None:
-    """The shortest push with a contact that carries the object from one pose to another; None where it can only go straight.
+) -> list[StablePush]:
+    """Pushes with a contact that carry the object from one pose to another, the shortest first; none where it can only go straight.
 
     Args:
         start, goal: poses of the object (x, y, yaw) [m, m, rad], shape (3,), table frame.
@@ -277,40 +277,42 @@ def stable_push(
         clearance: from the object, from which the tool comes straight ahead [m].
     """
     if turns.curvature <= 0.0:
-        return None
-    reference = turns.reference_in_object
-    along, length = _blended(compose(start, reference), compose(goal, reference), turns)
-    poses = compose(along, inverse(reference))
-    tool_poses = compose(poses, turns.contact.tool_in_object)
-    back = compose(tool_poses[0], np.array([-clearance, 0.0, 0.0]))
-    n_back = 1 if clearance > 0.0 else 0
-    driven = np.vstack([*[back] * n_back, tool_poses])
-    steps = np.linalg.norm(np.diff(along[:, :2], axis=0), axis=1)
-    travelled = np.concatenate([np.zeros(1), np.full(n_back, clearance), steps])
-    driven[:, 2] = np.unwrap(driven[:, 2])
-    tool_path = PusherPath(np.cumsum(travelled) / speed, driven[:, :2], tool.radius, tool.polygon, driven[:, 2], tool.fingers)
-    return StablePush(turns, tool_path, np.vstack([*[poses[0]] * n_back, poses]), length)
+        return []
+    reference, ahead = turns.reference_in_object, np.array([0.5 * turns.blend, 0.0, 0.0])
+    first, last = compose(compose(start, reference), ahead), compose(compose(goal, reference), -ahead)
+    pushes = []
+    for path in dubins_paths(first, last, 1.0 / turns.curvature):
+        along = _blended(path, last, turns)
+        poses = compose(along, inverse(reference))
+        tool_poses = compose(poses, turns.contact.tool_in_object)
+        back = compose(tool_poses[0], np.array([-clearance, 0.0, 0.0]))
+        n_back = 1 if clearance > 0.0 else 0
+        driven = np.vstack([*[back] * n_back, tool_poses])
+        steps = np.linalg.norm(np.diff(along[:, :2], axis=0), axis=1)
+        travelled = np.concatenate([np.zeros(1), np.full(n_back, clearance), steps])
+        driven[:, 2] = np.unwrap(driven[:, 2])
+        tool_path = PusherPath(np.cumsum(travelled) / speed, driven[:, :2], tool.radius, tool.polygon, driven[:, 2], tool.fingers)
+        pushes.append(StablePush(turns, tool_path, np.vstack([*[poses[0]] * n_back, poses]), path.length + turns.blend))
+    return pushes
 
 
-def _blended(start: Float64Array, goal: Float64Array, turns: StableTurns) -> tuple[Float64Array, float]:
-    """Poses of the reference point along the shortest path, shape (n, 3), whose curvature changes over `turns.blend`, and its length [m].
+def _blended(path: DubinsPath, end: Float64Array, turns: StableTurns) -> Float64Array:
+    """Poses of the reference point, shape (n, 3), along a path of arcs to `end`, whose curvature changes over `turns.blend`.
 
-    It is straight for half that length at both ends. Between, each pose is the mean over that length of a path of arcs: its velocity is a
-    mean of theirs, so that its curvature goes evenly from one to the next.
+    It is straight for half that length before and after. Each pose is the mean over that length of the path of arcs: its velocity is a mean
+    of theirs, so that its curvature goes evenly from one to the next.
     """
     spacing, half = 0.1 * turns.contact.apart, 0.5 * turns.blend
-    ahead = np.array([half, 0.0, 0.0])
-    path = dubins_path(compose(start, ahead), compose(goal, -ahead), 1.0 / turns.curvature)
     if not half:
-        return path.poses(spacing), path.length
-    arcs = path.poses(0.1 * half)
+        return path.poses(spacing)
+    arcs, ahead = path.poses(0.1 * half), np.array([2.0 * half, 0.0, 0.0])
     # Straight on at both ends, as far as the means there reach.
-    arcs = np.vstack([compose(start, -ahead), arcs, compose(goal, ahead)])
+    arcs = np.vstack([compose(path.start, -ahead), arcs, compose(end, ahead)])
     arcs[0, 2], arcs[-1, 2] = arcs[1, 2], arcs[-2, 2]
     length = np.concatenate([np.zeros(1), np.cumsum(np.linalg.norm(np.diff(arcs[:, :2], axis=0), axis=1))])
     middle = np.linspace(half, length[-1] - half, 1 + math.ceil((length[-1] - 2.0 * half) / spacing))
     over = middle[:, None] + half * (2.0 * (np.arange(_MEANS) + 0.5) / _MEANS - 1.0)
-    return np.column_stack([np.interp(over, length, column).mean(axis=1) for column in arcs.T]), path.length + turns.blend
+    return np.column_stack([np.interp(over, length, column).mean(axis=1) for column in arcs.T])
 
 
 def shortest_stable_push(
@@ -326,10 +328,10 @@ def shortest_stable_push(
     """The shortest push of all contacts; None where none leads to the goal.
 
     `workspace`: x_min, x_max, y_min, y_max [m], within which the frames of object and tool have to stay, table frame. The other arguments
-    are those of `stable_push`.
+    are those of `stable_pushes`.
     """
-    pushes = (stable_push(turns, start, goal, tool, speed=speed, clearance=clearance) for turns in options)
-    possible = (push for push in pushes if push is not None and (workspace is None or _stays(push, workspace)))
+    pushes = (push for turns in options for push in stable_pushes(turns, start, goal, tool, speed=speed, clearance=clearance))
+    possible = (push for push in pushes if workspace is None or _stays(push, workspace))
     return min(possible, key=lambda push: push.length, default=None)
 
 
