@@ -58,16 +58,23 @@ def carrying_turns(shape: ObjectShape, models: Sequence[BatchModel], settings: P
 def carrying_pushes(
     shape: ObjectShape, turns: Sequence[StableTurns], settings: PushSettings, pose: Float64Array, goal: Float64Array, around: Surroundings
 ) -> Iterator[CarryingPush]:
-    """Pushes from one pose to another, shape (3,) each, the shortest first, that keep tool and object in the workspace and the tool clear.
+    """Pushes from one pose to another, shape (3,) each, that keep tool and object in the workspace and the tool clear.
 
-    Whether the object keeps clear of obstacles is for the caller to judge, with the uncertainty of its pose.
+    The shortest come first of those that turn by less than half a turn, which every arm can make whose wrist turns by a whole one, then of
+    the others: both ends are alike, so that it may begin half a turn away. Whether the object keeps clear of obstacles is for the caller to
+    judge, with the uncertainty of its pose.
     """
     speed = settings.speed_range[0]
     every = [push for one in turns for push in stable_pushes(one, pose, goal, settings.tool, speed=speed, clearance=settings.clearance)]
     now = settings.excess(transform_points(pose, shape.outline))
-    for push in sorted(every, key=lambda push: push.length):
+    for push in sorted(every, key=lambda push: (_turned(push) > np.pi, push.length)):
         if (carrying := _possible(shape, settings, pose, push, around)) is not None and _stays(shape, push, settings, now):
             yield carrying
+
+
+def _turned(push: StablePush) -> float:
+    """Range of its headings [rad]."""
+    return float(np.ptp(push.poses[:, 2]))
 
 
 def _stays(shape: ObjectShape, push: StablePush, settings: PushSettings, now: float) -> bool:

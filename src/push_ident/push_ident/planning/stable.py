@@ -41,6 +41,10 @@ _HALVINGS: Final = 10
 """Of the interval of curvatures, from 0 to a turn about an end of the tool: to a thousandth of it."""
 _SMALLER: Final = 7
 """Smaller curvatures that are tried beside the largest."""
+_SPACING: Final = 0.01
+"""Of the poses of a path, over the distance of the contacts [1]: the sharpest turn is about one of them."""
+_MOST_POINTS: Final = 950
+"""Poses of a path: a message holds 1000."""
 _MEANS: Final = 40
 """Points that a mean over the length of a change of the curvature is taken of."""
 _DEPTHS: Final = (0.0, 0.5, 1.0, 1.5)
@@ -104,9 +108,7 @@ class Support:
         inertia does not matter. Raises InputError for a centre outside of them, or no positive deceleration.
         """
         if not deceleration > 0.0:
-            raise InputError(
-                f"The deceleration of the object is {deceleration} m/s^2, expected more than 0: friction coefficient times 9.81."
-            )
+            raise InputError(f"The object decelerates at {deceleration} m/s^2, expected more than 0: its friction coefficient times 9.81.")
         places, centre = np.vstack([shape.outline, shape.cells.centres]), np.asarray(centre, dtype=np.float64)
         support = cls(places, np.empty((0, 0)), centre, np.zeros((1, 4)))
         support.least(np.zeros(len(places)))
@@ -281,7 +283,7 @@ def stable_pushes(
     reference, ahead = turns.reference_in_object, np.array([0.5 * turns.blend, 0.0, 0.0])
     first, last = compose(compose(start, reference), ahead), compose(compose(goal, reference), -ahead)
     pushes = []
-    for path in dubins_paths(first, last, 1.0 / turns.curvature):
+    for path in dubins_paths(first, last, 1.0 / _of_arcs(turns.curvature, turns.blend)):
         along = _blended(path, last, turns)
         poses = compose(along, inverse(reference))
         tool_poses = compose(poses, turns.contact.tool_in_object)
@@ -300,9 +302,10 @@ def _blended(path: DubinsPath, end: Float64Array, turns: StableTurns) -> Float64
     """Poses of the reference point, shape (n, 3), along a path of arcs to `end`, whose curvature changes over `turns.blend`.
 
     It is straight for half that length before and after. Each pose is the mean over that length of the path of arcs: its velocity is a mean
-    of theirs, so that its curvature goes evenly from one to the next.
+    of theirs, so that its curvature goes evenly from one to the next. On an arc it is a circle within it (`_of_arcs`).
     """
-    spacing, half = 0.1 * turns.contact.apart, 0.5 * turns.blend
+    # Along a chord the tool goes up to half its angle aside of the arc: on the sharpest, a hundredth of a radian.
+    spacing, half = max(_SPACING * turns.contact.apart, (path.length + turns.blend) / _MOST_POINTS), 0.5 * turns.blend
     if not half:
         return path.poses(spacing)
     arcs, ahead = path.poses(0.1 * half), np.array([2.0 * half, 0.0, 0.0])
@@ -313,6 +316,17 @@ def _blended(path: DubinsPath, end: Float64Array, turns: StableTurns) -> Float64
     middle = np.linspace(half, length[-1] - half, 1 + math.ceil((length[-1] - 2.0 * half) / spacing))
     over = middle[:, None] + half * (2.0 * (np.arange(_MEANS) + 0.5) / _MEANS - 1.0)
     return np.column_stack([np.interp(over, length, column).mean(axis=1) for column in arcs.T])
+
+
+def _of_arcs(curvature: float, blend: float) -> float:
+    """Curvature of the arcs of which means over a length [m] have the given one [1/m].
+
+    The mean velocity over an angle a is sin(a / 2) / (a / 2) times as fast, and turns as fast.
+    """
+    found = curvature
+    for _ in range(_MEANS):
+        found = curvature * float(np.sinc(0.5 * found * blend / np.pi))
+    return found
 
 
 def shortest_stable_push(
@@ -346,7 +360,9 @@ def _sharpest(contact: FaceContact, support: Support, friction: float, depth: fl
     """Largest curvature to one side up to which all are stable [1/m]: by bisection, and then some of the smaller ones."""
 
     def is_stable(curvature: float, largest: float) -> bool:
-        drive = Drive(speed, depth, 2.0 * largest / contact.apart) if speed else None
+        # From one side to the other over the length of a mean, along which the tool goes as much less as its arcs are less curved.
+        change = 2.0 * largest**2 / (contact.apart * _of_arcs(largest, contact.apart)) if speed else 0.0
+        drive = Drive(speed, depth, change) if speed else None
         centre = compose(contact.tool_in_object, np.array([depth, turn / curvature, 0.0]))[:2] if curvature else None
         return stable_margin(contact, support, friction, centre, turn, drive) > 0.0
 
