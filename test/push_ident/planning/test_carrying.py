@@ -18,7 +18,9 @@ from push_ident.physics.overhang import TableEdge
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings, simulate
 from push_ident.planning.belief import Belief
+from push_ident.planning.carrying import carrying_pushes
 from push_ident.planning.goal import EdgeHold, Goal
+from push_ident.planning.library import Surroundings
 from push_ident.planning.planner import GoalPlanner, GoalPush, PlanStatus
 from push_ident.planning.stable import Drive, FaceContact, StableTurns, Support, contact_on_face, stable_margin, stable_pushes, stable_turns
 from push_ident.pushing.push import PushSettings
@@ -208,3 +210,10 @@ def test_nothing_is_carried_with_a_contact_that_failed_at_an_edge_or_where_nothi
     assert held.path is None
     unknown = PLANNER.plan(Belief.of(prior_posterior(SHAPE)), POSE, SURE, GOAL)
     assert unknown.path is None or unknown.chance < first.chance
+
+
+def test_arcs_so_wide_that_no_push_is_as_long_offer_none() -> None:
+    turns, around = turns_of(support_of(KNOWN), 0.1), Surroundings()
+    anywhere = replace(FINGERS, workspace=(-90.0, 90.0, -90.0, 90.0))
+    assert list(carrying_pushes(SHAPE, [turns], anywhere, POSE, GOAL.pose, around))
+    assert not list(carrying_pushes(SHAPE, [replace(turns, curvature=0.05)], anywhere, POSE, GOAL.pose, around))

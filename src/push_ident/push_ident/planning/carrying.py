@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from push_ident.errors import PlanningError
+from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.se2 import transform_points
 from push_ident.physics.batch import BatchModel
 from push_ident.planning.library import Surroundings
@@ -87,10 +87,10 @@ def _possible(
 ) -> CarryingPush | None:
     if len(push.path.time) > _N_POINTS:
         return None
-    path = ToolPath(push.path.time, push.path.position, push.path.yaw)
     try:
+        path = ToolPath(push.path.time, push.path.position, push.path.yaw)
         # Before the tool rises it may back off by the clearance at most: the object is there.
         plan = push_with_both_ends(shape, pose, path, settings, around.obstacles, back_off=settings.clearance)
-    except PlanningError:
+    except (PlanningError, InputError):  # the arm must not make it, or it is longer than any push
         return None
     return None if around.has_failed(plan) else CarryingPush(plan, path, push.length)
