@@ -150,11 +150,12 @@ def test_blended_path_begins_and_ends_where_it_should_and_its_curvature_has_no_j
             assert push.poses[1] == pytest.approx(start, abs=1e-9)
             assert push.poses[-1, :2] == pytest.approx(goal[:2], abs=1e-9) and np.cos(push.poses[-1, 2] - goal[2]) > 1.0 - 1e-12
             way = compose(push.poses[1:], turns.reference_in_object)
+            way = way[:: max(1, round(0.004 / np.linalg.norm(way[1, :2] - way[0, :2])))]  # by steps of 4 mm
             step, turn = np.linalg.norm(np.diff(way[:, :2], axis=0), axis=1), np.diff(np.unwrap(way[:, 2]))
             curvature = turn / step
             assert np.abs(curvature).max() < 1.003 * turns.curvature
-            # On a mean over 0.04 m of arcs the tool goes some 0.95 m for each metre of them.
-            assert np.abs(np.diff(curvature)).max() / step.min() < 2.0 * turns.curvature / (0.92 * turns.blend)
+            # On a mean over 0.04 m of arcs the tool goes 0.95 m and less for each metre of them.
+            assert np.abs(np.diff(curvature)).max() / step.min() < 2.0 * turns.curvature / (0.95**2 * turns.blend)
             # The reference point goes straight ahead in the frame of the tool.
             ahead = np.arctan2(*np.diff(way[:, :2], axis=0).T[::-1]) - 0.5 * (way[1:, 2] + way[:-1, 2])
             assert np.abs(wrap_angle(ahead)).max() < 5e-3

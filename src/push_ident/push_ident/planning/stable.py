@@ -360,8 +360,9 @@ def _sharpest(contact: FaceContact, support: Support, friction: float, depth: fl
     """Largest curvature to one side up to which all are stable [1/m]: by bisection, and then some of the smaller ones."""
 
     def is_stable(curvature: float, largest: float) -> bool:
-        # From one side to the other over the length of a mean, along which the tool goes as much less as its arcs are less curved.
-        change = 2.0 * largest**2 / (contact.apart * _of_arcs(largest, contact.apart)) if speed else 0.0
+        # From one side to the other over the length of a mean, which is as much shorter as its arcs are less curved, and once more so where
+        # it turns from one side to the other.
+        change = 2.0 * largest**3 / (contact.apart * _of_arcs(largest, contact.apart) ** 2) if speed else 0.0
         drive = Drive(speed, depth, change) if speed else None
         centre = compose(contact.tool_in_object, np.array([depth, turn / curvature, 0.0]))[:2] if curvature else None
         return stable_margin(contact, support, friction, centre, turn, drive) > 0.0
