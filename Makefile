@@ -76,7 +76,7 @@ obstacles: setup-dev  ## pushing to goals between obstacles, and several objects
 FINGERS ?= robot_exp_logs
 two-fingers: setup-dev  ## recorded pushes with two fingers, FINGERS=FOLDER of their logs (half an hour), and stable pushes in Bullet, then the pages
 	$(call experiment,two-fingers --models 5 --recordings "$(FINGERS)")
-	$(call experiment,stable-pushes --models 1 --goals 2)
+	$(call experiment,stable-pushes --seed 700 --models 1 --goals 4)
 	$(VENV)/push-ident experiment report
 
 injected: setup-dev  ## known causes put into recordings of others, DATA=FOLDER of them (goes on where it stopped), then the page

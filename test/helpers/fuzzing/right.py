@@ -23,12 +23,12 @@ from push_ident.identification.results.posterior import prior_posterior
 from push_ident.nodes.convert.markers import GoalDrawing, goal_markers_to_msg, refusals_to_msg
 from push_ident.nodes.convert.messages import (
     camera_accuracy_to_msg,
-    cylinder_to_msg,
     depth_frame_to_msgs,
     force_to_msg,
     outline_std_to_msg,
     planar_pose_to_msg,
     position_to_msg,
+    pusher_shape_to_msg,
     shape_to_msgs,
     stamp_to_msg,
     transform_to_msg,
@@ -41,7 +41,7 @@ from push_ident.physics.overhang import TableEdge
 from push_ident.physics.scenario import PushScenario
 from push_ident.pushing.steering import PathRequest, ToolCorrection
 from push_ident.pushing.tool_path import Corridor, ToolPath
-from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, PusherPath
+from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, PusherPath, PusherShape
 from push_ident_msgs.action import ExecutePush, PushToGoal
 from push_ident_msgs.msg import GapReport, HandCommand, HandStatus, PushRecord
 from push_ident_sim.cell.robot import HOME, JOINT_NAMES, robot_description
@@ -79,7 +79,7 @@ def right_messages() -> dict[str, Any]:
         ),
         prefix + "model": posterior_to_msg(posterior, OBJECT, STAMP, n_pushes=1, is_known=True),
         "pusher/pose": position_to_msg(STAMP, [-0.2, 0.0, 0.01]),
-        "pusher/shape": cylinder_to_msg(0.01, 0.1),
+        "pusher/shape": pusher_shape_to_msg(PusherShape(0.01), 0.1),
         "pusher/wrench": force_to_msg(STAMP, [1.0, 2.0]),
         "push_record": _record(),
         "push_correction": correction_to_msg(ToolCorrection(1, 12.5, False, STEERED.time, STEERED.position)),

@@ -16,9 +16,9 @@ from push_ident.geometry.cut_cells import cells_in_outline
 from push_ident.nodes.convert import messages
 from push_ident.pushing.executed_push import Purpose
 from push_ident.pushing.ports import Phase
-from push_ident.pushing.push import PushCode
+from push_ident.pushing.push import PushCode, tool_shape, tool_sizes
 from push_ident.pushing.push_request import Mode
-from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, ObjectShape
+from push_ident.types import CameraAccuracy, CameraIntrinsics, DepthFrame, ObjectShape, PusherShape
 from push_ident_msgs.action import ExecutePush
 from push_ident_msgs.msg import PushRecord
 
@@ -81,8 +81,8 @@ def test_poses_that_cannot_be_are_refused(name):
         (messages.position_to_msg(STAMP, [0.1, -0.2, 0.3], yaw=1.0), lambda msg: messages.position_from_msg(msg)[1], [0.1, -0.2, 0.3]),
         (messages.force_to_msg(STAMP, [1.5, -2.5]), lambda msg: messages.force_from_msg(msg)[1], [1.5, -2.5]),
         (
-            messages.cylinder_to_msg(0.018, 0.1),
-            lambda msg: [*msg.dimensions, messages.cylinder_radius_from_msg(msg)],
+            messages.pusher_shape_to_msg(PusherShape(0.018), 0.1),
+            lambda msg: [*msg.dimensions, messages.pusher_shape_from_msg(msg).radius],
             [0.1, 0.018, 0.018],
         ),  # height first
         (
@@ -124,22 +124,24 @@ def test_shapes_come_back_with_their_cells_in_the_same_order():
     assert np.abs(traced.outline[:, 0].min() - L_SHAPE[:, 0].min()) < 0.007
 
 
-def test_pusher_that_is_no_cylinder_is_refused():
-    msg = messages.cylinder_to_msg(0.018, 0.1)
+def test_pusher_that_is_a_box_is_refused():
+    msg = messages.pusher_shape_to_msg(PusherShape(0.018), 0.1)
     msg.type = msg.BOX
-    with pytest.raises(InputError, match="expected a CYLINDER"):
-        messages.cylinder_radius_from_msg(msg)
     with pytest.raises(InputError, match="CYLINDER or a PRISM"):
         messages.pusher_shape_from_msg(msg)
 
 
-def test_two_fingers_are_a_shape_but_no_cylinder():
-    msg = messages.cylinder_to_msg(0.003, 0.1)
+@pytest.mark.parametrize("sizes", [(0.018,), (0.003, 0.024), (0.003, 0.0, 0.06)], ids=["cylinder", "fingers", "plate"])
+def test_tools_come_back_with_their_sizes(sizes):
+    shape = messages.pusher_shape_from_msg(messages.pusher_shape_to_msg(tool_shape(*sizes), 0.1))
+    assert list(tool_sizes(shape).values()) == pytest.approx([*sizes, 0.0, 0.0][:3], abs=1e-8)
+
+
+def test_two_fingers_are_a_cylinder_with_two_points():
+    msg = messages.pusher_shape_to_msg(PusherShape(0.003), 0.1)
     msg.polygon.points = [Point32(x=0.0, y=0.012), Point32(x=0.0, y=-0.012)]
     shape = messages.pusher_shape_from_msg(msg)
     assert shape.radius == 0.003 and shape.fingers == pytest.approx(np.array([[0.0, 0.012], [0.0, -0.012]]), abs=1e-9)
-    with pytest.raises(InputError, match="expected a CYLINDER"):
-        messages.cylinder_radius_from_msg(msg)
     msg.dimensions = [20.0, 0.003]
     with pytest.raises(InputError, match="0 to 10 m"):
         messages.pusher_shape_from_msg(msg)

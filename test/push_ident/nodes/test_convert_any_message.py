@@ -24,6 +24,7 @@ from push_ident.nodes.convert.table import edge_from_msg, table_from_msg
 from push_ident.nodes.convert.tool_path import correction_from_msg, path_request_from_goal
 from push_ident.nodes.goal_pushing.convert_goal import request_from_msg
 from push_ident.nodes.goal_pushing.parameters import PARAMETERS
+from push_ident.types import PusherShape
 
 RIGHT = right_messages()
 STEERED = right_goals()["execute_push"][1]
@@ -72,7 +73,6 @@ CONVERSIONS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any], bool]]] 
     "position": (RIGHT["pusher/pose"], messages.position_from_msg, lambda value: value[0] >= 0 and near(value[1])),
     "transform": (RIGHT["tool/pose"], messages.transform_from_msg, is_rotation),
     "force": (RIGHT["pusher/wrench"], messages.force_from_msg, lambda value: finite(value[1])),
-    "pusher": (RIGHT["pusher/shape"], messages.cylinder_radius_from_msg, lambda radius: 0 <= radius < 1),
     "tool": (RIGHT["pusher/shape"], messages.pusher_shape_from_msg, lambda shape: 0 <= shape.radius <= 1 and near(shape.core)),
     "camera accuracy": (RIGHT["depth/camera_accuracy"], messages.camera_accuracy_from_msg, lambda found: 0 <= found.position < np.inf),
     "cells": (CELLS, messages.shape_from_msgs, is_shape),
@@ -86,7 +86,7 @@ CONVERSIONS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any], bool]]] 
     "record": (RIGHT["push_record"], messages.push_interval_from_msg, lambda push: push.end - push.start <= LIMITS.PUSH_SECONDS.value),
     "path of the pusher": (
         RIGHT[f"objects/{OBJECT}/next_push"],
-        lambda msg: pusher_path_from_msg(msg, 0.01),
+        lambda msg: pusher_path_from_msg(msg, PusherShape(0.01)),
         lambda path: all(one < two for one, two in pairwise(path.time)) and finite(path.position),
     ),
     "posterior": (RIGHT[f"objects/{OBJECT}/model"], posterior_from_msg, is_posterior),

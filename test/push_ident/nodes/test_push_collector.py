@@ -24,7 +24,7 @@ from helpers.objects import random_records, square, uniform
 from helpers.spinning import running, spinning
 from push_ident.geometry.se2 import transform_points
 from push_ident.nodes.base.network import own_domain
-from push_ident.nodes.convert.messages import cylinder_to_msg, planar_pose_to_msg, position_to_msg, shape_to_msgs, stamp_to_msg
+from push_ident.nodes.convert.messages import planar_pose_to_msg, position_to_msg, pusher_shape_to_msg, shape_to_msgs, stamp_to_msg
 from push_ident.nodes.convert.table import EDGE_TOPIC, edge_to_msg
 from push_ident.nodes.identification.identification_node import IdentificationNode
 from push_ident.physics.overhang import TableEdge
@@ -50,7 +50,7 @@ class Cell(Node):
 
     def __init__(self, context: Context) -> None:
         super().__init__("cell", context=context)
-        self.create_publisher(SolidPrimitive, "pusher/shape", LATCHED).publish(cylinder_to_msg(pushes()[0].pusher.radius, 0.08))
+        self.create_publisher(SolidPrimitive, "pusher/shape", LATCHED).publish(pusher_shape_to_msg(pushes()[0].pusher.shape, 0.08))
         self.pusher = self.create_publisher(PoseStamped, "pusher/pose", 100)
         self.values: dict[str, str] = {}
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)

@@ -20,7 +20,7 @@ from push_ident.planning.stable import (
     contact_on_face,
     shortest_stable_push,
     stable_margin,
-    stable_push,
+    stable_pushes,
     stable_turns,
 )
 from push_ident.types import Float64Array, ObjectModel, ObjectShape, PusherShape
@@ -63,8 +63,8 @@ def arc(turns: StableTurns, turn: int, *, curvature: float) -> StablePush:
     at = np.array([np.sin(abs(angle)) / curvature, turn * (1.0 - np.cos(angle)) / curvature, angle])
     end = compose(compose(compose(goal, turns.reference_in_object), at), inverse(turns.reference_in_object))
     sharp = StableTurns(turns.contact, turns.depth, curvature)
-    push = stable_push(sharp, goal, end, TOOL, speed=0.02)
-    assert push is not None and push.length == pytest.approx(0.8 / curvature, rel=1e-6)
+    push = stable_pushes(sharp, goal, end, TOOL, speed=0.02)[0]
+    assert push.length == pytest.approx(0.8 / curvature, rel=1e-6)
     return push
 
 
@@ -101,7 +101,7 @@ def test_push_straight_ahead_is_stable_if_the_centre_lies_between_the_contacts_w
 def test_load_at_a_single_point_bounds_the_angle_by_the_friction_cone() -> None:
     """All load at the centre of the block: the table then exerts a force through it, against its velocity."""
     centre = np.array([0.0, 0.0])
-    single = Support(np.zeros((1, 2)), np.ones((1, 1)), centre)
+    single = Support(np.zeros((1, 2)), np.ones((1, 1)), centre, np.zeros((1, 4)))
     for angle in (0.99, 1.01):
         # The centre of rotation is so far away that the velocity at the block's centre is at this share of the cone's half-angle.
         heading = angle * np.arctan(FRICTION)
@@ -153,7 +153,7 @@ def test_shortest_push_of_all_faces_ends_at_the_goal_under_extreme_pressures() -
         start, goal = (np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(-np.pi, np.pi)]) for _ in range(2))
         push = shortest_stable_push(options, start, goal, TOOL, speed=0.03, clearance=0.01)
         assert push is not None
-        assert push.length == min(p.length for o in options if (p := stable_push(o, start, goal, TOOL, speed=0.03)) is not None)
+        assert push.length == min(p.length for o in options for p in stable_pushes(o, start, goal, TOOL, speed=0.03))
         n = len(SHAPE.cells)
         friction = 0.3 * n * extreme_pressure(rng, centre)
         scenario = PushScenario(push.path, start, push.path.time[-1:])
@@ -166,7 +166,7 @@ def test_what_allows_no_stable_push_is_said_or_refused() -> None:
     assert contact_on_face(SHAPE, TOOL, LEFT, 0.005) is None
     assert stable_turns(contact(), Support.unknown(SHAPE, np.array([0.0, 0.02])), FRICTION) is None
     straight = StableTurns(contact(), 0.03, 0.0)
-    assert stable_push(straight, np.zeros(3), np.ones(3), TOOL, speed=0.1) is None
+    assert not stable_pushes(straight, np.zeros(3), np.ones(3), TOOL, speed=0.1)
     assert shortest_stable_push([straight], np.zeros(3), np.ones(3), TOOL, speed=0.1) is None
     bent, goal = StableTurns(contact(), 0.03, 5.0), np.array([0.2, 0.1, 0.5])
     assert shortest_stable_push([bent], np.zeros(3), goal, TOOL, speed=0.1, workspace=(-0.5, 0.5, -0.5, 0.5)) is not None

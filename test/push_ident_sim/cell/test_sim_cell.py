@@ -11,16 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.robots import NAMES, robot_path, with_urdf
+from helpers.robots import NAMES, changed, robot_path, with_urdf
 from helpers.sim_objects import CAMERA, block, points_in_table
 from push_ident.errors import InputError
 from push_ident.geometry.kinematics import ArmKinematics
 from push_ident.geometry.outline import signed_distance
 from push_ident.nodes.base.network import own_domain
-from push_ident.pushing.motion import ArmPlan, MotionSettings, plan_push
+from push_ident.physics.body import body_of_cells
+from push_ident.planning.stable import Support, contact_on_face, stable_pushes, stable_turns
+from push_ident.pushing.motion import ArmPlan, MotionSettings, plan_push, plan_turning_push
 from push_ident.pushing.push import PushPlan2D
 from push_ident.pushing.robot.robot_file import motion_settings, push_settings, read_robot
-from push_ident.pushing.sampling import push_from_goal
+from push_ident.pushing.sampling import push_from_goal, push_with_both_ends
+from push_ident.pushing.tool_path import ToolPath
 from push_ident_sim.cell.camera import DepthCamera, DepthNoise
 from push_ident_sim.cell.robot import HOME, PUSHER_RADIUS, cell_robot, robot_description
 from push_ident_sim.cell.trajectory import JointTrajectory
@@ -286,6 +289,40 @@ def test_arm_of_a_robot_file_pushes_as_planned(name: str) -> None:
         assert world.object_pose() == pytest.approx([distance, 0.0, 0.0], abs=2e-3)
     finally:
         world.close()
+
+
+@pytest.mark.parametrize("sizes", [{"finger_distance": 0.05}, {"plate_length": 0.05}], ids=["fingers", "plate"])
+def test_arm_carries_a_block_to_its_goal_with_both_ends_of_its_tool(tmp_path: Path, sizes: dict[str, float]) -> None:
+    """By a path that is stable for its even load; both ends touch the long side from where they reach it to the end."""
+    file = changed(tmp_path, lambda c: c["tool"].update(pusher_radius=0.008, **sizes), "iiwa")
+    robot, arm_in_cell = read_robot(file), cell_robot(str(file))
+    sim_object, tool = block(), push_settings(robot).tool
+    arm = ArmKinematics(arm_in_cell.description, neutral=arm_in_cell.neutral)
+    model, goal = true_model(sim_object), np.array([0.06, 0.09, 0.5])
+    shape = model.shape
+    support = Support.of_bodies(shape.cells.centres, [body_of_cells(shape, model.mass, model.friction)])
+    contacts = (contact_on_face(shape, tool, face, 0.06 if face % 2 == 0 else 0.036) for face in range(4))
+    turns = [stable_turns(contact, support, model.pusher_friction, 0.05) for contact in contacts if contact is not None]
+    ways = [way for one in turns if one for way in stable_pushes(one, np.zeros(3), goal, tool, speed=0.05, clearance=0.03)]
+    way = min((way for way in ways if np.ptp(way.poses[:, 2]) < np.pi), key=lambda way: way.length)
+    settings = replace(push_settings(robot), workspace=(-0.3, 0.3, -0.3, 0.3))
+    path = ToolPath(way.path.time, way.path.position, way.path.yaw)
+    push = push_with_both_ends(shape, np.zeros(3), path, settings, back_off=0.015)
+    plan = plan_turning_push(arm, arm_in_cell.start, push, path, motion_settings(robot), settings.span)
+    (start,), _ = plan.trajectory.follow(np.array([plan.departure - 0.05]))
+    world = CellWorld(sim_object, robot=replace(arm_in_cell, start=tuple(start)))
+    try:
+        for _ in following(world, plan, plan.departure - 0.05, plan.stop + 0.1):
+            pass
+        assert world.object_pose() == pytest.approx(goal, abs=4e-3)
+    finally:
+        world.close()
+
+
+def test_finger_that_rolls_is_none_of_two(tmp_path: Path) -> None:
+    arm = cell_robot(str(changed(tmp_path, lambda c: c["tool"].update(finger_distance=0.05), "iiwa")))
+    with pytest.raises(InputError, match="single disc"):
+        CellWorld(block(), WorldConfig(effects=InjectedEffects.of({"rolling_finger": 1.0})), robot=arm)
 
 
 def test_arm_whose_meshes_are_not_there_is_refused(tmp_path: Path) -> None:

@@ -140,7 +140,8 @@ class DemoPushes:
         number, client, object_id = len(self.made) + 1, self._client, self._object_id
         shape, before = client.shape(object_id), client.pose_at_rest(object_id, after=-np.inf)
         push = DemoPush(number, planned.direction, planned.distance, planned.speed, before.tolist())
-        path = pusher_path_from_msg(planned.tool_path, client.pusher_radius)
+        assert client.tool is not None, "its executor has planned"
+        path = pusher_path_from_msg(planned.tool_path, client.tool)
         predicted = self._predict(push, path, before) if self._n_learned() else None
         known = self._n_learned()
         plan = {name: getattr(planned, name) for name in ("contact_point", "direction", "distance", "speed")}

@@ -74,11 +74,12 @@ def push_several(
     """
     from push_ident.planning.goal import Goal, GoalCode
     from push_ident.planning.several import NoTurnError, SeveralGoals
-    from push_ident.pushing.push import PushSettings
+    from push_ident.pushing.push import PushSettings, tool_sizes
 
-    client.wait(lambda: (_known(client).keys() >= goals.keys() and client.pusher_radius) or None, _PATIENCE, _missing(client, goals))
+    client.wait(lambda: (_known(client).keys() >= goals.keys() and client.tool) or None, _PATIENCE, _missing(client, goals))
     wanted = {name: Goal(pose, 1e-3 * tolerance[0], float(np.radians(tolerance[1]))) for name, pose in goals.items()}
-    order = SeveralGoals(wanted, PushSettings(pusher_radius=client.pusher_radius))
+    assert client.tool is not None, "it was waited for"
+    order = SeveralGoals(wanted, PushSettings(**tool_sizes(client.tool)))
     order.check(_known(client))
     try:
         while (turn := order.next(_known(client))) is not None:

@@ -49,7 +49,13 @@ class DubinsPath:
 
 
 def dubins_path(start: Float64Array, end: Float64Array, radius: float) -> DubinsPath:
-    """The shortest path between two poses (x, y, heading) [m, m, rad], shape (3,), with arcs of `radius` [m].
+    """The shortest of `dubins_paths`."""
+    return dubins_paths(start, end, radius)[0]
+
+
+def dubins_paths(start: Float64Array, end: Float64Array, radius: float) -> list[DubinsPath]:
+    """A path of each word that leads from one pose (x, y, heading) [m, m, rad], shape (3,), to another with arcs of `radius` [m], the
+    shortest first.
 
     Raises InputError for poses that are not finite, or no positive radius.
     """
@@ -58,9 +64,9 @@ def dubins_path(start: Float64Array, end: Float64Array, radius: float) -> Dubins
     dx, dy = (end[0] - start[0]) / radius, (end[1] - start[1]) / radius
     distance, bearing = math.hypot(dx, dy), math.atan2(dy, dx)
     alpha, beta = (start[2] - bearing) % _TURN, (end[2] - bearing) % _TURN
-    word, lengths = min(_words(alpha, beta, distance), key=lambda solution: sum(solution[1]))
-    t, p, q = lengths
-    return DubinsPath(np.array(start, dtype=np.float64), radius, word, (radius * t, radius * p, radius * q))
+    first = np.array(start, dtype=np.float64)
+    paths = [DubinsPath(first, radius, word, (radius * t, radius * p, radius * q)) for word, (t, p, q) in _words(alpha, beta, distance)]
+    return sorted(paths, key=lambda path: path.length)
 
 
 def _along(pose: Float64Array, curvature: float, travelled: Float64Array) -> Float64Array:

@@ -20,6 +20,7 @@ from push_ident.planning.path_steps import PathStep
 from push_ident.planning.planner import GoalPush
 from push_ident.pushing.ports import TrackedObject
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
+from push_ident.pushing.tool_path import ToolPath
 from push_ident.types import Float64Array
 
 T_co = TypeVar("T_co", covariant=True)
@@ -182,8 +183,8 @@ class GoalPorts(Protocol):
     def begin_random(self, model: KnownModel, observed: TrackedObject, obstacles: list[Float64Array], seed: int) -> UnderWay[PushPlan2D]:
         """Begin to choose a random push beside outlines, which may raise PlanningError; returns at once."""
 
-    def begin_push(self, object_id: str, push: PushPlan2D | int) -> PushUnderWay:
-        """Request a push, or a random one of a seed; returns at once."""
+    def begin_push(self, object_id: str, push: PushPlan2D | ToolPath | int) -> PushUnderWay:
+        """Request a push, one along a path with yaws, or a random one of a seed; returns at once."""
 
     def wish(self) -> Wish:
         """Wish of the client."""

@@ -283,7 +283,7 @@ class GoalSession:
         assert plan.plan is not None, "the planner proposes a push"
         self.progress.plan, self.progress.step, self.progress.tool = plan, None, None
         self._enter(GoalState.PUSH)
-        report = self._carry_out(self._ports.begin_push(observed.object_id, plan.plan))
+        report = self._carry_out(self._ports.begin_push(observed.object_id, plan.path or plan.plan))
         self._take_report(report, plan.plan)
         return self._after_push(observed, report)
 

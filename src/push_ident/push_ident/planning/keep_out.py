@@ -72,9 +72,9 @@ class KeepOut:
         return self._around.at(tool) - self._settings.pusher_radius
 
     def is_tool_clear(self, start: Float64Array, path: Float64Array) -> BoolArray:
-        """Whether the tool can be lowered at `start`, shape (..., 2), and be moved along points, shape (..., n_points, 2): shape
-        (..., n_points), for the path up to each point."""
-        lowered = self.tool_gaps(start) >= self._settings.lowering_gap
+        """Whether the tool can be lowered at `start`, shape (..., n, 2), along all of it, and be moved along points, shape
+        (..., n_points, 2): shape (..., n_points), for the path up to each point."""
+        lowered = np.min(self.tool_gaps(start), axis=-1) >= self._settings.lowering_gap
         return np.asarray(lowered[..., None] & (np.minimum.accumulate(self.tool_gaps(path), axis=-1) >= 0.0))
 
     def risk(self, poses: Float64Array) -> Float64Array:

@@ -40,9 +40,16 @@ class PathSession(GoalSession):
         self.progress.path, self.progress.done = path, 0.0
 
     def _check(self, observed: TrackedObject) -> None:
+        settings = self._settings()
+        if settings.span:
+            raise Ended(
+                GoalCode.INVALID_GOAL,
+                f"the tool has two contacts {1e3 * settings.span:.0f} mm apart, and a path is followed with one contact; "
+                "take a round tool, or give the end of the path as a goal.",
+            )
         self._check_known(observed)
         try:
-            check_path(self._path, observed.shape, self._settings())
+            check_path(self._path, observed.shape, settings)
         except GoalRefusedError as error:
             raise Ended(error.code, str(error)) from None
         spacing = PATH_OPTIONS.least_progress

@@ -8,7 +8,8 @@ posterior. The value of a push is the expected number of pushes from it on:
                                                                   r: pushes after that one, from the distance that it leaves
 
 All strokes and lengths are judged by the mean model, the best by all models, and the best of these in the table frame, without those that
-leave the workspace or touch something else first. Contact, direction and length of a push that may be the last one are then improved
+leave the workspace or touch something else first. A tool with two contacts may also carry the object to the goal (`carrying.py`); that
+is judged as the others are. Contact, direction and length of a push that may be the last one are then improved
 by the exact derivative, and its expectation is taken over more models and the uncertainty of the pose.
 
 r may promise too much where things stand around the object: then every push that leads out seems worse than one that hardly moves it. So
@@ -26,9 +27,11 @@ fallen there are left out.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -42,13 +45,16 @@ from push_ident.physics.batch import BatchModel, BatchPush
 from push_ident.physics.scenario import PushScenario
 from push_ident.physics.simulation import SimulationSettings
 from push_ident.planning.belief import Belief
+from push_ident.planning.carrying import carrying_pushes, carrying_turns
 from push_ident.planning.edge_goal import held_target
 from push_ident.planning.goal import CERTAIN, EdgeHold, Goal
 from push_ident.planning.keep_out import KeepOut, WayRound
 from push_ident.planning.library import Library, Strokes, Surroundings, is_possible, moved, path_of, placed, simulated, strokes
 from push_ident.planning.obstacle import DEVIATIONS, RISK
+from push_ident.planning.stable import StableTurns
 from push_ident.pushing.push import PushCode, PushPlan2D, PushSettings
-from push_ident.types import BoolArray, Float64Array, ObjectShape, SolveStatus
+from push_ident.pushing.tool_path import ToolPath
+from push_ident.types import BoolArray, Float64Array, ObjectShape, PusherPath, SolveStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +81,8 @@ class PlannerOptions:
     """Pushes that a fall counts as: as many as are made for a goal at most."""
     frames: int = 8
     """Poses along a push at which the margin of an overhanging object is computed, and its distance from obstacles."""
+    frame_travel: float = 0.02
+    """Travel between two of them in a push that carries the object [m]: as in the longest straight one."""
     surer: tuple[float, ...] = (1.0, 0.1, 0.01, 1e-4)
     """Largest chances of a touch, by the library, of the pushes that are judged, one after another until one is found that touches nothing
     [`RISK`]."""
@@ -117,6 +125,10 @@ class GoalPush:
     """Chance that the object is not held by the margin during the push [1]; 0 away from edges."""
     touch: float = 0.0
     """Chance that it enters the outline of an obstacle during the push [1]; 0 without any."""
+    pushes: float = float("inf")
+    """That are expected from this one on."""
+    path: ToolPath | None = None
+    """Of a tool with two contacts that carries the object, of which `plan` is the beginning, table frame; None: the push is straight."""
 
 
 class GoalPlanner:
@@ -127,6 +139,7 @@ class GoalPlanner:
         self._strokes = strokes(shape, settings)
         self._belief: Belief | None = None
         self._library: Library | None = None
+        self._turns: list[StableTurns] | None = None
         self._judges: list[BatchModel] = []
         self._towards: Float64Array | None = None
         self._passed: list[tuple[Float64Array, float]] = []
@@ -134,7 +147,7 @@ class GoalPlanner:
 
     def _library_of(self, belief: Belief, pose: Float64Array) -> Library:
         if belief is not self._belief:
-            self._belief, self._library = belief, None
+            self._belief, self._library, self._turns = belief, None, None
             self._judges = belief.models(_OPTIONS.n_final_models, np.random.default_rng(1))
         if self._library is None or not self._library.holds_at(belief, pose):
             self._library = Library.of(belief, self._strokes, self._settings, pose, _OPTIONS.n_models, np.random.default_rng(0))
@@ -218,7 +231,29 @@ class GoalPlanner:
             answer = self._best(task, candidates)
             if answer.plan is not None or keep_out is None:
                 break
-        return answer
+        carrying = self._carrying(task) if self._settings.span and around.hold is None else None
+        return answer if carrying is None or carrying.pushes > answer.pushes else carrying
+
+    def _carrying(self, task: _Task) -> GoalPush | None:
+        """A push with both ends of the tool that carries the object to the goal, by more models and with the uncertainty of the pose; the
+        shortest that touches nothing, None without one."""
+        if self._turns is None:
+            self._turns = carrying_turns(self._shape, self._judges, self._settings)
+        models, goal = self._displaced_judges(task.pose, task.covariance), task.goal
+        possible = carrying_pushes(self._shape, self._turns, self._settings, task.pose, goal.pose, task.around)
+        for push in islice(possible, _OPTIONS.judged):
+            tool, path = self._settings.tool, push.path
+            driven = PusherPath(path.time, path.position, tool.radius, tool.polygon, path.yaw, tool.fingers)
+            frames = np.linspace(float(path.time[1]), float(path.time[-1]), 1 + math.ceil(push.length / _OPTIONS.frame_travel))[1:]
+            poses = simulated(task.belief, models, [BatchPush(driven, task.pose, frames)])
+            before = compose(task.pose, np.array([model.displacement for model in models]))[:, None, None]
+            touch = float(task.touch(np.concatenate([before, poses], axis=2))[0])
+            ends = poses[:, :, -1]
+            value = float(_value(task.further, ends, goal, ends)[0])
+            if touch <= RISK and np.isfinite(value):
+                chance = float(np.mean(np.asarray(goal.relative_error(ends[:, 0])) <= 1.0))
+                return GoalPush(PlanStatus.PUSH, chance, push.plan, ends[0, 0], ends[:, 0], touch=touch, pushes=value, path=push.path)
+        return None
 
     def _candidates(self, library: Library, task: _Task) -> Iterator[list[_Candidate]]:
         """The best feasible pushes, and what refinement makes of them; then those among ever surer ones. At least one each time."""
@@ -263,11 +298,13 @@ class GoalPlanner:
         keep_out, strokes_of, pose = task.keep_out, library.strokes, task.pose
         if keep_out is None:
             return np.zeros(library.motion.shape[1:3])
-        clearance, heading = self._settings.clearance, strokes_of.heading()
-        along = np.concatenate([np.linspace(-clearance, 0.0, 1 + int(clearance / library.lengths[0])), library.lengths])
+        clearance, span, heading = self._settings.clearance, self._settings.span, strokes_of.heading()
+        # The rear end of a tool with two contacts follows the front one, and begins where both are lowered.
+        rear = np.linspace(-clearance - span, -clearance, 1 + int(np.ceil(span / library.lengths[0])))
+        along = np.concatenate([rear, np.linspace(-clearance, 0.0, 1 + int(clearance / library.lengths[0]))[1:], library.lengths])
         tool = transform_points(pose, (strokes_of.tool[:, None] + along[:, None] * heading[:, None]).reshape(-1, 2))
         tool = tool.reshape(len(strokes_of), len(along), 2)
-        clear = keep_out.is_tool_clear(tool[:, 0], tool)[:, -len(library.lengths) :]
+        clear = keep_out.is_tool_clear(tool[:, : len(rear)], tool)[:, -len(library.lengths) :]
         gaps, now = keep_out.gaps(compose(pose, library.motion[0])), float(keep_out.gaps(pose))
         variance = library.variance + np.where((gaps < now - RESOLUTION)[..., None], np.diag(task.covariance), 0.0)
         std = np.sqrt(np.max(variance[..., :2], axis=-1) + keep_out.lever**2 * variance[..., 2])
@@ -313,6 +350,7 @@ class GoalPlanner:
             ends[:, best],
             float(risk[best]),
             float(touch[best]),
+            float(value[best]),
         )
 
     def _displaced_judges(self, pose: Float64Array, covariance: Float64Array) -> list[BatchModel]:

@@ -74,7 +74,7 @@ class SeveralGoals:
     @property
     def room(self) -> float:
         """Distance between two objects in which the tool can be lowered [m]."""
-        return 2.0 * (self.settings.pusher_radius + self.settings.lowering_gap)
+        return 2.0 * (self.settings.tool.reach + self.settings.lowering_gap)
 
     def check(self, objects: Mapping[str, PlacedObject]) -> None:
         """Raise InputError for an object that is not there, and for goals at which two objects would overlap."""

@@ -13,14 +13,22 @@ from push_ident.geometry.frames import TABLE_FRAME, object_frame
 from push_ident.geometry.se2 import transform_points
 from push_ident.pushing.arm_motion import ArmMotion
 from push_ident.pushing.executed_push import ExecutedPush, Purpose, displacement
-from push_ident.pushing.motion import ArmPlan, PathPlan, plan_path_push, plan_push, plan_retreat
+from push_ident.pushing.motion import ArmPlan, PathPlan, plan_path_push, plan_push, plan_retreat, plan_turning_push
 from push_ident.pushing.pacing import PathPacing
 from push_ident.pushing.ports import ArmState, Client, ExecutionPorts, Phase, TrackedObject
 from push_ident.pushing.possible_motion import why_impossible
 from push_ident.pushing.push import PushCode, PushPlan2D
 from push_ident.pushing.push_request import ExecutionSettings, Mode, PushOutcome, PushRequest
-from push_ident.pushing.sampling import is_near_edge, push_along_path, push_from_goal, recentring_pushes, sample_push
-from push_ident.pushing.steering import Steering, ToolCorrection
+from push_ident.pushing.sampling import (
+    is_near_edge,
+    push_along_path,
+    push_from_goal,
+    push_with_both_ends,
+    recentring_pushes,
+    sample_push,
+)
+from push_ident.pushing.steering import PathRequest, Steering, ToolCorrection
+from push_ident.pushing.tool_path import ToolPath
 from push_ident.pushing.watch import ArmWatch, Change
 from push_ident.types import Float64Array, PusherPath
 
@@ -216,7 +224,7 @@ class _Execution:
         if self.request.mode == Mode.PATH:
             return self._plan_path(target, q_now)
         if self.request.mode == Mode.CONTACT:
-            return plan_push(self.ports.arm.planner, q_now, self._requested_push(target), self.settings.motion)
+            return plan_push(self.ports.arm.planner, q_now, self._requested_push(target), self.settings.motion, self.settings.push.span)
         settings, obstacles = self.settings.push, self.ports.objects.outlines_of_others(target.object_id)
         rng = np.random.default_rng(self.request.seed)
         draws = (sample_push(target.shape, target.pose, rng, settings, obstacles) for _ in range(self.settings.n_plans))
@@ -225,13 +233,18 @@ class _Execution:
             raise PlanningError(PushCode.UNREACHABLE, f"none of {self.settings.n_plans} random pushes fits the arm; the last: {refusal}")
         return plan
 
-    def _plan_path(self, target: TrackedObject, q_now: np.ndarray) -> PathPlan:
+    def _plan_path(self, target: TrackedObject, q_now: np.ndarray) -> ArmPlan:
         request, settings = self.request.path, self.settings
         if request is None:
             raise PlanningError(PushCode.INVALID_GOAL, "MODE_PATH without a path; give tool_path and corridor.")
-        obstacles = self.ports.objects.outlines_of_others(target.object_id)
+        obstacles, motion = self.ports.objects.outlines_of_others(target.object_id), settings.motion
+        if isinstance(request, ToolPath):
+            push = push_with_both_ends(target.shape, target.pose, request, settings.push, obstacles, back_off=motion.back_off)
+            return plan_turning_push(self.ports.arm.planner, q_now, push, request, motion, settings.push.span)
+        if settings.push.span:
+            raise PlanningError(PushCode.INVALID_GOAL, "tool_path has no yaws, and the tool has two contacts; give its yaw at each point.")
         push = push_along_path(target.shape, target.pose, request.path, settings.push, obstacles)
-        return plan_path_push(self.ports.arm.planner, q_now, push, request.path, request.corridor, settings.motion, settings.push)
+        return plan_path_push(self.ports.arm.planner, q_now, push, request.path, request.corridor, motion, settings.push)
 
     def _plan_recentring(self, target: TrackedObject, q_now: np.ndarray) -> ArmPlan:
         obstacles = self.ports.objects.outlines_of_others(target.object_id)
@@ -247,7 +260,7 @@ class _Execution:
         refusal: PlanningError | None = None
         for push in self._while_wanted(pushes):
             try:
-                return plan_push(self.ports.arm.planner, q_now, push, self.settings.motion), None
+                return plan_push(self.ports.arm.planner, q_now, push, self.settings.motion, self.settings.push.span), None
             except PlanningError as error:
                 refusal = error
         return None, refusal
@@ -345,13 +358,12 @@ class _Execution:
         return "The arm went home."
 
     def _go_home(self, push: ExecutedPush, on_look: Callable[[], None]) -> None:
-        settings, heading = self.settings.motion, push.plan.push.heading
-        if isinstance(push.plan, PathPlan):
-            # A path that was interrupted may have another heading than at its end: back off from the object, not into it.
-            heading = push.plan.tool.heading(push.reached - push.plan.departure)
+        # A path that was interrupted may have another heading than at its end: back off from the object, not into it.
+        settings, heading = self.settings.motion, push.plan.away_from(push.reached)
+        keeps_yaw = bool(self.settings.push.span)
 
         def plan_from(q: np.ndarray) -> ArmMotion:
-            return plan_retreat(self.ports.arm.planner, q, heading, settings)
+            return plan_retreat(self.ports.arm.planner, q, heading, settings, keeps_yaw=keeps_yaw)
 
         def look(elapsed: float, time: float, state: ArmState, change: Change) -> None:
             on_look()
@@ -376,7 +388,7 @@ class _Execution:
 
     def _begin_steering(self, push_id: int, plan: PathPlan) -> None:
         request, settings = self.request.path, self.settings
-        assert request is not None, "it was planned"
+        assert isinstance(request, PathRequest), "it was planned"
         object_id = self.outcome.object_id
         timeout = settings.limits.patience(request.correction_timeout) if request.correction_timeout else 0.0
         steering = Steering(request, settings.push, lambda: self.ports.objects.outlines_of_others(object_id), timeout)
@@ -428,11 +440,11 @@ class _Execution:
 
     def _why_elsewhere(self, push: ExecutedPush) -> str:
         """Why this push cannot have caused the poses of the object after it; empty if it can."""
-        time, tip = push.plan.tool_path
+        (time, tip), tool = push.plan.tool_path, self.settings.push.tool
         before, after = push.rest_before, push.rest_after
         return why_impossible(
             push.before.shape,
-            PusherPath(time, tip[:, :2], self.settings.push.pusher_radius),
+            PusherPath(time, tip[:, :2], tool.radius, tool.polygon, push.plan.tool_yaw, tool.fingers),
             before.mean,
             after.mean,
             covariance_before=before.covariance * before.n,

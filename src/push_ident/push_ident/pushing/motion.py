@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from push_ident.errors import InputError, PlanningError
 from push_ident.geometry.kinematics import TOOL_DOWN, ArmKinematics
+from push_ident.geometry.se2 import transform_points
 from push_ident.pushing.arm_motion import ArmMotion, JointLimits, gentler
 from push_ident.pushing.posture_map import PostureMap
 from push_ident.pushing.push import PUSH_ACCELERATION, PushCode, PushPlan2D, PushSettings
 from push_ident.pushing.tool_path import Corridor, ToolMotion, ToolPath, rounded
 from push_ident.pushing.trajectory import JointTrajectory, join, joint_move, path_at_speed, path_move, stand_still
-from push_ident.types import Float64Array
+from push_ident.types import BoolArray, Float64Array
+
+T = TypeVar("T")
+_N_SLOWED: Final = 5
+"""Times that a motion which asks too much of a joint is slowed down; then it is refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,26 +100,60 @@ class ArmPlan(ArmMotion):
     """The tool stands still after the push [s]."""
     rested: float
     """The rest ends, the tool leaves [s]."""
+    yaw: Float64Array | None = field(default=None, kw_only=True)
+    """Of the tip's x axis at every sample [rad], shape (n,), not wrapped; None of a cylinder."""
 
     @property
     def tool_path(self) -> tuple[Float64Array, Float64Array]:
         """Time from 0 [s], shape (n,), and tip [m], shape (n, 3), of the push itself."""
+        pushing = self._pushing
+        return self.trajectory.time[pushing] - self.departure, self.tip[pushing]
+
+    @property
+    def tool_yaw(self) -> Float64Array | None:
+        """Yaw at the times of `tool_path` [rad], shape (n,); None of a cylinder."""
+        return None if self.yaw is None else self.yaw[self._pushing]
+
+    @property
+    def _pushing(self) -> BoolArray:
         time = self.trajectory.time
-        pushing = (time >= self.departure - 1e-9) & (time <= self.stop + 1e-9)
-        return time[pushing] - self.departure, self.tip[pushing]
+        return np.asarray((time >= self.departure - 1e-9) & (time <= self.stop + 1e-9))
+
+    def away_from(self, elapsed: float) -> Float64Array:
+        """Unit vector against which the tool backs off at a time of the plan [s], shape (2,)."""
+        return self.push.heading
 
 
-def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, settings: MotionSettings) -> ArmPlan:
+def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, settings: MotionSettings, span: float = 0.0) -> ArmPlan:
     """Plan up, home, above the start of the push, down, push, rest, back off, up, home.
 
-    `q_now` [rad] is the measured posture, at rest. Raises PlanningError: UNREACHABLE when the arm has no posture for a point of the path,
-    LIMIT for a joint, velocity, acceleration or height limit; the text names joint, value and limit.
+    `q_now` [rad] is the measured posture, at rest; `span`: distance of both ends of a tool with two contacts [m], of which one is in front,
+    whichever the arm can bring there. Raises PlanningError: UNREACHABLE when the arm has no posture for a point of the path, LIMIT for a
+    joint, velocity, acceleration or height limit; the text names joint, value and limit.
     """
+    if not span:
+        return _plan_push(kinematics, q_now, push, settings, None)
+    of_frame = push.of_frame(span)
+    return _either(lambda turn: _plan_push(kinematics, q_now, of_frame, settings, push.direction + 0.5 * np.pi + turn))
+
+
+def _either(plan_with: Callable[[float], T]) -> T:
+    """The plan with the frame of a tool as it is, or turned by half a turn: both ends are alike. Raises what was raised for the first."""
+    try:
+        return plan_with(0.0)
+    except PlanningError as error:
+        try:
+            return plan_with(np.pi)
+        except PlanningError:
+            raise error from None
+
+
+def _plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, settings: MotionSettings, yaw: float | None) -> ArmPlan:
     q_now = kinematics.check_configuration(q_now)
     limits = joint_limits(kinematics, settings)
     limits.check_positions(q_now[None, :])
     start, end = push.tool_start(settings.clearance), push.tool_end
-    approach = _approach(kinematics, q_now, start, settings)
+    approach = _approach(kinematics, q_now, start, settings, None if yaw is None else _x_axis(yaw))
     settle = stand_still(approach[-1].position[-1], settings.settle)
 
     # A spinning tool would drag the object along its face, so the spin is held during the push.
@@ -124,7 +166,7 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
             PushCode.LIMIT, f"{push.speed:.3f} m/s is not reached within the clearance of {settings.clearance:.3f} m; push slower."
         )
     rest = stand_still(pushing.position[-1], settings.rest)
-    retreat = _away(kinematics, rest.position[-1], push.heading, settings)
+    retreat = _away(kinematics, rest.position[-1], push.heading, settings, keeps_yaw=yaw is not None)
 
     lowered = sum(part.duration for part in approach)
     departure = lowered + settle.duration
@@ -140,6 +182,7 @@ def plan_push(kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, set
         departure + settings.clearance / push.speed + 0.5 * ramp,
         stop,
         stop + rest.duration,
+        yaw=None if yaw is None else _yaw(kinematics, trajectory),
     )
     # Rising from a start below the limit is allowed: heights are checked from the lowered tool on.
     _check_height(plan.tip[trajectory.time > lowered - 1e-9], settings)
@@ -180,6 +223,10 @@ class PathPlan(ArmPlan):
     """Largest speed of the tool in the corridor [m/s]."""
     acceleration: float
     """Largest acceleration of the tool in the corridor [m/s^2]."""
+
+    def away_from(self, elapsed: float) -> Float64Array:
+        """As `ArmPlan`: a path that was interrupted may have another heading than at its end."""
+        return self.tool.heading(elapsed - self.departure)
 
     def corrected(self, path: ToolPath, begin: float) -> PathPlan:
         """The plan with another path of the tool from a time on.
@@ -267,6 +314,105 @@ def plan_path_push(
     return plan
 
 
+@dataclass(frozen=True, slots=True)
+class TurningPlan(ArmPlan):
+    """Motion of the arm for a push with both ends of a tool that turns on the way."""
+
+    turn: float
+    """Of the tip's x axis from that of the frame of the path [rad]: 0, or half a turn."""
+
+    def away_from(self, elapsed: float) -> Float64Array:
+        """As `ArmPlan`: off the face on which both ends are."""
+        assert self.yaw is not None, "it turns"
+        return _x_axis(float(np.interp(elapsed, self.trajectory.time, self.yaw)) - self.turn)[:2]
+
+
+def plan_turning_push(
+    kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, path: ToolPath, settings: MotionSettings, span: float
+) -> TurningPlan:
+    """Plan up, home, above the start of the path, down, the push along it with the yaws that it has, rest, back off, up, home.
+
+    `push` is its straight beginning, `span` the distance of both ends of the tool [m]; for the rest see `plan_push`, whose exceptions it
+    raises. The tool is slower than the path says where the joints need it.
+    """
+    return _either(lambda turn: _plan_turning_push(kinematics, q_now, push, path, settings, span, turn))
+
+
+def _plan_turning_push(
+    kinematics: ArmKinematics, q_now: ArrayLike, push: PushPlan2D, path: ToolPath, settings: MotionSettings, span: float, turn: float
+) -> TurningPlan:
+    q_now = kinematics.check_configuration(q_now)
+    joints = joint_limits(kinematics, settings)
+    joints.check_positions(q_now[None, :])
+    poses = path.dense_poses(settings.line_spacing, 0.5 * span)[1]
+    approach = _approach(kinematics, q_now, poses[0, :2], settings, _x_axis(poses[0, 2] + turn))
+    settle = stand_still(approach[-1].position[-1], settings.settle)
+    postures = [settle.position[-1]]
+    for before, pose in pairwise(poses):
+        # As on a straight line, the drift to the neutral posture keeps only its part that does not move the tool.
+        drift = settings.posture_rate * float(np.linalg.norm((pose - before)[:2])) * (kinematics.neutral - postures[-1])
+        point, x_axis = _point(pose[:2], settings.push_height), _x_axis(pose[2] + turn)
+        postures.append(_reach(kinematics, point, postures[-1] + drift, TOOL_DOWN, x_axis, posture_gain=0.0))
+    pushing, speed, acceleration = _slowed(np.array(postures), path, joints.planned, settings)
+    rest = stand_still(pushing.position[-1], settings.rest)
+    retreat = _away(kinematics, rest.position[-1], _x_axis(poses[-1, 2])[:2], settings, keeps_yaw=True)
+    lowered = sum(part.duration for part in approach)
+    departure = lowered + settle.duration
+    stop = departure + pushing.duration
+    trajectory = join([*approach, settle, pushing, rest, *retreat])
+    plan = TurningPlan(
+        joints,
+        trajectory,
+        _checked_tip(kinematics, trajectory, settings, "push slower"),
+        replace(push, speed=speed),
+        lowered,
+        departure,
+        departure + float(path.time[1]) * path.speed / speed + 0.5 * speed / acceleration,
+        stop,
+        stop + rest.duration,
+        turn,
+        yaw=_yaw(kinematics, trajectory),
+    )
+    _check_height(plan.tip[trajectory.time > lowered - 1e-9], settings)
+    _check_ends(plan, poses, span, settings)
+    return plan
+
+
+def _slowed(postures: Float64Array, path: ToolPath, limits: JointLimits, settings: MotionSettings) -> tuple[JointTrajectory, float, float]:
+    """Motion through postures that are even in the time of a path, its speed [m/s] and the acceleration at both ends [m/s^2], by the speed
+    of the path: less where the joints need it, as long as the tool reaches its speed before the contact."""
+    speed, acceleration = path.speed, settings.acceleration
+    length = speed * float(path.time[-1])
+    for _ in range(_N_SLOWED):
+        ramp = min(speed / acceleration, length / speed)
+        pushing = path_at_speed(postures, length, speed, acceleration)
+        share = np.max(np.abs(pushing.acceleration) / limits.acceleration, axis=1)
+        on_ramp = np.minimum(pushing.time[:-1], pushing.duration - pushing.time[1:]) < ramp
+        at_speed = max(float(np.max(np.abs(pushing.velocity) / limits.velocity)), float(np.sqrt(np.max(share[~on_ramp], initial=0.0))))
+        at_ends = float(np.max(share[on_ramp], initial=0.0))
+        if max(at_speed, at_ends) <= 1.0:
+            break
+        # Aim at 98 % of the limits, as of a straight push.
+        speed *= min(1.0, 0.98 / max(at_speed, 1e-9))
+        acceleration *= min(1.0, 0.98 / max(at_ends, 1e-9))
+    if 0.5 * speed**2 / acceleration > settings.clearance:
+        raise PlanningError(
+            PushCode.LIMIT, f"{speed:.3f} m/s is not reached within the clearance of {settings.clearance:.3f} m; push slower."
+        )
+    return path_at_speed(postures, length, speed, acceleration), speed, acceleration
+
+
+def _x_axis(yaw: float) -> Float64Array:
+    """Unit vector of a heading [rad] on the table, shape (3,)."""
+    return np.array([np.cos(yaw), np.sin(yaw), 0.0])
+
+
+def _yaw(kinematics: ArmKinematics, trajectory: JointTrajectory) -> Float64Array:
+    """Yaw of the tip's x axis at every sample [rad], shape (n,), not wrapped."""
+    axes = np.array([kinematics.forward(q)[:2, 0] for q in trajectory.position])
+    return np.unwrap(np.arctan2(axes[:, 1], axes[:, 0]))
+
+
 def _travel(tool: ToolMotion, push: PushPlan2D) -> float:
     """Length of the motion after the contact [m]."""
     behind = (tool.position - push.tool_at_contact) @ push.heading >= 0.0
@@ -274,15 +420,18 @@ def _travel(tool: ToolMotion, push: PushPlan2D) -> float:
     return float(np.sum(np.linalg.norm(np.diff(tool.position[touched:], axis=0), axis=1)))
 
 
-def plan_retreat(kinematics: ArmKinematics, q_now: ArrayLike, heading: ArrayLike, settings: MotionSettings) -> ArmMotion:
+def plan_retreat(
+    kinematics: ArmKinematics, q_now: ArrayLike, heading: ArrayLike, settings: MotionSettings, *, keeps_yaw: bool = False
+) -> ArmMotion:
     """Plan back off, up, home from an aborted push, at rest at `q_now` [rad].
 
-    `heading`, shape (2,), is the unit vector of that push in the table frame. Raises PlanningError as `plan_push`.
+    `heading`, shape (2,), is the unit vector of that push in the table frame; `keeps_yaw`: the lowered tool does not turn, as one with two
+    contacts must not. Raises PlanningError as `plan_push`.
     """
     q_now = kinematics.check_configuration(q_now)
     limits = joint_limits(kinematics, settings)
     limits.check_positions(q_now[None, :])
-    parts = _away(kinematics, q_now, np.asarray(heading, dtype=np.float64), settings)
+    parts = _away(kinematics, q_now, np.asarray(heading, dtype=np.float64), settings, keeps_yaw=keeps_yaw)
     if not parts:
         parts = [stand_still(q_now, 0.0)]
     trajectory = join(parts)
@@ -318,36 +467,41 @@ def _point(xy: Float64Array, height: float) -> Float64Array:
     return np.array([xy[0], xy[1], height])
 
 
-def _approach(kinematics: ArmKinematics, q_now: Float64Array, start: Float64Array, settings: MotionSettings) -> list[JointTrajectory]:
-    """Up, home, above `start` (2,), and down to the height of the push."""
-    parts, home = _up(kinematics, q_now, settings), kinematics.check_configuration(settings.home)
+def _approach(
+    kinematics: ArmKinematics, q_now: Float64Array, start: Float64Array, settings: MotionSettings, x_axis: Float64Array | None = None
+) -> list[JointTrajectory]:
+    """Up, home, above `start` (2,), and down to the height of the push; `x_axis` (3,): of the tip there, None for any."""
+    parts, home = _up(kinematics, q_now, settings, keeps_yaw=x_axis is not None), kinematics.check_configuration(settings.home)
     q = parts[-1].position[-1] if parts else q_now
     if np.max(np.abs(q - home)) > settings.home_tolerance:
         parts.append(_free_move(kinematics, q, home, settings))
         q = home
-    above = _reach(kinematics, _point(start, settings.safe_height), kinematics.neutral)
+    above = _reach(kinematics, _point(start, settings.safe_height), kinematics.neutral, x_axis=x_axis)
     parts.append(_free_move(kinematics, q, above, settings))
-    parts.append(_straight(kinematics, above, _point(start, settings.push_height), settings))
+    parts.append(_straight(kinematics, above, _point(start, settings.push_height), settings, TOOL_DOWN, x_axis))
     return parts
 
 
-def _up(kinematics: ArmKinematics, q: Float64Array, settings: MotionSettings) -> list[JointTrajectory]:
+def _up(kinematics: ArmKinematics, q: Float64Array, settings: MotionSettings, *, keeps_yaw: bool = False) -> list[JointTrajectory]:
     """Straight up to the height of free moves, with the tool's axis held; empty if the tip is that high."""
     pose = kinematics.forward(q)
     if pose[2, 3] >= settings.safe_height - 1e-3:
         return []
-    return [_straight(kinematics, q, _point(pose[:2, 3], settings.safe_height), settings, pose[:3, 2])]
+    target, x_axis = _point(pose[:2, 3], settings.safe_height), pose[:3, 0] if keeps_yaw else None
+    return [_straight(kinematics, q, target, settings, pose[:3, 2], x_axis)]
 
 
-def _away(kinematics: ArmKinematics, q: Float64Array, heading: Float64Array, settings: MotionSettings) -> list[JointTrajectory]:
+def _away(
+    kinematics: ArmKinematics, q: Float64Array, heading: Float64Array, settings: MotionSettings, *, keeps_yaw: bool = False
+) -> list[JointTrajectory]:
     """Back off against `heading` and up if the tip is low; then home unless the arm is there."""
     parts: list[JointTrajectory] = []
     pose = kinematics.forward(q)
     if pose[2, 3] < settings.free_height:
         target = _point(pose[:2, 3] - settings.back_off * heading, float(pose[2, 3]))
-        parts.append(_straight(kinematics, q, target, settings, pose[:3, 2]))
+        parts.append(_straight(kinematics, q, target, settings, pose[:3, 2], pose[:3, 0] if keeps_yaw else None))
         q = parts[-1].position[-1]
-    parts += _up(kinematics, q, settings)
+    parts += _up(kinematics, q, settings, keeps_yaw=keeps_yaw)
     q = parts[-1].position[-1] if parts else q
     home = kinematics.check_configuration(settings.home)
     if np.max(np.abs(q - home)) > settings.home_tolerance:
@@ -356,9 +510,14 @@ def _away(kinematics: ArmKinematics, q: Float64Array, heading: Float64Array, set
 
 
 def _straight(
-    kinematics: ArmKinematics, q: Float64Array, target: Float64Array, settings: MotionSettings, axis: Float64Array = TOOL_DOWN
+    kinematics: ArmKinematics,
+    q: Float64Array,
+    target: Float64Array,
+    settings: MotionSettings,
+    axis: Float64Array = TOOL_DOWN,
+    x_axis: Float64Array | None = None,
 ) -> JointTrajectory:
-    postures, length = _line(kinematics, q, target, settings, axis)
+    postures, length = _line(kinematics, q, target, settings, axis, x_axis)
     return path_move(postures, length, settings.free_speed, settings.acceleration, *_free_limits(kinematics, settings))
 
 
@@ -451,3 +610,19 @@ def _check_line(plan: ArmPlan, settings: MotionSettings) -> None:
         raise PlanningError(
             PushCode.UNREACHABLE, f"the tool would leave the push line by {1e3 * float(np.max(deviation)):.2f} mm; choose another push."
         )
+
+
+def _check_ends(plan: TurningPlan, poses: Float64Array, span: float, settings: MotionSettings) -> None:
+    """Check that both ends of the tool keep to their lines, with its frame at poses, shape (n, 3)."""
+    (_, tip), yaw = plan.tool_path, plan.tool_yaw
+    assert yaw is not None, "it turns"
+    made = np.column_stack([tip[:, :2], yaw - plan.turn])
+    for end in (0.5 * span, -0.5 * span):
+        at = np.array([[0.0, end]])
+        line = Corridor(transform_points(poses, at)[:, 0], settings.line_tolerance)
+        if (excess := float(np.max(line.excess(transform_points(made, at)[:, 0])))) > 0.0:
+            raise PlanningError(
+                PushCode.UNREACHABLE,
+                f"an end of the tool would leave its path by {1e3 * (excess + settings.line_tolerance):.2f} mm; choose a path without "
+                "sharp corners.",
+            )

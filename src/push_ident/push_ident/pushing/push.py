@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
 from push_ident.errors import InputError
-from push_ident.types import Float64Array
+from push_ident.geometry.se2 import transform_points
+from push_ident.types import Float64Array, PusherShape
 
 PUSH_ACCELERATION = 2.0
 """Default acceleration of the tool at both ends of a push [m/s^2]."""
@@ -42,7 +44,11 @@ class PushSettings:
     workspace: tuple[float, float, float, float] = (-0.20, 0.15, -0.25, 0.25)
     """(x_min, x_max, y_min, y_max) of the axis of the lowered tool [m], table frame."""
     pusher_radius: float = 0.018
-    """Radius of the cylinder that touches the object [m]."""
+    """Radius of the cylinder that touches the object, or of each finger, or half the thickness of a plate [m]."""
+    finger_distance: float = 0.0
+    """Between the axes of two round fingers [m]; 0: a tool in one piece."""
+    plate_length: float = 0.0
+    """Between the middles of the round ends of a plate [m]; 0: no plate."""
     clearance: float = 0.03
     """Travel of the pusher before contact [m]."""
     lowering_gap: float = 0.005
@@ -73,6 +79,7 @@ class PushSettings:
     """Distance of a tool from its planned contact [m]: error of a pose that was observed some frames after the one of the plan."""
 
     def __post_init__(self) -> None:
+        _ = self.tool
         x_min, x_max, y_min, y_max = self.workspace
         if not (x_min < x_max and y_min < y_max):
             raise InputError(f"workspace is {self.workspace}, expected x_min < x_max and y_min < y_max in metres.")
@@ -88,6 +95,20 @@ class PushSettings:
             raise InputError(f"lowering_gap is {self.lowering_gap} m, expected more than 0 and less than clearance = {self.clearance} m.")
 
     @property
+    def tool(self) -> PusherShape:
+        """Outline of the pusher."""
+        return tool_shape(self.pusher_radius, self.finger_distance, self.plate_length)
+
+    @property
+    def span(self) -> float:
+        """Distance of both ends of a tool with two contacts [m]; 0 of a cylinder."""
+        return max(self.finger_distance, self.plate_length)
+
+    def ends(self, poses: Float64Array) -> Float64Array:
+        """Axes of both ends of the tool [m] with its frame at poses, shape (n, 3): shape (n, 2, 2)."""
+        return np.asarray(transform_points(poses, np.array([[0.0, 0.5 * self.span], [0.0, -0.5 * self.span]])))
+
+    @property
     def middle(self) -> Float64Array:
         """Middle of the workspace [m], shape (2,)."""
         x_min, x_max, y_min, y_max = self.workspace
@@ -100,9 +121,58 @@ class PushSettings:
         return float(np.max(np.maximum(low - points, points - high), initial=0.0))
 
 
+def tool_shape(radius: float, finger_distance: float = 0.0, plate_length: float = 0.0) -> PusherShape:
+    """Outline of a tool: a cylinder, two round fingers, or a plate with round ends; both ends on the y axis of its frame.
+
+    Args:
+        radius: of the cylinder or of each finger, or half the thickness of the plate [m].
+        finger_distance: between the axes of the fingers [m]; 0: none.
+        plate_length: between the middles of the round ends of the plate [m]; 0: none.
+
+    Raises InputError: fingers and a plate at once, fingers that are no further apart than they are thick, or a length below 0.
+    """
+    for name, value, least in (("finger_distance", finger_distance, 2.0 * radius), ("plate_length", plate_length, 0.0)):
+        if value != 0.0 and not (np.isfinite(value) and value > least):
+            raise InputError(
+                f"{name} is {value} m, expected more than {least:g} m, or 0 for a tool without"
+                + (": fingers are thinner than their axes are apart; correct it or pusher_radius." if least else "; correct it.")
+            )
+    if finger_distance and plate_length:
+        raise InputError(
+            f"finger_distance is {finger_distance} m and plate_length {plate_length} m, expected one of them; take the other out."
+        )
+    ends = np.array([[0.0, 0.5], [0.0, -0.5]])
+    if finger_distance:
+        return PusherShape(radius, fingers=finger_distance * ends)
+    return PusherShape(radius, polygon=plate_length * ends if plate_length else None)
+
+
+def tool_sizes(shape: PusherShape) -> dict[str, Any]:
+    """The arguments of `tool_shape`, by the names of the fields of `PushSettings`.
+
+    Raises InputError for an outline that `tool_shape` does not make: a polygon of three corners, or ends that are not on the y axis.
+    """
+    core = shape.core
+    is_on_axis = len(core) == 2 and np.allclose(core[:, 0], 0.0, atol=1e-6) and np.isclose(core[0, 1], -core[1, 1], atol=1e-6)
+    if not (shape.is_cylinder or is_on_axis):
+        raise InputError(
+            f"The pusher has {len(core)} points at {np.round(core, 4).tolist()} m, expected a cylinder, or two on the y axis of its frame, "
+            "equally far from x."
+        )
+    span = 0.0 if shape.is_cylinder else float(np.linalg.norm(core[1] - core[0]))
+    lengths = {"finger_distance": 0.0, "plate_length": 0.0}
+    if span:
+        lengths["plate_length" if shape.fingers is None else "finger_distance"] = span
+    return {"pusher_radius": shape.radius, **lengths}
+
+
 @dataclass(frozen=True, slots=True)
 class PushPlan2D:
-    """A straight push, not yet checked against an arm. All in the table frame."""
+    """A straight push, not yet checked against an arm. All in the table frame.
+
+    A tool with two contacts pushes with one end, the other behind it: whatever is pushed by a straight edge or a corner touches that end
+    only, as long as it is pushed at all. Where not stated, `tool` is the axis of this end.
+    """
 
     contact_point: Float64Array
     """First contact of the pusher with the outline [m], shape (2,)."""
@@ -124,6 +194,10 @@ class PushPlan2D:
     def tool_end(self) -> Float64Array:
         """Axis of the pusher at the end of the push [m], shape (2,)."""
         return self.tool_at_contact + self.distance * self.heading
+
+    def of_frame(self, span: float) -> PushPlan2D:
+        """The same push with the axis in the middle between both ends of a tool, `span` [m] apart."""
+        return replace(self, tool_at_contact=self.tool_at_contact - 0.5 * span * self.heading)
 
     def tool_start(self, clearance: float) -> Float64Array:
         """Axis of the pusher where the tool is lowered, `clearance` [m] before contact, shape (2,)."""

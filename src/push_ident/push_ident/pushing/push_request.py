@@ -10,6 +10,7 @@ from push_ident.errors import PlanningError
 from push_ident.pushing.motion import ArmPlan, MotionSettings
 from push_ident.pushing.push import PushSettings
 from push_ident.pushing.steering import PathRequest
+from push_ident.pushing.tool_path import ToolPath
 
 PIECES: Final = "pieces"
 FOLLOW: Final = "follow_joint_trajectory"
@@ -98,8 +99,8 @@ class PushRequest:
     """Of a random push."""
     dry_run: bool = False
     """Plan only."""
-    path: PathRequest | None = None
-    """Of a push along a path."""
+    path: PathRequest | ToolPath | None = None
+    """Of a push along a path; one with yaws, of a tool that turns, is not corrected and has no corridor."""
 
 
 @dataclass(frozen=True, slots=True)

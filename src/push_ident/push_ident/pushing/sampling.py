@@ -75,22 +75,88 @@ def push_along_path(
         )
     if path.speed > settings.max_speed:
         raise PlanningError(PushCode.INVALID_GOAL, f"tool_path has {path.speed:.3f} m/s, expected {settings.max_speed:.3f} at most.")
-    if (excess := settings.excess(path.position)) > 0.0:
-        raise PlanningError(PushCode.LIMIT, f"tool_path leaves the workspace {settings.workspace} m by {1e3 * excess:.1f} mm.")
+    _check_inside(path.position, settings)
     # Until it touches, the tool keeps clear of the object, as far as its pose is known; of others all the way.
     checks = [(_line(first, second), outline, tolerance), *((path.dense(), other, settings.contact_rounding) for other in obstacles)]
     for points, other, overlap in checks:
-        gaps = signed_distance(points, other) - settings.pusher_radius
-        if gaps[0] < settings.lowering_gap or float(np.min(gaps)) < -overlap:
-            k = 0 if gaps[0] < settings.lowering_gap else int(np.argmin(gaps))
-            x, y = points[k]
-            raise PlanningError(
-                PushCode.UNREACHABLE,
-                f"on tool_path the pusher would be {1e3 * gaps[k]:.1f} mm from an object at ({x:.3f}, {y:.3f}) m; choose another contact.",
-            )
+        _check_gaps(points, signed_distance(points, other) - settings.pusher_radius, overlap, settings)
     contact, _ = _nearest_on_outline(second, outline, ahead)
     length = float(np.sum(np.linalg.norm(np.diff(path.position[1:], axis=0), axis=1)))
     return PushPlan2D(contact, np.array(second), direction, length, path.speed)
+
+
+def push_with_both_ends(
+    shape: ObjectShape,
+    pose_object_in_table: ArrayLike,
+    path: ToolPath,
+    settings: PushSettings,
+    obstacles: Sequence[Float64Array] = (),
+    *,
+    back_off: float,
+) -> PushPlan2D:
+    """The straight beginning of a push with both ends of a tool that turns on the way, in contact at the second point of its path.
+
+    `obstacles` as in `check_push`; `back_off`: travel back along the x axis of the tool before it rises [m]. Of other objects the circle
+    around the tool keeps clear, of this one the tool itself. Raises PlanningError: INVALID_GOAL where the tool or the path is none for it,
+    or no end would touch the object there; LIMIT and UNREACHABLE as `check_push`.
+    """
+    if not settings.span:
+        raise PlanningError(
+            PushCode.INVALID_GOAL,
+            "tool_path has yaws, and the tool is a cylinder; leave the yaws out, or state its finger_distance.",
+        )
+    outline, ends = transform_points(pose_object_in_table, shape.outline), settings.ends(path.poses)
+    gap = float(np.min(signed_distance(ends[1], outline))) - settings.pusher_radius
+    if abs(gap) > settings.contact_tolerance:
+        raise PlanningError(
+            PushCode.INVALID_GOAL,
+            f"the tool would be {1e3 * gap:.1f} mm from the object at the second point of tool_path, expected "
+            f"{1e3 * settings.contact_tolerance:.0f} at most; plan from the latest pose.",
+        )
+    speed = float(np.max(np.linalg.norm(np.diff(ends, axis=0), axis=2) / np.diff(path.time)[:, None]))
+    if speed > settings.max_speed:
+        raise PlanningError(PushCode.INVALID_GOAL, f"an end of the tool has {speed:.3f} m/s, expected {settings.max_speed:.3f} at most.")
+    along = path.dense_poses(1e-3, 0.5 * settings.span)[1]
+    _check_inside(settings.ends(along).reshape(-1, 2), settings)
+    # Until it touches, all between both ends keeps clear of the object, as far as its pose is known; of others the circle all the way.
+    first, second = path.poses[:2]
+    approach = np.linspace(first, second, len(_line(first[:2], second[:2])))
+    across = np.concatenate([_line(*pair) for pair in settings.ends(approach)])
+    n_lowered, gaps = len(_line(*ends[0])), signed_distance(across, outline) - settings.pusher_radius
+    _check_gaps(across, gaps, settings.contact_tolerance, settings, n_lowered)
+    last = along[-1]
+    circle = np.vstack([along[:, :2], _line(last[:2], last[:2] - back_off * np.array([np.cos(last[2]), np.sin(last[2])]))])
+    for other in obstacles:
+        _check_gaps(circle, signed_distance(circle, other) - settings.tool.reach, settings.contact_rounding, settings)
+    ahead = second - first
+    contact, _ = _nearest_on_outline(second[:2], outline, ahead[:2])
+    length = float(np.sum(np.linalg.norm(np.diff(path.position[1:], axis=0), axis=1)))
+    return PushPlan2D(contact, np.array(second[:2]), float(np.arctan2(ahead[1], ahead[0])), length, path.speed)
+
+
+def _check_inside(points: Float64Array, settings: PushSettings) -> None:
+    """Raise PlanningError LIMIT for axes of the tool, shape (n, 2), out of the workspace."""
+    if (excess := settings.excess(points)) > 0.0:
+        raise PlanningError(PushCode.LIMIT, f"tool_path leaves the workspace {settings.workspace} m by {1e3 * excess:.1f} mm.")
+
+
+def _check_gaps(points: Float64Array, gaps: Float64Array, overlap: float, settings: PushSettings, n_lowered: int = 1) -> None:
+    """Raise PlanningError UNREACHABLE for a tool that comes too near to an object.
+
+    Args:
+        points: along its path [m], shape (n, 2).
+        gaps: there [m], shape (n,).
+        overlap: that is allowed [m].
+        n_lowered: the first points, at which it is lowered.
+    """
+    lowered = gaps[:n_lowered]
+    if float(np.min(lowered)) < settings.lowering_gap or float(np.min(gaps)) < -overlap:
+        k = int(np.argmin(lowered if float(np.min(lowered)) < settings.lowering_gap else gaps))
+        x, y = points[k]
+        raise PlanningError(
+            PushCode.UNREACHABLE,
+            f"on tool_path the pusher would be {1e3 * gaps[k]:.1f} mm from an object at ({x:.3f}, {y:.3f}) m; choose another contact.",
+        )
 
 
 def sample_push(
@@ -183,8 +249,9 @@ def check_push(push: PushPlan2D, outline: Float64Array, settings: PushSettings, 
     LIMIT: the pusher's path leaves the workspace. UNREACHABLE: it would touch an object earlier.
     """
     start, end = push.tool_start(settings.clearance), push.tool_end
+    rear = start - settings.span * push.heading
     x_min, x_max, y_min, y_max = settings.workspace
-    for name, (x, y) in (("start", start), ("end", end)):
+    for name, (x, y) in (("start", start), ("end", end), ("start", rear)):
         if not (x_min <= x <= x_max and y_min <= y <= y_max):
             raise PlanningError(
                 PushCode.LIMIT,
@@ -192,14 +259,15 @@ def check_push(push: PushPlan2D, outline: Float64Array, settings: PushSettings, 
                 f"x {x_min:.3f}..{x_max:.3f}, y {y_min:.3f}..{y_max:.3f}; shorten or turn the push.",
             )
     for other in (outline, *obstacles):
-        gap = float(signed_distance(start[None, :], other)[0]) - settings.pusher_radius
+        gap = float(np.min(signed_distance(_line(rear, start), other))) - settings.pusher_radius
         if gap < settings.lowering_gap:
             raise PlanningError(
                 PushCode.UNREACHABLE,
                 f"the tool cannot be lowered at ({start[0]:.3f}, {start[1]:.3f}) m: {1e3 * gap:.1f} mm from an object, "
                 f"needs {1e3 * settings.lowering_gap:.1f} mm; choose another contact or direction.",
             )
-    approach = _line(start, push.tool_at_contact)
+    # The rear end follows the front one.
+    approach = _line(rear, push.tool_at_contact)
     sweep = np.vstack([approach, _line(push.tool_at_contact, end)])
     for path, other in ((approach, outline), *((sweep, obstacle) for obstacle in obstacles)):
         gaps = signed_distance(path, other) - settings.pusher_radius

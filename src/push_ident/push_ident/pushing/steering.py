@@ -62,6 +62,13 @@ class CorrectionFault(Enum):
     JOINTS = "is too much for the joints"
 
 
+def path_from_start(path: ToolPath) -> ToolPath:
+    """The same path; raises InputError unless its times are those from the start of the push."""
+    if abs(float(path.time[0])) > 1e-6:
+        raise InputError(f"tool_path begins at {path.time[0]:.3f} s, expected 0.")
+    return path
+
+
 @dataclass(frozen=True, slots=True)
 class PathRequest:
     """A push along a path, as a client requests it.
@@ -76,8 +83,7 @@ class PathRequest:
     """Longest time without a correction [s]; 0: none are taken."""
 
     def __post_init__(self) -> None:
-        if abs(float(self.path.time[0])) > 1e-6:
-            raise InputError(f"tool_path begins at {self.path.time[0]:.3f} s, expected 0.")
+        path_from_start(self.path)
         if (excess := float(np.max(self.corridor.excess(self.path.dense())))) > _LIMITS.rounding:
             raise InputError(f"tool_path leaves its corridor by {1e3 * excess:.1f} mm; widen the corridor, or lead it along the path.")
         least, largest = _LIMITS.timeout

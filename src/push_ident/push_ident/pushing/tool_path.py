@@ -87,6 +87,9 @@ class ToolPath:
     """[s], shape (n,), ascending."""
     position: Float64Array
     """Axis of the tool [m], shape (n, 2), table frame."""
+    yaw: Float64Array | None = None
+    """Of the frame of a tool with two contacts, which is between them, in the table frame [rad], shape (n,), not wrapped; None of a
+    cylinder."""
 
     def __post_init__(self) -> None:
         time, position = np.array(self.time, dtype=np.float64), np.array(self.position, dtype=np.float64)
@@ -101,9 +104,36 @@ class ToolPath:
         LIMITS.PUSH_SECONDS.check(float(time[-1] - time[0]), "A path of the tool")
         with np.errstate(over="ignore"):
             LIMITS.PUSH_TRAVEL.check(float(np.sum(np.linalg.norm(np.diff(position, axis=0), axis=1))), "A path of the tool")
-        for name, values in (("time", time), ("position", position)):
-            values.setflags(write=False)
-            object.__setattr__(self, name, values)
+        yaw = None if self.yaw is None else self._checked_yaw(len(time))
+        for name, values in (("time", time), ("position", position), ("yaw", yaw)):
+            if values is not None:
+                values.setflags(write=False)
+                object.__setattr__(self, name, values)
+
+    def _checked_yaw(self, n: int) -> Float64Array:
+        yaw = np.array(self.yaw, dtype=np.float64)
+        if yaw.shape != (n,) or not np.isfinite(yaw).all():
+            raise InputError(f"A path of the tool has yaws of shape {yaw.shape}, expected ({n},), all finite, in radians.")
+        LIMITS.YAW.check(float(np.abs(yaw).max()), "A path of the tool")
+        if (turn := float(np.abs(np.diff(yaw)).max())) > np.pi:
+            raise InputError(f"A tool turns by {turn:.2f} rad from one point to the next, expected half a turn at most; do not wrap yaws.")
+        return yaw
+
+    @property
+    def poses(self) -> Float64Array:
+        """Poses of the frame (x, y, yaw) at the points, shape (n, 3). For a path with yaws."""
+        assert self.yaw is not None, "of a tool with two contacts"
+        return np.column_stack([self.position, self.yaw])
+
+    def dense_poses(self, spacing: float, reach: float) -> tuple[Float64Array, Float64Array]:
+        """Times [s], even over the path, shape (n,), and poses then, shape (n, 3), between which no point within `reach` [m] of the axis
+        moves by more than `spacing` [m]. For a path with yaws."""
+        moved = np.linalg.norm(np.diff(self.position, axis=0), axis=1) + reach * np.abs(np.diff(self.poses[:, 2]))
+        duration = float(self.time[-1] - self.time[0])
+        n = max(2, math.ceil(duration * float(np.max(moved / np.diff(self.time))) / spacing))
+        LIMITS.POINTS.check(n, "A path of the tool, with points between which it moves by less than a straight line is cut into,")
+        time = np.linspace(float(self.time[0]), float(self.time[-1]), n + 1)
+        return time, np.column_stack([np.interp(time, self.time, column) for column in self.poses.T])
 
     @property
     def speed(self) -> float:

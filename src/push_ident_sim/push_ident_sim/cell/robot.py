@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
+
 from push_ident.errors import InputError
 from push_ident.limits import plain_text
 from push_ident.pushing.robot.description import PUSHER_LINK, cell_description, read_urdf
-from push_ident.pushing.robot.robot_file import read_robot
+from push_ident.pushing.robot.robot_file import push_settings, read_robot
+from push_ident.types import Float64Array, PusherShape
 
 JOINT_NAMES = tuple(f"lbr_iiwa_joint_{i}" for i in range(1, 8))
 BASE_POSITION = (-0.44, 0.0, 0.43)
@@ -40,8 +44,8 @@ class CellRobot:
     """Posture over the workspace with the tool down [rad]."""
     pusher_link: str
     """Link of the cylinder that pushes: origin at its upper end, z down."""
-    pusher_radius: float
-    """[m]"""
+    tool: PusherShape
+    """What pushes, in the frame of that link."""
     pusher_length: float
     """[m]"""
     low_links: tuple[str, ...]
@@ -53,7 +57,7 @@ def iiwa_with_hand() -> CellRobot:
     """The arm of every cell that names no other."""
     description = robot_description()
     low = [name for name in _link_names(description) if name.startswith("hand_") or name in _WRIST]
-    return CellRobot(description, JOINT_NAMES, HOME, HOME, "hand_pusher", PUSHER_RADIUS, PUSHER_LENGTH, tuple(low))
+    return CellRobot(description, JOINT_NAMES, HOME, HOME, "hand_pusher", PusherShape(PUSHER_RADIUS), PUSHER_LENGTH, tuple(low))
 
 
 def cell_robot(file: str) -> CellRobot:
@@ -81,7 +85,7 @@ def robot_from_file(path: Path) -> CellRobot:
         tuple(joints.home),
         tuple(joints.neutral),
         PUSHER_LINK,
-        tool.pusher_radius,
+        push_settings(robot).tool,
         tool.pusher_height,
         tuple(low),
     )
@@ -119,15 +123,18 @@ def robot_description() -> str:
 def bullet_description(arm: CellRobot, *, turning_finger: bool = False) -> str:
     """Description with a ball in the pusher that touches objects in its place, on a fixed joint or on one that turns about the tool's axis.
 
-    A ball touches an upright wall where the cylinder would, but in one point. Of the contacts along a cylinder Bullet keeps some with the
-    normal that the wall had before it turned, and the pusher drags.
+    Fingers have one each, a plate a row of them. A ball touches an upright wall where the cylinder would, but in one point. Of the contacts
+    along a cylinder Bullet keeps some with the normal that the wall had before it turned, and the pusher drags.
     """
     robot = ET.fromstring(arm.description)
     link = ET.SubElement(robot, "link", name=CONTACT_LINK)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "mass", value="0.01")
     ET.SubElement(inertial, "inertia", ixx="1e-6", ixy="0", ixz="0", iyy="1e-6", iyz="0", izz="1e-6")
-    ET.SubElement(ET.SubElement(ET.SubElement(link, "collision"), "geometry"), "sphere", radius=str(arm.pusher_radius))
+    for x, y in _balls(arm.tool).tolist():
+        collision = ET.SubElement(link, "collision")
+        ET.SubElement(collision, "origin", xyz=f"{x} {y} 0")
+        ET.SubElement(ET.SubElement(collision, "geometry"), "sphere", radius=str(arm.tool.radius))
     # 4 mm above the tip: low enough for the flattest object at the height at which the tool pushes.
     at = f"0 0 {arm.pusher_length - 0.004}"
     joint = _fixed_joint(robot, f"{CONTACT_LINK}_joint", arm.pusher_link, CONTACT_LINK, at)
@@ -135,6 +142,15 @@ def bullet_description(arm: CellRobot, *, turning_finger: bool = False) -> str:
         joint.set("type", "continuous")
         ET.SubElement(joint, "axis", xyz="0 0 1")
     return ET.tostring(robot, encoding="unicode", xml_declaration=True)
+
+
+def _balls(tool: PusherShape) -> Float64Array:
+    """Middles of the balls that stand for a tool [m], shape (n, 2): of a plate so near to each other that its sides are even to 1 % of its
+    radius."""
+    if tool.polygon is None:
+        return tool.core
+    length = float(np.linalg.norm(tool.polygon[1] - tool.polygon[0]))
+    return np.linspace(tool.polygon[0], tool.polygon[1], 1 + math.ceil(length / (0.28 * tool.radius)))
 
 
 def _link_names(description: str) -> list[str]:

@@ -76,6 +76,8 @@ class CellWorld:
         self.joint_names = self.robot.joint_names
         self._start_pose = checked_pose(pose)
         effects = self.config.effects
+        if "rolling_finger" in effects and not self.robot.tool.is_cylinder:
+            raise InputError("rolling_finger is injected, and the tool has two contacts, expected a single disc; leave out the effect.")
         self._client = connect(self.config.time_step, GRAVITY, effects)
         self._table = add_table(self._client, self.config.table)
         self._add_robot()

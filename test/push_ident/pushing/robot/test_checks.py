@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -192,6 +193,11 @@ def test_description_that_is_no_urdf_or_not_there_is_refused(tmp_path: Path) -> 
         (lambda c: c["joints"].update(acceleration=[1.0, 2.0]), "joints.acceleration has 2 numbers, expected 6"),
         (lambda c: c["joints"].update(names=["elbow_joint"] * 6), "a name twice"),
         (lambda c: c["tool"].update(pusher_radius=-0.01), "tool.pusher_radius is -0.01"),
+        (lambda c: c["tool"].update(finger_distance=0.015), "finger_distance is 0.015 m, expected more than 0.02 m"),
+        (lambda c: c["tool"].update(finger_distance=-0.05), "tool.finger_distance is -0.05"),
+        (lambda c: c["tool"].update(plate_length="5 cm"), "tool.plate_length is '5 cm'"),
+        (lambda c: c["tool"].update(finger_distance=0.05, plate_length=0.05), "expected one of them; take the other out"),
+        (lambda c: c["tool"].update(finger_distance=0.05, hand="robotiq_3f"), "gripper_action"),
         (lambda c: c["camera"].update(quaternion=[1.0, 1.0, 0.0, 0.0]), "unit quaternion"),
         (lambda c: c.update(push_height=0.2), "heights must rise"),
         (lambda c: c.update(workspace=[0.1, -0.1, 0.0, 0.1]), "x_min < x_max"),
@@ -209,3 +215,17 @@ def test_file_with_a_mistake_is_refused_in_one_line(tmp_path: Path, change: Call
         path.write_text(content)
         with pytest.raises(InputError):
             read_robot(path)
+
+
+@pytest.mark.parametrize("name", ["finger_distance", "plate_length"])
+def test_tool_with_two_contacts_is_in_parameters_and_description(tmp_path: Path, name: str) -> None:
+    robot = read_robot(changed(tmp_path, lambda c: c["tool"].update({name: 0.05})))
+    executor, perception = (node_parameters(robot)[f"{node}_node"] for node in ("push_executor", "perception"))
+    sizes = {key: executor[key] for key in ("pusher_radius", "finger_distance", "plate_length")}
+    assert sizes == {"pusher_radius": 0.01, "finger_distance": 0.0, "plate_length": 0.0} | {name: 0.05}
+    assert perception["tool_radius"] == pytest.approx(0.035)
+    described = ET.fromstring(cell_description(robot, read_urdf(robot)))
+    (pusher,) = (link for link in described.findall("link") if link.get("name") == "tool_pusher")
+    solids = [(next(iter(solid.find("geometry"))).tag, solid.find("origin").get("xyz")) for solid in pusher.findall("collision")]
+    ends = [("cylinder", "0.0 0.025 0.06"), ("cylinder", "0.0 -0.025 0.06")]
+    assert solids == ends + ([("box", "0.0 0.0 0.06")] if name == "plate_length" else [])

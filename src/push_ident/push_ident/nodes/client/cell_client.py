@@ -36,9 +36,9 @@ from push_ident.nodes.base.guard import Guard
 from push_ident.nodes.base.keep_alive import KeepAlive, ServerWatch, cancellation
 from push_ident.nodes.base.lifetime import stopping_in_order
 from push_ident.nodes.client.listen import start_ros
-from push_ident.nodes.convert.messages import cylinder_radius_from_msg, planar_pose_from_msg
+from push_ident.nodes.convert.messages import planar_pose_from_msg, pusher_shape_from_msg
 from push_ident.nodes.input.objects import ObjectTopics, ShapeInput
-from push_ident.types import Float64Array, ObjectShape
+from push_ident.types import Float64Array, ObjectShape, PusherShape
 from push_ident_msgs.action import DiagnoseGap, ExecutePush, PushToGoal
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.srv import PredictPush, SaveModel
@@ -121,7 +121,7 @@ class CellClient:
         self._map_received = time.monotonic()
         self._shape_input, self._outlined = ShapeInput(), set[str]()
         self._shapes: dict[str, ObjectShape] = {}
-        self.pusher_radius = 0.0
+        self.tool: PusherShape | None = None
         self.diagnostics: dict[str, DiagnosticStatus] = {}
         self._diagnosed = -np.inf
         """When identification's diagnostics came [s], `time.monotonic`."""
@@ -453,7 +453,7 @@ class CellClient:
         self._map_received = time.monotonic()
 
     def _on_pusher_shape(self, msg: SolidPrimitive) -> None:
-        self.pusher_radius = cylinder_radius_from_msg(msg)
+        self.tool = pusher_shape_from_msg(msg)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         self.diagnostics.update({status.name: status for status in msg.status})

@@ -171,18 +171,13 @@ def force_from_msg(msg: WrenchStamped, *, frame_id: str = TABLE_FRAME) -> tuple[
     return stamp_from_msg(msg.header.stamp), force
 
 
-def cylinder_to_msg(radius: float, height: float) -> SolidPrimitive:
-    """The pusher, a vertical cylinder [m]."""
-    dimensions = [0.0, 0.0]
-    dimensions[SolidPrimitive.CYLINDER_HEIGHT], dimensions[SolidPrimitive.CYLINDER_RADIUS] = float(height), float(radius)
-    return SolidPrimitive(type=SolidPrimitive.CYLINDER, dimensions=dimensions)
-
-
-def cylinder_radius_from_msg(msg: SolidPrimitive) -> float:
-    """Radius of the pusher [m]. Raises InputError: not a cylinder, or an impossible radius."""
-    if msg.type != SolidPrimitive.CYLINDER or len(msg.dimensions) != 2 or len(msg.polygon.points):
-        raise InputError(f"Pusher shape has type {msg.type} and {len(msg.dimensions)} dimensions, expected a CYLINDER (height, radius).")
-    return pusher_shape_from_msg(msg).radius
+def pusher_shape_to_msg(shape: PusherShape, height: float) -> SolidPrimitive:
+    """The pusher, upright and of a height [m]: a CYLINDER, of fingers with their axes as `polygon`, or a PRISM."""
+    msg = SolidPrimitive(type=SolidPrimitive.CYLINDER if shape.polygon is None else SolidPrimitive.PRISM)
+    msg.dimensions = [float(height), float(shape.radius)]
+    if not shape.is_cylinder:
+        msg.polygon.points = [Point32(x=float(x), y=float(y), z=0.0) for x, y in shape.core]
+    return msg
 
 
 def pusher_shape_from_msg(msg: SolidPrimitive) -> PusherShape:

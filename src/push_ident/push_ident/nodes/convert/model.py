@@ -22,13 +22,14 @@ from push_ident.nodes.convert.markers import MARKERS
 from push_ident.nodes.convert.messages import (
     TABLE_FRAME,
     object_frame,
+    planar_pose_of,
     planar_pose_to_msg,
     position_from_msg,
     position_to_msg,
     stamp_from_msg,
     stamp_to_msg,
 )
-from push_ident.types import Float64Array, PusherPath, SolveStatus
+from push_ident.types import Float64Array, PusherPath, PusherShape, SolveStatus
 from push_ident_msgs.msg import MassFrictionMap, PushPrediction
 from push_ident_msgs.msg import ModelPosterior as ModelPosteriorMsg
 from push_ident_msgs.msg import PushScore as PushScoreMsg
@@ -184,10 +185,11 @@ def _marker(msg: MassFrictionMap, pose: Pose, number: int, kind: int) -> Marker:
     return Marker(header=header, ns=msg.object_id, id=number, type=kind, action=Marker.ADD, pose=pose)
 
 
-def pusher_path_from_msg(path: Path, radius: float) -> PusherPath:
+def pusher_path_from_msg(path: Path, tool: PusherShape) -> PusherPath:
     """Path of the pusher with its stamps.
 
-    Raises InputError: another frame than `table`, fewer than two poses, or stamps that do not increase.
+    Raises InputError: another frame than `table`, fewer than two poses, stamps that do not increase, or poses of a tool that is no cylinder
+    which are tilted against the table.
     """
     if len(path.poses) < 2:
         raise InputError(f"The pusher path has {len(path.poses)} poses, expected at least 2 with increasing stamps.")
@@ -200,4 +202,5 @@ def pusher_path_from_msg(path: Path, radius: float) -> PusherPath:
     time, position = np.array([time for time, _ in samples]), np.array([position[:2] for _, position in samples])
     LIMITS.PUSH_SECONDS.check(float(time[-1] - time[0]), "Pusher path")
     LIMITS.PUSH_TRAVEL.check(float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum()), "Pusher path")
-    return PusherPath(time, position, radius)
+    yaw = None if tool.is_cylinder else np.unwrap([planar_pose_of(pose.pose)[2] for pose in path.poses])
+    return PusherPath(time, position, tool.radius, tool.polygon, yaw, tool.fingers)

@@ -20,7 +20,7 @@ from push_ident.identification.results.known_effects import effects_text
 from push_ident.identification.results.posterior import ModelPosterior
 from push_ident.nodes.base.cell_node import LATCHED, CellNode
 from push_ident.nodes.convert.model import posterior_from_msg
-from push_ident.nodes.convert.tool_path import path_goal
+from push_ident.nodes.convert.tool_path import path_goal, turning_goal
 from push_ident.nodes.goal_pushing.executor_link import ExecutorLink, RequestedPush
 from push_ident.nodes.goal_pushing.parameters import GOAL_PUSHING
 from push_ident.nodes.input.objects import ObjectTopics, TrackedObjects
@@ -372,9 +372,11 @@ class CellPorts:
         assert settings is not None, "the goal was checked"
         return settings
 
-    def begin_push(self, object_id: str, push: PushPlan2D | int) -> RequestedPush:
+    def begin_push(self, object_id: str, push: PushPlan2D | ToolPath | int) -> RequestedPush:
         """As `GoalPorts`."""
-        if isinstance(push, int):
+        if isinstance(push, ToolPath):
+            goal = turning_goal(object_id, push)
+        elif isinstance(push, int):
             goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_RANDOM, object_id=object_id, seed=push % 2**32)
         else:
             goal = ExecutePush.Goal(mode=ExecutePush.Goal.MODE_CONTACT, object_id=object_id, frame_id=TABLE_FRAME)

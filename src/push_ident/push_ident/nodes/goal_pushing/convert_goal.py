@@ -188,7 +188,8 @@ def _with_push(drawing: GoalDrawing, outline: Float64Array, target: Target, plan
     chance = f"push {number}: {100 * plan.chance:.0f} % chance of the goal"
     if target.hold is not None:
         chance += f", {100 * plan.risk:.1f} % of being held by less than {1e3 * target.hold.margin:.0f} mm"
-    return replace(drawing, tool=_straight(plan.plan), end=transform_points(plan.end, outline), chance=chance)
+    tool = _straight(plan.plan) if plan.path is None else plan.path.position
+    return replace(drawing, tool=tool, end=transform_points(plan.end, outline), chance=chance)
 
 
 def _with_step(

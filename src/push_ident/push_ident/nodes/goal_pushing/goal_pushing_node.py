@@ -23,7 +23,7 @@ from push_ident.limits import plain_text
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.keep_alive import ClientWatch
 from push_ident.nodes.convert.markers import GoalDrawing, goal_markers_to_msg
-from push_ident.nodes.convert.messages import cylinder_radius_from_msg
+from push_ident.nodes.convert.messages import pusher_shape_from_msg
 from push_ident.nodes.convert.table import EDGE_TOPIC, edge_to_msg
 from push_ident.nodes.convert.tool_path import correction_to_msg
 from push_ident.nodes.goal_pushing.cell_ports import CellPorts, CellView, ModelInput, WishOfClient
@@ -41,6 +41,7 @@ from push_ident.planning.library import compile_planning
 from push_ident.planning.path_goal import PathGoal
 from push_ident.planning.path_session import PathSession
 from push_ident.pushing.push import PushSettings
+from push_ident.types import PusherShape
 from push_ident_msgs.action import PushToGoal
 from push_ident_msgs.msg import PushCorrection
 
@@ -66,7 +67,7 @@ class GoalPushingNode(CellNode):
 class _GoalPushing(Component):
     def __init__(self, node: CellNode) -> None:
         self._node, self._settings = node, node.settings
-        self._radius = 0.0
+        self._tool: PusherShape | None = None
         self._is_active = False
         self._wishes: set[WishOfClient] = set()
         self._lock = threading.Lock()  # of the wishes
@@ -120,10 +121,12 @@ class _GoalPushing(Component):
     # ---- input
 
     def _on_pusher_shape(self, msg: SolidPrimitive) -> None:
-        self._radius = cylinder_radius_from_msg(msg)
+        tool = pusher_shape_from_msg(msg)
+        push_settings(self._settings.as_dict(), tool)
+        self._tool = tool
 
     def _push_settings(self) -> PushSettings | None:
-        return push_settings(self._settings.as_dict(), self._radius) if self._radius else None
+        return push_settings(self._settings.as_dict(), self._tool) if self._tool is not None else None
 
     # ---- the action
 
@@ -240,7 +243,7 @@ class _GoalPushing(Component):
             text
             for text, is_missing in (
                 ("execute_push is not served; is push_executor_node running?", not served),
-                ("nothing on pusher/shape yet", not self._radius),
+                ("nothing on pusher/shape yet", self._tool is None),
                 ("no objects; is perception running?", not self._objects.ids),
                 ("no models; is identification running?", not models),
             )

@@ -8,7 +8,8 @@ from typing import Any, Final
 from push_ident.nodes.base.parameters import Parameter
 from push_ident.nodes.input.table import CORNERS, table_of_corners
 from push_ident.planning.edge_goal import EdgeGoal
-from push_ident.pushing.push import PushSettings
+from push_ident.pushing.push import PushSettings, tool_sizes
+from push_ident.types import PusherShape
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,17 +75,17 @@ PARAMETERS: Final = (
 
 def check_values(values: dict[str, Any]) -> None:
     """Raise InputError where parameters contradict each other, or the table is none."""
-    push_settings(values, PushSettings().pusher_radius)
+    push_settings(values, PushSettings().tool)
     table_of_corners(values[CORNERS.name])
 
 
-def push_settings(values: dict[str, Any], pusher_radius: float) -> PushSettings:
-    """Limits of the pushes; `pusher_radius` [m] is that of the executor. Raises InputError where they contradict each other."""
+def push_settings(values: dict[str, Any], tool: PusherShape) -> PushSettings:
+    """Limits of the pushes; `tool` is that of the executor. Raises InputError where they contradict each other."""
     x_min, x_max, y_min, y_max = values["workspace"]
     speed = float(values["push_speed"])
     return PushSettings(
         workspace=(x_min, x_max, y_min, y_max),
-        pusher_radius=pusher_radius,
+        **tool_sizes(tool),
         clearance=values["clearance"],
         lowering_gap=values["lowering_gap"],
         speed_range=(speed, speed),

@@ -397,9 +397,9 @@ class _Identification(Component):
 
     def _suggest(self, object_id: str) -> None:
         session, latest = self._sessions[object_id], self._collector.latest(object_id)
-        if latest is None or not self._collector.radius or self._is_pushing:
+        if latest is None or not self._collector.tool.radius or self._is_pushing:
             return
-        settings = PushSettings(pusher_radius=self._collector.radius)
+        settings = PushSettings(pusher_radius=self._collector.tool.radius)
         others = self._collector.outlines_of_others(object_id)
         n = self._settings["suggest_candidates"]
         suggestion = session.suggest(latest[1], settings, others, n_candidates=n, is_wanted=lambda: not self._is_pushing)
@@ -441,7 +441,7 @@ class _Identification(Component):
                 )
         else:
             raise InputError(f"Object `{session.object_id}` has no pose yet; give `object_pose`.")
-        path = pusher_path_from_msg(request.pusher_path, self._collector.radius)
+        path = pusher_path_from_msg(request.pusher_path, self._collector.tool)
         prediction = predict(session.posterior, PushScenario(path, pose, path.time), first_covariance=covariance)
         response.prediction = self._outputs[session.object_id].publish_prediction(prediction, session.status, 0)
         response.success, response.message = True, prediction.status.value

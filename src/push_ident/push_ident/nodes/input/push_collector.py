@@ -34,7 +34,7 @@ from push_ident.nodes.convert.messages import (
 )
 from push_ident.nodes.input.objects import ObjectTopics, ShapeInput
 from push_ident.pushing.cutter import UNRECORDED, PushCutter
-from push_ident.types import Float64Array, ObjectShape, PushRecord
+from push_ident.types import Float64Array, ObjectShape, PusherShape, PushRecord
 from push_ident_msgs.msg import PushRecord as PushRecordMsg
 
 # Waiting messages are kept: a publisher that keeps all, such as the bag player, is held back and overwrites nothing.
@@ -97,8 +97,8 @@ class PushCollector:
     ) -> None:
         self.counts: Counter[str] = Counter()
         self.last_error = ""
-        self.radius = 0.0
-        self._is_cylinder = True
+        self.tool = PusherShape(0.0)
+        """Outline of the pusher; of no radius before it is known."""
         self._node = node
         self._on_object, self._on_shape, self._on_pushes, self._on_frame = on_object, on_shape, on_pushes, on_frame
         self._on_left_out = on_left_out
@@ -262,14 +262,13 @@ class PushCollector:
             if not self._cutter.expects_records:
                 self._cutter.expects_records = self._node.count_publishers("push_record") > 0
             # A cylinder may be held at any tilt of its flange; what else turns needs a heading.
-            pose = position[:2] if self._is_cylinder else planar_pose_of(msg.pose)
+            pose = position[:2] if self.tool.is_cylinder else planar_pose_of(msg.pose)
             self._arrived("pusher samples", self._cutter.add_pusher(stamp, pose))
 
     def _on_pusher_shape(self, msg: SolidPrimitive) -> None:
         with self._taking("pusher shapes", "pusher/shape"):
-            shape = pusher_shape_from_msg(msg)
-            self.radius, self._is_cylinder = shape.radius, shape.is_cylinder
-            self._cutter.set_pusher_shape(shape)
+            self.tool = pusher_shape_from_msg(msg)
+            self._cutter.set_pusher_shape(self.tool)
 
     def _on_camera_accuracy(self, msg: PoseWithCovarianceStamped) -> None:
         with self._taking("camera accuracies", Role.CAMERA_ACCURACY.value.name):

@@ -23,7 +23,7 @@ from push_ident.geometry.se3 import quaternion_of_pose
 from push_ident.nodes.base.cell_node import LATCHED, CellNode, Component, Health
 from push_ident.nodes.base.frames import MovingFrames, StaticFrames
 from push_ident.nodes.base.keep_alive import ClientWatch
-from push_ident.nodes.convert.messages import TABLE_FRAME, cylinder_to_msg, position_to_msg, stamp_to_msg
+from push_ident.nodes.convert.messages import TABLE_FRAME, position_to_msg, pusher_shape_to_msg, stamp_to_msg
 from push_ident.nodes.convert.tool_path import correction_from_msg, path_request_from_goal
 from push_ident.nodes.input.objects import TrackedObjects
 from push_ident.nodes.push_executor.arm_port import ArmLease, ArmPort, ForcePort
@@ -115,7 +115,9 @@ class _PushExecutor(Component):
         self._pusher_pub = node.create_publisher(PoseStamped, "pusher/pose", 10)
         self._record_pub = node.create_publisher(PushRecord, "push_record", 10)
         self._shape_pub = node.create_publisher(SolidPrimitive, "pusher/shape", LATCHED)
-        self._shape_pub.publish(cylinder_to_msg(values["pusher_radius"], values["pusher_height"]))
+        tool = execution_settings(values).push.tool
+        self._has_yaw = not tool.is_cylinder
+        self._shape_pub.publish(pusher_shape_to_msg(tool, values["pusher_height"]))
 
         self._make_ports(values)
         # As poses: the newest counts, and one that is lost is followed by the next.
@@ -216,7 +218,8 @@ class _PushExecutor(Component):
         if 0.0 <= state.stamp - self._tool_stamp < EXECUTOR.tool_period - 1e-4:
             return
         self._tool_stamp = state.stamp
-        msg = position_to_msg(stamp, state.pose_tip_in_table[:3, 3])
+        axis = state.pose_tip_in_table[:2, 0]
+        msg = position_to_msg(stamp, state.pose_tip_in_table[:3, 3], yaw=float(np.arctan2(axis[1], axis[0])) if self._has_yaw else 0.0)
         if self._execution.is_pushing:
             self._pusher_pub.publish(msg)
         turn = msg.pose.orientation
@@ -279,8 +282,10 @@ def _result_to_msg(outcome: PushOutcome) -> ExecutePush.Result:
         result.contact_point = _point(push)
         result.direction, result.distance, result.speed = push.direction, push.distance, push.speed
         result.tool_path.header.frame_id = TABLE_FRAME
-        path = zip(*outcome.plan.tool_path, strict=True)
-        result.tool_path.poses = [position_to_msg(stamp_to_msg(max(t, 0.0)), tip) for t, tip in path]
+        times, tips = outcome.plan.tool_path
+        yaws = np.zeros(len(times)) if outcome.plan.tool_yaw is None else outcome.plan.tool_yaw
+        path = zip(times, tips, yaws.tolist(), strict=True)
+        result.tool_path.poses = [position_to_msg(stamp_to_msg(max(t, 0.0)), tip, yaw=yaw) for t, tip, yaw in path]
     if outcome.error is not None:
         result.error_code, result.error_text = int(outcome.error.code), str(outcome.error)
     return result

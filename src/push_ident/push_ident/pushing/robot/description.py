@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import importlib.util
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -19,6 +19,7 @@ from push_ident.errors import InputError
 from push_ident.files import read_regular
 from push_ident.geometry.frames import TABLE_FRAME
 from push_ident.limits import LIMITS, plain_text
+from push_ident.pushing.push import tool_shape
 from push_ident.pushing.robot.robot_file import Joints, Robot, Tool
 
 TIP_LINK: Final = "tool_tip"
@@ -125,7 +126,12 @@ def _add_tool(cell: ET.Element, tool: Tool, links: list[str]) -> None:
     down = pin.rpy.rpyToMatrix(*tool.tip_rpy)[:, 2]
     top = np.array(tool.tip_position) - tool.pusher_height * down
     pusher = ET.SubElement(cell, "link", name=PUSHER_LINK)
-    _cylinder(pusher, tool.pusher_radius, tool.pusher_height, 0.5 * tool.pusher_height)
+    ends = tool_shape(tool.pusher_radius, tool.finger_distance, tool.plate_length).core
+    for at in ends.tolist():
+        _cylinder(pusher, tool.pusher_radius, tool.pusher_height, 0.5 * tool.pusher_height, at)
+    if tool.plate_length:
+        size = _words([2 * tool.pusher_radius, tool.plate_length, tool.pusher_height])
+        _solid(pusher, "box", [0.0, 0.0, 0.5 * tool.pusher_height], size=size)
     _fixed_joint(cell, f"{PUSHER_LINK}_joint", (tool.link, PUSHER_LINK), top, tool.tip_rpy)
     if tool.hand_length > 0:
         hand = ET.SubElement(cell, "link", name=_HAND_LINK)
@@ -147,11 +153,15 @@ def _limit(joint: ET.Element, joints: Joints, index: int) -> None:
         joint.set("type", "revolute")
 
 
-def _cylinder(link: ET.Element, radius: float, length: float, middle: float) -> None:
+def _cylinder(link: ET.Element, radius: float, length: float, middle: float, at: Sequence[float] = (0.0, 0.0)) -> None:
+    _solid(link, "cylinder", [*at, middle], radius=repr(radius), length=repr(length))
+
+
+def _solid(link: ET.Element, kind: str, middle: Sequence[float], **sizes: str) -> None:
     for role in ("visual", "collision"):
         solid = ET.SubElement(link, role)
-        ET.SubElement(solid, "origin", xyz=f"0 0 {middle!r}", rpy="0 0 0")
-        ET.SubElement(ET.SubElement(solid, "geometry"), "cylinder", radius=repr(radius), length=repr(length))
+        ET.SubElement(solid, "origin", xyz=_words(middle), rpy="0 0 0")
+        ET.SubElement(ET.SubElement(solid, "geometry"), kind, dict(sizes))
 
 
 def _fixed_joint(cell: ET.Element, name: str, ends: tuple[str, str], xyz: object, rpy: object) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from push_ident.errors import InputError
 from push_ident.pushing.robot.description import TIP_LINK
-from push_ident.pushing.robot.robot_file import Robot
+from push_ident.pushing.robot.robot_file import Robot, push_settings
 
 
 def node_parameters(robot: Robot, description_file: Path | None = None) -> dict[str, dict[str, Any]]:
@@ -26,7 +26,7 @@ def node_parameters(robot: Robot, description_file: Path | None = None) -> dict[
         "perception_node": {
             **camera,
             **described,
-            "tool_radius": tool.pusher_radius,
+            "tool_radius": push_settings(robot).tool.reach,
             "tool_length": tool.pusher_height,
             "tool_reach": [file.push_height, file.push_height + tool.pusher_height],
             "hand_radius": tool.hand_radius,
@@ -38,6 +38,8 @@ def node_parameters(robot: Robot, description_file: Path | None = None) -> dict[
             home_posture=joints.home,
             joint_acceleration_limits=joints.acceleration,
             pusher_radius=tool.pusher_radius,
+            finger_distance=tool.finger_distance,
+            plate_length=tool.plate_length,
             pusher_height=tool.pusher_height,
             push_height=file.push_height,
             workspace=file.workspace,

@@ -87,7 +87,7 @@ def find_reach(
     for count, (axis, i, j) in enumerate(np.ndindex(outcome.shape)):
         push = _push_at(np.array([xs[i], ys[j]]), axis, tried, pushes)
         try:
-            plan_push(kinematics, motion.home, push, motion)
+            plan_push(kinematics, motion.home, push, motion, pushes.span)
         except PlanningError as error:
             outcome[axis, i, j] = kind = Outcome.UNREACHABLE if error.code == PushCode.UNREACHABLE else Outcome.LIMIT
             # Faults of one kind begin with the same words: which joint, and what of it.

@@ -66,22 +66,26 @@ class Joints(_Part):
 
 
 class Tool(_Part):
-    """What pushes: an upright cylinder, and the hand or adapter that holds it."""
+    """What pushes: an upright cylinder, two round fingers or a plate, and the hand or adapter that holds it."""
 
     link: str
     """Link of the URDF that carries the tool, such as the flange."""
     tip_position: Vector
-    """Bottom centre of the cylinder in that link [m]."""
+    """Bottom centre of the cylinder in that link, or the middle between both fingers or ends of the plate [m]."""
     tip_rpy: Vector = [0.0, 0.0, 0.0]
-    """Turn of the tip: its z axis points down the tool [rad]."""
+    """Turn of the tip: its z axis points down the tool, and both fingers, or ends of the plate, are on its y axis [rad]."""
     pusher_radius: Annotated[float, Field(gt=0.0)]
-    """[m]"""
+    """Of the cylinder or of each finger, or half the thickness of the plate [m]."""
+    finger_distance: Annotated[float, Field(ge=0.0)] = 0.0
+    """Between the axes of two fingers, of an opened gripper for instance [m]; 0: a tool in one piece."""
+    plate_length: Annotated[float, Field(ge=0.0)] = 0.0
+    """Between the middles of the round ends of a plate [m]; 0: no plate."""
     pusher_height: Annotated[float, Field(gt=0.0)]
     """[m]"""
     hand: Literal["none", "robotiq_3f", "gripper_action"] = "none"
-    """A hand that must be closed; `none`: a fixed tool."""
+    """A hand that must be closed, or at the position at which its fingers are `finger_distance` apart; `none`: a fixed tool."""
     hand_radius: Annotated[float, Field(gt=0.0)]
-    """Of all that is above the cylinder, up to the arm [m]."""
+    """Of all that is above what pushes, up to the arm [m]."""
     hand_length: Annotated[float, Field(ge=0.0)] = 0.0
     """Of the cylinder that stands for the hand; 0 where the URDF has the hand [m]."""
 
@@ -151,6 +155,7 @@ def read_robot(path: Path) -> Robot:
     robot = Robot(path, file)
     try:
         _check_lengths(file.joints)
+        _check_hand(file.tool)
         motion_settings(robot)
         push_settings(robot)
         _ = robot.camera_in_table
@@ -169,7 +174,8 @@ def motion_settings(robot: Robot) -> MotionSettings:
 def push_settings(robot: Robot) -> PushSettings:
     """Limits of pushes, as push_executor_node has them."""
     file = robot.file
-    return PushSettings(**_chosen(PushSettings, file, {"workspace": file.workspace, "pusher_radius": file.tool.pusher_radius}))
+    tool = {name: getattr(file.tool, name) for name in ("pusher_radius", "finger_distance", "plate_length")}
+    return PushSettings(**_chosen(PushSettings, file, {"workspace": file.workspace, **tool}))
 
 
 def _chosen(kind: type[Any], file: RobotFile, stated: dict[str, Any]) -> dict[str, Any]:
@@ -181,6 +187,14 @@ def _chosen(kind: type[Any], file: RobotFile, stated: dict[str, Any]) -> dict[st
             if isinstance(number, bool) or not isinstance(number, int | float):
                 raise InputError(f"parameters.{_EXECUTOR}.{name} is {plain_text(repr(value))}, expected numbers.")
     return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+
+
+def _check_hand(tool: Tool) -> None:
+    if tool.hand == "robotiq_3f" and (tool.finger_distance or tool.plate_length):
+        raise InputError(
+            "tool.hand is robotiq_3f, which pushes with its fist only, and tool has two contacts, expected a hand with two fingers; give "
+            "gripper_action with the hand_position at which they are apart, or take finger_distance and plate_length out."
+        )
 
 
 def _check_lengths(joints: Joints) -> None:
