@@ -90,7 +90,7 @@ def test_tool_comes_down_backs_off_its_face_and_rises_without_turning(kinematics
 
 def test_joints_that_are_too_weak_make_the_push_slower_and_too_short_a_clearance_refuses_it(kinematics: ArmKinematics) -> None:
     push = push_with_both_ends(SHAPE, START, PATH, FINGERS, back_off=BACK)
-    weak = replace(MOTION, joint_acceleration_limits=(1.5,), max_joint_acceleration=1.5)
+    weak = replace(MOTION, max_joint_velocity=0.4, joint_acceleration_limits=(1.5,), max_joint_acceleration=1.5)
     slow = plan_turning_push(kinematics, PARKED, push, PATH, weak, 0.04)
     fast = plan_turning_push(kinematics, PARKED, push, PATH, MOTION, 0.04)
 

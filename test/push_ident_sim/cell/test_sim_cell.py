@@ -206,7 +206,7 @@ def test_camera_sees_the_pusher_where_the_arm_has_it(name: str) -> None:
     world.close()
     beside = np.hypot(*np.moveaxis(points[..., :2] - tip[:2], 2, 0))
     distance = beside[(points[..., 2] > tip[2] + 0.002) & (points[..., 2] < tip[2] + 0.03) & (beside < 0.03)]
-    assert len(distance) > 100 and robot.pusher_radius - 3e-4 < distance.min() <= distance.max() < robot.pusher_radius + 1e-4
+    assert len(distance) > 100 and robot.tool.radius - 3e-4 < distance.min() <= distance.max() < robot.tool.radius + 1e-4
 
 
 def test_depth_noise_has_the_published_spread_whole_millimetres_and_a_seed() -> None:
@@ -298,7 +298,7 @@ def test_arm_carries_a_block_to_its_goal_with_both_ends_of_its_tool(tmp_path: Pa
     robot, arm_in_cell = read_robot(file), cell_robot(str(file))
     sim_object, tool = block(), push_settings(robot).tool
     arm = ArmKinematics(arm_in_cell.description, neutral=arm_in_cell.neutral)
-    model, goal = true_model(sim_object), np.array([0.06, 0.09, 0.5])
+    model, goal = true_model(sim_object), np.array([0.02, 0.18, 0.3])
     shape = model.shape
     support = Support.of_bodies(shape.cells.centres, [body_of_cells(shape, model.mass, model.friction)])
     contacts = (contact_on_face(shape, tool, face, 0.06 if face % 2 == 0 else 0.036) for face in range(4))
