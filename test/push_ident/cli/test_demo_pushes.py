@@ -13,7 +13,7 @@ from helpers.objects import hammer
 from push_ident.cli.demo_pushes import DemoPush, DemoPushes
 from push_ident.identification.predicting.scoring import summarise_scores
 from push_ident.nodes.convert.model import path_to_msg
-from push_ident.types import Float64Array, PusherPath
+from push_ident.types import Float64Array, PusherPath, PusherShape
 from push_ident_msgs.action import ExecutePush
 
 PATH = path_to_msg(PusherPath(np.array([0.0, 1.0]), np.array([[0.0, 0.0], [0.05, 0.0]]), 0.01))
@@ -23,7 +23,7 @@ GOAL, RESULT = ExecutePush.Goal, ExecutePush.Result
 class Cell:
     """Stands for the client of a cell: an executor that makes the pushes it is asked for, of an object that lies near the edge first."""
 
-    pusher_radius = 0.01
+    tool = PusherShape(0.01)
     phases = (1, 2, 3)
 
     def __init__(self, *codes: int) -> None:

@@ -15,7 +15,7 @@ from push_ident.cli.goal_report import GoalReport, planar
 from push_ident.cli.push_several import SeveralReport, parse_goals, push_several
 from push_ident.errors import InputError
 from push_ident.planning.goal import GoalCode
-from push_ident.types import Float64Array, ObjectShape
+from push_ident.types import Float64Array, ObjectShape, PusherShape
 from push_ident_msgs.action import PushToGoal
 
 LEFT, MIDDLE, RIGHT = (np.array([x, 0.0, 0.0]) for x in (-0.15, 0.0, 0.15))
@@ -28,7 +28,7 @@ class Client:
     at: dict[str, Float64Array]
     codes: list[GoalCode] = field(default_factory=list)
     """Of the next goals; then all are reached."""
-    pusher_radius: float = 0.008
+    tool: PusherShape = field(default_factory=lambda: PusherShape(0.008))
     asked: list[PushToGoal.Goal] = field(default_factory=list)
 
     def wait(self, what: Callable[[], Any], timeout: float, missing: str) -> Any:

@@ -68,7 +68,7 @@ def is_request(request: Any) -> bool:
 
 
 CONVERSIONS: dict[str, tuple[Any, Callable[[Any], Any], Callable[[Any], bool]]] = {
-    "stamp": (POSE.header.stamp, messages.stamp_from_msg, lambda stamp: 0 <= stamp < 2**31),
+    "stamp": (POSE.header.stamp, messages.stamp_from_msg, lambda stamp: 0 <= stamp <= 2**31),  # rounded
     "pose": (POSE, messages.planar_pose_from_msg, is_pose),
     "position": (RIGHT["pusher/pose"], messages.position_from_msg, lambda value: value[0] >= 0 and near(value[1])),
     "transform": (RIGHT["tool/pose"], messages.transform_from_msg, is_rotation),
