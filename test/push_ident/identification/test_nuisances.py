@@ -70,7 +70,7 @@ def test_noise_of_unchecked_poses_is_set_by_the_pushes(stated: float) -> None:
     rng = np.random.default_rng(0)
     records = [ends_only(record, stated, rng) for record in RECORDS[:10]]
     factor = identify(records).posterior.pose_noise_factor
-    assert factor is not None and factor * stated == pytest.approx(1.0, rel=0.8)
+    assert factor is not None and abs(np.log(factor * stated)) < 0.6, "nothing learned: 1.1"
     assert identify(TRAIN[:1]).posterior.pose_noise_factor is None
     given = FitOptions(noise=NoiseModel(single_frame_inflation=1.0))
     assert identify(records[:1], options=given).posterior.pose_noise_factor is None

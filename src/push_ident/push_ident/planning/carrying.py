@@ -39,7 +39,7 @@ def carrying_turns(shape: ObjectShape, models: Sequence[BatchModel], settings: P
     friction as the face allows."""
     support = Support.of_bodies(shape.cells.centres, [model.body for model in models])
     friction = min(model.pusher_friction for model in models)
-    found = []
+    on_faces = []
     for face, vertex in enumerate(shape.outline):
         edge = shape.outline[(face + 1) % len(shape.outline)] - vertex
         length = float(np.linalg.norm(edge))
@@ -51,8 +51,8 @@ def carrying_turns(shape: ObjectShape, models: Sequence[BatchModel], settings: P
             continue
         turns = stable_turns(contact, support, friction, settings.speed_range[0])
         if turns is not None and turns.curvature > 0.0:
-            found.append(turns)
-    return found
+            on_faces.append(turns)
+    return on_faces
 
 
 def carrying_pushes(

@@ -232,7 +232,10 @@ class GoalPlanner:
             if answer.plan is not None or keep_out is None:
                 break
         carrying = self._carrying(task) if self._settings.span and around.hold is None else None
-        return answer if carrying is None or carrying.pushes > answer.pushes else carrying
+        chosen = answer if carrying is None or carrying.pushes > answer.pushes else carrying
+        if chosen.plan is not None:
+            self._passed.append((pose, chosen.pushes))
+        return chosen
 
     def _carrying(self, task: _Task) -> GoalPush | None:
         """A push with both ends of the tool that carries the object to the goal, by more models and with the uncertainty of the pose; the
@@ -340,7 +343,6 @@ class GoalPlanner:
         if not np.any(np.isfinite(value)):
             return GoalPush(PlanStatus.UNREACHABLE, chance)
         best = int(np.nanargmin(value))
-        self._passed.append((pose, float(value[best])))
         group, number, length = candidates[best]
         return GoalPush(
             PlanStatus.PUSH,

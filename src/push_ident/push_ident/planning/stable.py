@@ -47,6 +47,8 @@ _MOST_POINTS: Final = 950
 """Poses of a path: a message holds 1000."""
 _MEANS: Final = 40
 """Points that a mean over the length of a change of the curvature is taken of."""
+_FIXED_POINT_STEPS: Final = 40
+"""Each is nearer by a factor of 2 at least, up to arcs about an end of the tool: to rounding."""
 _DEPTHS: Final = (0.0, 0.5, 1.0, 1.5)
 """Depths of the reference point behind the centre, in units of (radius of gyration)^2 / depth of the centre: at 1 are the rotation centres
 of forces through the middle of the tool, where the limit surface is an ellipsoid."""
@@ -115,12 +117,12 @@ class Support:
         gyration = -support.least(-np.sum((places - centre) ** 2, axis=1))
         return replace(support, inertia=np.array([[*centre, 1.0 / deceleration, gyration / deceleration]]))
 
-    def least(self, values: Float64Array, beside: Float64Array | float = 0.0) -> float:
-        """Smallest mean of `values` at the points, shape (n,), over what may bear the load, each with what a row of `inertia` adds, shape
-        (n_models,). Raises InputError where nothing can."""
+    def least(self, values: Float64Array, inertial: Float64Array | float = 0.0) -> float:
+        """Smallest mean of `values` at the points, shape (n,), over what may bear the load, each with what a row of `inertia` adds,
+        `inertial`, shape (n_models,). Raises InputError where nothing can."""
         if len(self.loads):
-            return float(np.min(self.loads @ values + beside))
-        return self._envelope(values) + float(np.min(beside))
+            return float(np.min(self.loads @ values + inertial))
+        return self._envelope(values) + float(np.min(inertial))
 
     def _envelope(self, values: Float64Array) -> float:
         try:
@@ -323,10 +325,10 @@ def _of_arcs(curvature: float, blend: float) -> float:
 
     The mean velocity over an angle a is sin(a / 2) / (a / 2) times as fast, and turns as fast.
     """
-    found = curvature
-    for _ in range(_MEANS):
-        found = curvature * float(np.sinc(0.5 * found * blend / np.pi))
-    return found
+    of_arcs = curvature
+    for _ in range(_FIXED_POINT_STEPS):
+        of_arcs = curvature * float(np.sinc(0.5 * of_arcs * blend / np.pi))
+    return of_arcs
 
 
 def shortest_stable_push(

@@ -11,7 +11,7 @@ from math import factorial, log
 from typing import ClassVar, Final
 
 import numpy as np
-from scipy.special import softmax
+from scipy.special import chdtri, softmax
 
 from push_ident.identification.fitting.budget import Meter
 from push_ident.identification.fitting.fit import Fit
@@ -35,9 +35,11 @@ _LEAST_WEIGHT: Final = 1.0 / 64.0
 """Weight below which a kind of support is left out [1]: half a model of the 32 that a prediction draws."""
 _NEGLIGIBLE: Final = 7.0
 """Difference of log evidence [nat], odds of 1100 to 1: candidates so far below the best are not fitted to the end."""
-_WEIGHED: Final = 0.866
-"""Mean of the weighted squares of normal residuals of a pose [1]: of 7 u / (4 + u) / 3 over u, chi squared with 3 degrees of freedom
-(`FitProblem.weigh`). The scale of Student's t is as much smaller than the deviation that predictions take for a normal one."""
+_SQUARES: Final = chdtri(3.0, (np.arange(1000) + 0.5) / 1000)
+"""Quantiles of the squared size of a normal residual of a pose: chi squared with 3 degrees of freedom."""
+_WEIGHED: Final = float(np.mean(FitProblem.frame_weight(np.sqrt(_SQUARES / 3.0)[:, None] * np.ones(3)) * _SQUARES)) / 3.0
+"""Mean weighted square of normal residuals [1], 0.87: as much smaller is the square of the scale of Student's t, which weighs them, than
+the variance that predictions take for a normal one."""
 _ADOPTED: Final = "adopted model"
 _EQUAL: Final = "equal cells"
 _NOMINAL: Final = "equal cells, nominal friction"

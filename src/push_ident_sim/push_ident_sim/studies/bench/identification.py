@@ -60,6 +60,7 @@ def _solve(seed: int, repetitions: int, n_test: int) -> Json:
         "simulations": last.n_simulations,
         "simulations_more": results[_MORE].n_simulations,
         "status": last.status.name.lower(),
+        "status_more": results[_MORE].status.name.lower(),
         **{f"{name}_m": float(np.mean(held_out_errors(one, test))) for name, one in models},
     }
 
@@ -71,11 +72,11 @@ def _seconds_of_updates(records: Sequence[PushRecord]) -> list[float]:
         online.add(record)
     for n in range(2, len(push.poses.time) + 1):
         poses, pusher = push.poses, push.pusher
-        seen = PoseTrack(poses.time[:n], poses.pose[:n], poses.covariance[:n], poses.camera)
-        known = np.searchsorted(pusher.time, seen.time[-1], side="right")
+        poses_so_far = PoseTrack(poses.time[:n], poses.pose[:n], poses.covariance[:n], poses.camera)
+        known = np.searchsorted(pusher.time, poses_so_far.time[-1], side="right")
         if known < 2:
             continue
-        partial = replace(push, poses=seen, pusher=PusherPath(pusher.time[:known], pusher.position[:known], pusher.radius))
+        partial = replace(push, poses=poses_so_far, pusher=PusherPath(pusher.time[:known], pusher.position[:known], pusher.radius))
         started = time.process_time()
         if online.update(partial) is not None:
             seconds.append(time.process_time() - started)
@@ -88,10 +89,15 @@ def _targets(summary: Json) -> list[Target]:
     late = max(solve["updates"]["p99_s"] for solve in solves)
     what = f"{_CELLS_ALONG**2} cells, the slowest of {len(solves)}"
     return [
-        Target(f"{N_TRAIN} pushes, {what} (the paper: 30 s)", "≤ 0.5 s", f"{few:.2f} s", few <= 0.5),
-        Target(f"{_MORE} pushes, {what}", "≤ 3 s", f"{more:.2f} s", more <= 3.0),
+        Target(f"{N_TRAIN} pushes, {what} (the paper: 30 s)", "≤ 0.5 s", f"{few:.2f} s", few <= 0.5 and _converged(solves, "status")),
+        Target(f"{_MORE} pushes, {what}", "≤ 3 s", f"{more:.2f} s", more <= 3.0 and _converged(solves, "status_more")),
         Target(f"update at a frame of a push, 99 %, {what}", "≤ 33 ms", f"{1e3 * late:.0f} ms", late <= 0.033),
     ]
+
+
+def _converged(solves: list[Json], key: str) -> bool:
+    """Whether all solves did, by a key of their status: one that gave up early is no quick one."""
+    return all(solve[key] == "converged" for solve in solves)
 
 
 def _tables(summary: Json) -> str:
